@@ -3,7 +3,7 @@
     python scripts/measure_mesh.py [PEOPLE ...]
 
 PartBench's people from 200 on, fitted by the fast quality, on CUDA where there is some. Steps alone are without starts,
-measuring and the whole mesh.
+measuring and the whole mesh. Once more, with a clock that waits for the device, says where the time goes.
 """
 
 from __future__ import annotations
@@ -16,18 +16,36 @@ from statistics import median
 
 import torch
 import warp as wp
+from measure_together import Steps
 
 from warp_partdr import FitOptions, fit_body
+from warp_partdr.clothing import measuring
 from warp_partdr.clothing.anny import anny
 from warp_partdr.evaluation.partbench.samples import make_sample
+from warp_partdr.fit import mesh_energy as mesh_energy_module
+from warp_partdr.fit import mesh_stage
 from warp_partdr.fit.mesh_energy import gather_starts, mesh_energy
 from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.fit.mesh_stage import refine_meshes
 from warp_partdr.fit.result import FitResult
 from warp_partdr.fit.steps import find_steps
+from warp_partdr.interop.captured_step import CapturedStep
 from warp_partdr.interop.devices import choose_device
 from warp_partdr.interop.torch_threads import one_torch_thread
 
+PARTS = (
+    (mesh_stage, "gather_starts", "starts"),
+    (mesh_energy_module, "pose_from_ellipbody", "starts, poses"),
+    (mesh_energy_module, "gather_keypoints", "starts, keypoints"),
+    (mesh_energy_module, "gather_spreads", "starts, spreads"),
+    (mesh_stage, "find_steps", "steps found or captured"),
+    (CapturedStep, "replay", "steps"),
+    (mesh_stage, "ungrown", "whole mesh"),
+    (mesh_stage, "measure_parameters", "measured"),
+    (measuring, "Growth", "measured, growth set up"),
+    (measuring, "_rotations", "measured, rotations"),
+    (mesh_stage, "check_finite", "checked"),
+)
 _DIFFERENT = 16  # people; more are these again
 _REPEATS = 5
 
@@ -77,6 +95,9 @@ def main(*counts: int) -> None:
             steps = measured(all_steps(results, options, device), device)
         whole = measured(partial(refine_meshes, results, options=options), device)
         print(f"{device}, {count} people: {whole}, {options.iterations} steps alone {steps}")
+        parts = Steps(device, PARTS)
+        parts.measure(partial(refine_meshes, results, options=options))
+        parts.print(count)
 
 
 if __name__ == "__main__":

@@ -3,26 +3,30 @@
     python scripts/measure_shards.py FOLDER [PEOPLE [QUALITY [GPUS...]]]
 
 PartBench's people, 40 of them under PEOPLE names (default 20000), go into tar files in FOLDER as JPEG, keypoints and
-labels. A run for each number of GPUS (default 1; 0: on the CPU) is a process a GPU, which has its share of the shards
-and of the cores; what is made before each one's first shard is written does not count. Then the stages alone, to tell
-what limits: pictures read and people cut out, by one process and by one a core; fits; rows, their table, and Parquet.
+labels. A run for each number of GPUS (default 1; 0: on the CPU) is a process a GPU with its share of the shards; each
+GPU has as many cores, whatever their number. What is made before each one's second shard is written does not count:
+starts, kernels that compile, and pictures read meanwhile; nor what a minute after that has not been written. Then the
+stages alone, to tell what limits: pictures read and people cut out, by one process and by one a core; fits; rows, their
+table, and Parquet.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import tarfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
 import torch
-from measure_dataset import sample
+from measure_dataset import add_file, kept_samples
 from PIL import Image
 
 from warp_partdr.bulk.cutting import Cut, Cutter, read_picture
@@ -34,10 +38,12 @@ from warp_partdr.bulk.rows import PeopleRows, columns, people_table
 from warp_partdr.clothing.anny import anny
 from warp_partdr.fit.cut_people import CutPeople
 from warp_partdr.interop.devices import choose_device
+from warp_partdr.interop.precision import multiplies_bfloat16
 from warp_partdr.kernels.launch import get_num_threads
 from warp_partdr.network.checkpoint import packaged_network
 
-DISTINCT, IN_A_TAR, SHARD, BATCH, SOME = 40, 5_000, 500, 256, 256
+DISTINCT, IN_A_TAR, SHARD, BATCH, SOME = 40, 5_000, 500, 500, 256
+FIRST, MOST_SECONDS = 2, 60  # shards that don't count, and seconds that do
 LABELS = "ellipbody20"
 
 
@@ -47,24 +53,25 @@ def main(folder: str, people: str = "20000", quality: str = "fast", *gpus: str) 
         write_shards(root / "shards", count)
     print(f"memory to share: {shared_memory() / 2**20:.0f} MiB free")
     rates = {}
-    for number in map(int, gpus or ("1",)):
-        rates[number] = run(root, quality, number)
-        print(f"{quality}, {number} GPUs, {get_num_threads()} cores: {rates[number]:.0f} people a second", flush=True)
+    numbers = [int(each) for each in gpus or ("1",)]
+    cores = len(os.sched_getaffinity(0)) // max(*numbers, 1)  # of a GPU
+    for number in numbers:
+        rates[number] = run(root, quality, number, cores)
+        print(f"{quality}, {number} GPUs, {cores} cores each: {rates[number]:.0f} people a second", flush=True)
     if {1, 2} <= rates.keys():
         print(f"two GPUs: {rates[2] / rates[1]:.2f} times one")
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
     measure_stages(root, quality, "cpu" if set(rates) == {0} else choose_device("auto"))
 
 
 def write_shards(folder: Path, people: int) -> None:
+    samples = [as_jpeg(each) for each in kept_samples(folder.parent, DISTINCT)]
     folder.mkdir(parents=True)
-    samples = [as_jpeg(sample(index)) for index in range(DISTINCT)]
     for first in range(0, people, IN_A_TAR):
         with tarfile.open(folder / f"{first // IN_A_TAR:03}.tar", "w") as tar:
             for index in range(first, min(first + IN_A_TAR, people)):
                 for ending, data in samples[index % DISTINCT].items():
-                    info = tarfile.TarInfo(f"{index:07}.{ending}")
-                    info.size = len(data)
-                    tar.addfile(info, BytesIO(data))
+                    add_file(tar, f"{index:07}.{ending}", data)
 
 
 def as_jpeg(files: dict[str, bytes]) -> dict[str, bytes]:
@@ -74,32 +81,47 @@ def as_jpeg(files: dict[str, bytes]) -> dict[str, bytes]:
     return {"jpg": buffer.getvalue()} | {ending: data for ending, data in files.items() if ending != "png"}
 
 
-def run(root: Path, quality: str, gpus: int) -> float:
-    """People a second of all processes, each from its first written shard to its last."""
+def run(root: Path, quality: str, gpus: int, share: int) -> float:
+    """People a second of all processes, each from its second written shard on, with so many cores each."""
     cores, out = sorted(os.sched_getaffinity(0)), root / f"out-{quality}-{gpus}"
     line = [sys.executable, "-m", "warp_partdr", "dataset", str(root / "shards"), "--labels", LABELS]
     line += ["--quality", quality, "--shard", str(SHARD), "--out", str(out)]
     line += ["--device", "cuda" if gpus else "cpu", "--batch", str(BATCH if gpus else 16)]
     count = max(gpus, 1)
+    shutil.rmtree(out, ignore_errors=True)
+    logs = [root / f"errors-{number}.txt" for number in range(count)]
     runs = [
         subprocess.Popen(
             [*line, "--share", f"{number}/{count}"],
             env=os.environ | ({"CUDA_VISIBLE_DEVICES": str(number)} if gpus else {}),
             stdout=subprocess.DEVNULL,
-            preexec_fn=lambda number=number: os.sched_setaffinity(0, cores[number::count]),
+            stderr=logs[number].open("w"),
+            preexec_fn=lambda number=number: os.sched_setaffinity(0, cores[share * number : share * (number + 1)]),
         )
         for number in range(count)
     ]
-    codes = [each.wait() for each in runs]
-    if any(codes):
-        sys.exit("a run failed")
+    ends: float | None = None
+    while any(each.poll() is None for each in runs):
+        if ends is None and all(len(found) > FIRST for found in shards_of(out, count)):
+            ends = time.monotonic() + MOST_SECONDS
+        if ends is not None and time.monotonic() > ends:
+            for each in runs:
+                each.kill()
+        time.sleep(0.2)
+    if ends is None:
+        sys.exit(f"a run ended before its third shard: {logs[0].read_text()[-1000:]}")
     rate = 0.0
-    for number in range(count):
-        files = sorted(out.glob("part-*"))[number::count]
-        seconds = files[-1].stat().st_mtime - files[0].stat().st_mtime
-        bodies = [pq.read_table(file, columns=["camera_scale"])["camera_scale"] for file in files[1:]]
+    for files in shards_of(out, count):
+        seconds = files[-1].stat().st_mtime - files[FIRST - 1].stat().st_mtime
+        bodies = [pq.read_table(file, columns=["camera_scale"])["camera_scale"] for file in files[FIRST:]]
         rate += sum(len(each) - each.null_count for each in bodies) / seconds
     return rate
+
+
+def shards_of(out: Path, count: int) -> list[list[Path]]:
+    """Shards of each process that are there, by the time when they were written."""
+    files = sorted(out.glob("part-*"), key=lambda file: file.stat().st_mtime)
+    return [[file for file in files if int(file.name.split("-")[1]) % count == number] for number in range(count)]
 
 
 def measure_stages(root: Path, quality: str, device: str) -> None:
@@ -114,7 +136,7 @@ def measure_stages(root: Path, quality: str, device: str) -> None:
     measure_reading(source, cutter, many, cores)
     people = CutPeople.joined([each for _, each in cut.people][:1])
     model = anny(device) if quality == "mesh" else None
-    how = stages_of_quality(quality)  # type: ignore[arg-type]
+    how = replace(stages_of_quality(quality), half=multiplies_bfloat16(device))  # type: ignore[arg-type]
     fitter = PeopleFitter(how, packaged_network(device), model, device, BATCH)
     clocked("copied to the device", len(people), lambda: people.to(device), device)
     there = people.to(device)
@@ -127,8 +149,8 @@ def measure_stages(root: Path, quality: str, device: str) -> None:
 
 def measure_reading(source: PictureFiles, cutter: Cutter, names: Any, processes: int) -> None:
     (groups,) = read_in_processes(source, cutter, [names], processes)
-    first = next(groups)
-    assert isinstance(first, Cut)
+    for _ in range(2 * processes):  # until all have started
+        next(groups)
     began, count = time.perf_counter(), 0
     for group in groups:
         assert isinstance(group, Cut)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 from unittest.mock import patch
@@ -34,6 +34,16 @@ from warp_partdr.refinement import captured
 from warp_partdr.refinement.batch import Batch
 
 _DISTINCT = 64
+STEPS = (
+    (predict, "upright_inputs", "network, its input"),
+    (together, "ask_network", "network"),
+    (Batch, "of_stacked", "landmarks in their places"),
+    (Batch, "drawn_at", "label images resized"),
+    (depth_flips, "_propose", "depth flips proposed"),
+    (together, "repair_depth_orders", "depth flips chosen"),
+    (captured.CapturedRefinement, "__init__", "refinement, set up and captured"),
+    (captured.CapturedRefinement, "refine", "refinement, replayed"),
+)
 
 
 def main(*given: str) -> None:
@@ -53,7 +63,7 @@ def main(*given: str) -> None:
                 wait(device)
                 seconds = time.perf_counter() - began
             print(f"{quality}, {count} people: {count / seconds:.0f} a second", flush=True)
-            steps = Steps(device)
+            steps = Steps(device, STEPS)
             steps.measure(lambda: fit_together(people, options, network))  # noqa: B023  at once
             steps.print(count)
             began = time.perf_counter()
@@ -68,26 +78,18 @@ def wait(device: str) -> None:
 
 
 class Steps:
-    """Seconds of the steps of a fit, each without those of steps inside it."""
+    """Seconds of the steps of a fit, each without those of steps inside it; where they are, their names, and what."""
 
-    def __init__(self, device: str) -> None:
-        self.device = device
+    def __init__(self, device: str, steps: Sequence[tuple[Any, str, str]]) -> None:
+        self.device, self.steps = device, steps
         self.seconds: dict[str, float] = defaultdict(float)
         self._inner = [0.0]
 
     def measure(self, work: Callable[[], Any]) -> None:
         """Run it with a clock in each step."""
-        steps = (
-            (predict, "network_inputs", "network, its input"),
-            (together, "ask_network", "network"),
-            (Batch, "of_stacked", "landmarks in their places"),
-            (Batch, "drawn_at", "label images resized"),
-            (depth_flips, "_propose", "depth flips proposed"),
-            (together, "repair_depth_orders", "depth flips chosen"),
-            (captured.CapturedRefinement, "__init__", "refinement, set up and captured"),
-            (captured.CapturedRefinement, "refine", "refinement, replayed"),
-        )
-        patches = [patch.object(where, name, self._clocked(getattr(where, name), what)) for where, name, what in steps]
+        patches = [
+            patch.object(where, name, self._clocked(getattr(where, name), what)) for where, name, what in self.steps
+        ]
         for each in patches:
             each.start()
         try:

@@ -223,7 +223,7 @@ def test_a_killed_run_leaves_whole_shards_alone(run: Run) -> None:
 def test_groups_and_batches_change_no_row(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     write_coco(Path("coco"))
     run(f"{COCO} --shard 5 --out whole")
-    monkeypatch.setattr(people, "_PICTURES", 1)
+    monkeypatch.setattr(people, "_PICTURES", {"cpu": 1, "cuda": 1})
     run(f"{COCO} --shard 5 --batch 1 --out out")
     one, other = pq.read_table("out"), pq.read_table("whole")
     for name in ("picture", "person", "annotation"):

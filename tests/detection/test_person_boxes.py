@@ -31,12 +31,12 @@ def test_boxes_are_relative_to_their_anchors():
     logits[3] = 1.0
     nothing = np.full_like(logits, -9.0)
     both = torch.from_numpy(np.stack([said, said])), torch.from_numpy(np.stack([nothing, logits]))
-    (_, none), (found, scores) = decode(*both, 224, 0.5)
-    assert none.size == 0
+    found, scores, pictures = decode(*both, 224, 0.5)
+    assert pictures.tolist() == [1]
     np.testing.assert_allclose(scores, [1 / (1 + np.exp(-1))])
     expected = [[13, 6], [30, 40], [17, 10], [19, 12], [12, 4], [12, 4]]  # the size is no place
     np.testing.assert_allclose(found, [expected])
-    assert [each[1].size for each in decode(*both, 224, 0.75)] == [0, 0]
+    assert decode(*both, 224, 0.75)[1].size == 0
 
 
 def test_overlap_is_intersection_over_union():
@@ -47,11 +47,25 @@ def test_overlap_is_intersection_over_union():
 
 def test_boxes_that_overlap_are_averaged_by_score():
     boxes = np.stack([box(54, 50, 20), box(150, 50, 20), box(50, 50, 20)])
-    means, scores = average_boxes(boxes, np.array([0.6, 0.7, 0.9]))
+    means, scores, pictures = average_boxes(boxes, np.array([0.6, 0.7, 0.9]), np.zeros(3, int))
     assert scores.tolist() == [0.9, 0.7]
+    assert pictures.tolist() == [0, 0]
     np.testing.assert_allclose(means[0, 0], [(0.9 * 50 + 0.6 * 54) / 1.5, 50])
     np.testing.assert_allclose(means[1], boxes[1])
-    assert average_boxes(boxes[:0], np.zeros(0))[0].shape == (0, 6, 2)
+    assert average_boxes(boxes[:0], np.zeros(0), np.zeros(0, int))[0].shape == (0, 6, 2)
+
+
+def test_boxes_of_other_pictures_are_let_be(rng):
+    """All at once as each picture alone."""
+    pictures = np.sort(rng.integers(0, 5, 60)) * 2
+    boxes = np.stack([box(x, y, 30) for x, y in rng.uniform(0, 100, (60, 2))])
+    scores = rng.uniform(0.5, 1, 60)
+    means, best, whose = average_boxes(boxes, scores, pictures)
+    for number in range(10):
+        alone = average_boxes(*(each[pictures == number] for each in (boxes, scores, pictures)))
+        assert (np.diff(alone[1]) <= 0).all()
+        for each, expected in zip((means, best), alone, strict=False):
+            np.testing.assert_array_equal(each[whose == number], expected)
 
 
 @pytest.mark.parametrize("size", [(497, 884), (480, 640), (900, 300), (3000, 4000)])

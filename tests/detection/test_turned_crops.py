@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from warp_partdr.detection import crops as crops_module
 from warp_partdr.detection.crops import Pyramid, TurnedCrops, crops_of_people, cut_crops
 from warp_partdr.detection.heat import refine_landmarks
 from warp_partdr.detection.masks import draw_mask, instance_map, instance_maps
@@ -85,6 +86,21 @@ def test_crops_of_several_pictures_keep_their_order(device, rng):
     together = cut_crops(pyramids, crops, 12)
     for row in range(6):
         torch.testing.assert_close(together[row : row + 1], cut_crops(pyramids, crops[row : row + 1], 12))
+
+
+def test_pyramids_made_together_are_those_of_each_picture(rng, monkeypatch, device):
+    """On CUDA those of one size go there together; here they only seem to."""
+    if device == "cpu":
+        monkeypatch.setattr(crops_module, "_uploaded", lambda pictures, device: torch.from_numpy(np.stack(pictures)))
+    monkeypatch.setattr(crops_module, "_UPLOAD", 3 * 50 * 40 * 3)
+    shapes = [(50, 40), (33, 60), (50, 40), (50, 40), (50, 40), (33, 60)]
+    pictures = [rng.integers(0, 255, (*shape, 3), dtype=np.uint8) for shape in shapes]
+    for pyramid, picture in zip(Pyramid.each(pictures, "cuda"), pictures, strict=True):
+        assert pyramid.size == picture.shape[:2]
+        for wanted in (0, 2):
+            values, level = pyramid.level(wanted)
+            assert level == wanted
+            torch.testing.assert_close(values, Pyramid(picture, device).level(wanted)[0], rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("beyond", ["zeros", "border"])

@@ -100,7 +100,7 @@ def test_many_people_are_cut_out_as_each_alone(device, rng):
 
 def test_people_in_parts_of_the_batch_are_the_same(device, rng, monkeypatch):
     """Where memory holds a few at a time."""
-    monkeypatch.setattr(masked_people, "_PIXELS", 2**18)
+    monkeypatch.setattr(masked_people, "_PIXELS", {"cpu": 2**18, "cuda": 2**18})
     assert_as_alone(odd_people(rng, 12), device)
 
 

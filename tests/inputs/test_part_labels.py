@@ -18,7 +18,15 @@ from scenes.files import save_with_focal
 from warp_partdr.body.labels import IGNORE, label_set
 from warp_partdr.errors import InputError
 from warp_partdr.inputs import part_labels
-from warp_partdr.inputs.part_labels import PartLabels, check_sizes, read_focal, read_parts, read_photo, told_focal
+from warp_partdr.inputs.part_labels import (
+    PartLabels,
+    check_sizes,
+    read_focal,
+    read_parts,
+    read_photo,
+    scan_photo,
+    told_focal,
+)
 
 CDCL = label_set("cdcl14")
 PALETTE = [value for k in range(256) for value in (k, 255 - k, (7 * k) % 256)]
@@ -233,6 +241,27 @@ def test_photo_and_sizes(tmp_path: Path) -> None:
         read_photo(tmp_path / "photo.jpg")
     with pytest.raises(InputError, match=r"none\.jpg: No such file or directory; expected a picture"):
         read_photo(tmp_path / "none.jpg")
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("ending", ["jpg", "png", "webp"])
+def test_a_photo_that_is_looked_through_has_the_size_that_it_is_read_with(
+    tmp_path: Path, rng: np.random.Generator, ending: str, orientation: int
+) -> None:
+    """And the same fault, if it is not whole."""
+    path = tmp_path / f"photo.{ending}"
+    image = Image.fromarray(rng.integers(0, 255, (61, 83, 3), dtype=np.uint8))
+    exif = image.getexif()
+    exif[0x0112] = orientation
+    image.save(path, exif=exif)
+    assert scan_photo(path) == read_photo(path).shape[:2]
+    path.write_bytes(path.read_bytes()[:-900])
+    with pytest.raises(InputError) as read:
+        read_photo(path)
+    with pytest.raises(InputError) as checked:
+        scan_photo(path)
+    # How many bytes are left over may differ.
+    assert str(checked.value).partition("(")[0] == str(read.value).partition("(")[0]
 
 
 def test_photos_of_any_mode_are_the_same_picture(tmp_path):

@@ -19,9 +19,15 @@ from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, choose_person, person_height
 from warp_partdr.inputs.part_labels import PartLabels, check_sizes, read_parts, read_photo
 from warp_partdr.inputs.person import (
+    LOOSE_REACH,
+    MIN_SEED_RADIUS,
+    REACH,
+    SEED_RADIUS,
+    _Pixels,
     connected,
     crop_keypoints,
     crop_nearest,
+    loose_ends,
     person_crop,
     person_labels,
     select_person,
@@ -248,3 +254,38 @@ def test_the_box_holds_the_labels_and_the_margin_and_no_more():
     assert person_crop(keypoints, groups, margin=0.1) == (5, 3, 14, 23)  # 1.6 more on each side
     points[0] = [2.25, 24.5]
     assert person_crop(keypoints, groups, margin=0.0) == (2, 5, 12, 25)
+
+
+@pytest.mark.parametrize("others", [0, 1, 2])
+def test_blocks_of_pixels_are_judged_as_each_pixel_is(rng: np.random.Generator, others: int) -> None:
+    """Against the rule pixel by pixel; many blobs, so that borders lie everywhere."""
+    differ = 0
+    for _ in range(12):
+        size = rng.integers(60, 200, 2)
+        groups = (rng.random((*-(-size // 9), 1)) < 0.75).astype(np.uint8) * rng.integers(1, 4, (*-(-size // 9), 1))
+        groups = groups[..., 0].repeat(9, axis=0).repeat(9, axis=1)[: size[0], : size[1]].astype(np.uint8)
+        people = []
+        for _ in range(1 + others):
+            points = (rng.random((17, 2)) * size[::-1] * 0.3 + rng.random(2) * size[::-1] * 0.6).astype(np.float32)
+            confidence = (rng.random(17) < 0.8).astype(np.float32)
+            people.append(Keypoints2D("coco17", points * (confidence[:, None] > 0), confidence))
+        keypoints, *rest = people
+        height = person_height(keypoints)
+        reach = max(REACH * height, MIN_SEED_RADIUS)
+        rows, columns = np.indices(groups.shape).reshape(2, -1)
+        distances, *theirs = (_Pixels(rows, columns).bone_distances(each, reach) for each in people)
+        near = np.isfinite(distances)
+        loose = keypoints.points[loose_ends("coco17", keypoints.confident[None])[0]].astype(np.float64)
+        for x, y in loose:
+            near |= (columns + 0.5 - x) ** 2 + (rows + 0.5 - y) ** 2 <= (LOOSE_REACH * height) ** 2
+        for other in theirs:
+            near &= distances <= other
+        seeds = distances <= max(SEED_RADIUS * height, MIN_SEED_RADIUS)
+        labelled = groups > 0
+        assert (seeds.reshape(groups.shape) & labelled).any()
+        near = near.reshape(groups.shape) & labelled
+        kept = connected(near, near & seeds.reshape(groups.shape))
+        expected = np.where(labelled & ~kept, IGNORE, groups)
+        np.testing.assert_array_equal(select_person(groups, keypoints, rest), expected)
+        differ += int((expected != groups).any() and kept.any())
+    assert differ > 6

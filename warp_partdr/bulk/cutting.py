@@ -70,7 +70,7 @@ class Cutter:
             known = found.get(place, seen)
             row: Row = {"picture": name}
             if isinstance(seen, SourcePicture):
-                row |= {"height": seen.pixels.shape[0], "width": seen.pixels.shape[1]}
+                row |= dict(zip(("height", "width"), seen.size, strict=True))
             try:
                 if isinstance(known, Exception):
                     raise known

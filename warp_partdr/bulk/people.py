@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -10,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+import torch
 
 from ..clothing.model import DetailedModel
 from ..detection import MIN_SCORE
@@ -28,8 +30,9 @@ from .sources import KnownPerson, SourcePicture
 
 BulkQuality = Literal["network", "fast", "mesh"]
 
-_PIXELS = 2**24  # of pictures in which people are looked for at a time
-_PICTURES = 32  # the same in number
+# Pictures in which people are looked for at a time, and their pixels.
+_PICTURES = {"cpu": 32, "cuda": 256}
+_PIXELS = {"cpu": 2**24, "cuda": 2**26}
 _MESHES = threading.Lock()  # a mesh stage keeps the buffers of the last one
 
 
@@ -45,7 +48,7 @@ class PeopleFitter:
     """Fits of everyone in pictures.
 
     Attributes:
-        options: Of the fits, such as ``stages_of_quality``.
+        options: Of the fits, such as ``stages_of_quality``; with ``half``, people are found in float16 on CUDA.
         network: On the device, in evaluation mode.
         model: On the device; with one, the mesh stage makes the detailed body, too.
         device: "cpu" or a CUDA device.
@@ -91,7 +94,8 @@ class PeopleFitter:
         """Pictures with their people, found in one batch."""
         with one_torch_thread():
             pixels = [each.pixels for each in pictures]
-            everyone = find_people_in(pixels, device=self.device, min_score=self.min_score)
+            score, half = self.min_score, self.options.half
+            everyone = find_people_in(pixels, device=self.device, min_score=score, half=half)
             owners = instance_maps(everyone, [(each.shape[0], each.shape[1]) for each in pixels])
         return [
             replace(
@@ -138,8 +142,9 @@ class _Taken:
             self._collect_cut(self.how.workers)
             return
         self._held.append(given)
-        there = [each.pixels.size for _, each in self._held if isinstance(each, SourcePicture)]
-        if len(there) >= _PICTURES or sum(there) >= 3 * _PIXELS:
+        there = [math.prod(each.size) for _, each in self._held if isinstance(each, SourcePicture)]
+        kind = torch.device(self.how.device).type
+        if len(there) >= _PICTURES[kind] or sum(there) >= _PIXELS[kind]:
             self._cut()
 
     def finish(self) -> PeopleRows:

@@ -25,7 +25,7 @@ from ..files.json_files import parse_json
 from ..inputs.films import FilmFrames, is_film
 from ..inputs.keypoint_files import parse_keypoints, read_keypoints
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.part_labels import PartLabels, PhotoFile, check_sizes, read_parts, read_photo
+from ..inputs.part_labels import PartLabels, PhotoFile, check_sizes, read_parts, read_photo, scan_photo
 from ..inputs.person import Box
 from .containers import (
     ENDINGS,
@@ -38,7 +38,7 @@ from .containers import (
     index_tar,
     read_member,
 )
-from .sources import KnownPerson, SourcePicture
+from .sources import KnownPerson, ScannedPhoto, SourcePicture
 
 Beside = tuple[str, str, int]  # a photo's name, and ending and size of a file beside it
 
@@ -95,13 +95,15 @@ class PictureFiles:
                 raise InputError(opened.fault or f"{name}: changed meanwhile; expected the same file")
             if container is not None and is_film(container):
                 return SourcePicture(self._films.open(self.folder / container).read(int(inside)))
-            pixels = read_photo(self.photo(name))
-            keypoints = None if self.digest is None else self.beside(name, KEYPOINTS)
-            people = None if keypoints is None else tuple(map(_known, _read_keypoints(keypoints)))
-            parts = self._read_labels(name, (pixels.shape[0], pixels.shape[1]))
+            photo, keypoints = self.photo(name), None if self.digest is None else self.beside(name, KEYPOINTS)
+            if keypoints is None:
+                found = SourcePicture(read_photo(photo))
+            else:
+                found = SourcePicture(ScannedPhoto(photo, scan_photo(photo)))
+                found = replace(found, people=tuple(map(_known, _read_keypoints(keypoints))))
+            return replace(found, parts=self._read_labels(name, found.size))
         except InputError as error:  # messages are the same wherever the folder is
             raise InputError(str(error).replace(str(self.folder / (container or name)), container or name)) from error
-        return SourcePicture(pixels, people, parts=parts)
 
     def beside(self, name: str, ending: str) -> PhotoFile | None:
         """The file of an ending beside a photo; None without."""

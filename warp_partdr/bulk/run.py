@@ -1,19 +1,23 @@
-"""A run over a data set: pictures are decoded ahead, their people fitted, and shards written one after the other."""
+"""A run over a data set: pictures are decoded ahead, people fitted, and shards written while the next one is made."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
+from typing import TYPE_CHECKING, Any
 
 from .cutting import Held, Read, read_picture
 from .people import PeopleFitter
 from .processes import needed_memory, read_in_processes, shared_memory
-from .rows import Column, people_table
+from .rows import Column, PeopleRows, people_table
 from .shards import Shards, Tally
 from .sources import PictureSource
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 _AHEAD = 4  # pictures a thread that are decoded before they are asked for
 
@@ -50,6 +54,17 @@ def make_dataset(
     """
     tally = Tally()
     pool = ThreadPoolExecutor(threads, thread_name_prefix="decode")
+    writer = ThreadPoolExecutor(1, thread_name_prefix="write")
+    writing: deque[tuple[int, Future[pa.Table]]] = deque()
+
+    def settle() -> None:
+        """Wait for the shard that is being written."""
+        while writing:
+            index, work = writing.popleft()
+            tally.add(len(shards.pictures(index)), work.result())
+            if written is not None:
+                written(index, tally)
+
     try:
         if processes:
             taken = read_in_processes(source, fitter.cutter, [shards.pictures(index) for index in todo], processes)
@@ -60,14 +75,21 @@ def make_dataset(
             started = time.perf_counter()
             rows = fitter.rows(each, told)
             about = shards.describe(index) | {"seconds": round(time.perf_counter() - started, 3)}
-            table = people_table(rows, columns, about)
-            shards.write(index, table)
-            tally.add(len(shards.pictures(index)), table)
-            if written is not None:
-                written(index, tally)
+            settle()
+            writing.append((index, writer.submit(_write, shards, index, rows, columns, about)))
+        settle()
     finally:
         pool.shutdown(cancel_futures=True)
+        writer.shutdown(cancel_futures=True)
     return tally
+
+
+def _write(
+    shards: Shards, index: int, rows: PeopleRows, columns: Sequence[Column], about: Mapping[str, Any]
+) -> pa.Table:
+    table = people_table(rows, columns, about)
+    shards.write(index, table)
+    return table
 
 
 def source_readers(source: PictureSource, device: str, batch: int, cores: int) -> dict[str, int]:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
 
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.part_labels import PartLabels, PhotoFile
+from ..inputs.part_labels import PartLabels, PhotoFile, read_photo
 from ..inputs.person import Box
 
 
@@ -35,21 +35,40 @@ class KnownPerson:
     annotation: int | None = None
 
 
+class ScannedPhoto(NamedTuple):
+    """A photo that was looked through, but not kept: its file, and (H, W) (``scan_photo``)."""
+
+    file: PhotoFile
+    size: tuple[int, int]
+
+
 @dataclass(frozen=True)
 class SourcePicture:
     """A picture, and its people if they are known.
 
     Attributes:
-        pixels: RGB, shape (H, W, 3), uint8.
+        picture: RGB, shape (H, W, 3), uint8; or a photo whose pixels are read when they are asked for.
         people: None: they are to be found.
         owners: Whom each pixel shows, 1 for the first of ``people``, 0 for nobody, shape (H, W), int32; None: unknown.
         parts: Part labels, which go before ``owners``; None: unknown.
     """
 
-    pixels: np.ndarray
+    picture: np.ndarray | ScannedPhoto
     people: tuple[KnownPerson, ...] | None = None
     owners: torch.Tensor | None = None
     parts: PartLabels | None = None
+
+    @property
+    def pixels(self) -> np.ndarray:
+        """RGB, shape (H, W, 3), uint8."""
+        return self.picture if isinstance(self.picture, np.ndarray) else read_photo(self.picture.file)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W) [px]."""
+        if isinstance(self.picture, np.ndarray):
+            return self.picture.shape[0], self.picture.shape[1]
+        return self.picture.size
 
 
 class PictureSource(Protocol):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, SIZE_COLUMNS, THICKNESS_NAMES, template
-from .model import DetailedModel
+from .model import DetailedModel, weigh_points
 from .pose import rest_turns
 
 MEASURES: tuple[str, ...] = LENGTH_NAMES + THICKNESS_NAMES
@@ -74,7 +74,7 @@ class Growth:
     def measured(self, shape: torch.Tensor, stretches: torch.Tensor | None = None) -> torch.Tensor:
         """Logarithms of the 27 measures of the model's bodies, shape (B, 27), differentiable."""
         rest = self.model.rest(shape, stretches=stretches)
-        joints = self.joint_weights @ torch.cat([rest.vertices, rest.joints], dim=1)
+        joints = weigh_points(self.joint_weights, torch.cat([rest.vertices, rest.joints], dim=1))
         lengths = (joints[:, 1:] - joints[:, BONE_STARTS]).norm(dim=-1, keepdim=True)
         # Vertices last: products of three numbers side by side are slow.
         points = (rest.vertices - self.middles).mT.contiguous()

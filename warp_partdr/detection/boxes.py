@@ -27,9 +27,7 @@ def anchors(size: int) -> np.ndarray:
     return np.concatenate(rows)
 
 
-def decode(
-    boxes: torch.Tensor, scores: torch.Tensor, size: int, min_score: float
-) -> list[tuple[np.ndarray, np.ndarray]]:
+def decode(boxes: torch.Tensor, scores: torch.Tensor, size: int, min_score: float) -> tuple[np.ndarray, ...]:
     """Boxes of B pictures with a score above ``min_score``; only these leave the device.
 
     Args:
@@ -39,7 +37,7 @@ def decode(
         min_score: 0 to 1.
 
     Returns:
-        Of each picture, boxes [px], shape (N, 6, 2), and scores from 0 to 1, shape (N,).
+        Boxes [px], shape (N, 6, 2), scores from 0 to 1, shape (N,), and the picture of each, shape (N,), in order.
     """
     sure = scores.double().sigmoid()
     chosen = sure > min_score
@@ -47,35 +45,41 @@ def decode(
     found = boxes[chosen].double().cpu().numpy().reshape(-1, NUM_POINTS, 2)
     moved = np.arange(NUM_POINTS) != 1  # all but the size
     found = found + anchors(size)[kept, None] * moved[:, None]
-    ends = np.searchsorted(pictures, np.arange(1, len(boxes)))
-    return list(zip(np.split(found, ends), np.split(sure[chosen].cpu().numpy(), ends), strict=True))
+    return found, sure[chosen].cpu().numpy(), pictures
 
 
 def overlap(box: np.ndarray, boxes: np.ndarray) -> np.ndarray:
-    """Intersection over union of a box (6, 2) with others (N, 6, 2), shape (N,)."""
-    low = np.maximum(box[0] - box[1] / 2, boxes[:, 0] - boxes[:, 1] / 2)
-    high = np.minimum(box[0] + box[1] / 2, boxes[:, 0] + boxes[:, 1] / 2)
+    """Intersection over union of boxes (N, 6, 2) with one (6, 2), or each with its own (N, 6, 2), shape (N,)."""
+    middle, size = box[..., 0, :], box[..., 1, :]
+    low = np.maximum(middle - size / 2, boxes[:, 0] - boxes[:, 1] / 2)
+    high = np.minimum(middle + size / 2, boxes[:, 0] + boxes[:, 1] / 2)
     common = np.clip(high - low, 0.0, None).prod(axis=1)
-    return common / np.maximum(box[1].prod() + boxes[:, 1].prod(axis=1) - common, 1e-9)
+    return common / np.maximum(size.prod(axis=-1) + boxes[:, 1].prod(axis=1) - common, 1e-9)
 
 
-def average_boxes(boxes: np.ndarray, scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def average_boxes(boxes: np.ndarray, scores: np.ndarray, pictures: np.ndarray) -> tuple[np.ndarray, ...]:
     """One box a person: the mean, by score, of those that overlap the best of them.
 
     Args:
         boxes: Shape (N, 6, 2).
         scores: Shape (N,).
+        pictures: Which picture each is of, shape (N,).
 
     Returns:
-        Boxes, best first, shape (M, 6, 2), and the best score of each, shape (M,).
+        Boxes, shape (M, 6, 2), the best score of each, shape (M,), and its picture, shape (M,): picture by picture,
+        best first.
     """
-    left = np.argsort(-scores, kind="stable")
-    means, best = [np.zeros((0, NUM_POINTS, 2))], []
+    left = np.lexsort((-scores, pictures))
+    means, best, whose = [np.zeros((0, NUM_POINTS, 2))], [np.zeros(0)], [pictures[:0]]
     while len(left):
-        same = overlap(boxes[left[0]], boxes[left]) > SAME
-        same[0] = True  # also a box without an area
-        weights = scores[left[same], None, None]
-        means.append((boxes[left[same]] * weights).sum(axis=0, keepdims=True) / weights.sum(axis=0))
-        best.append(scores[left[0]])
+        there, first, counts = np.unique(pictures[left], return_index=True, return_counts=True)
+        lead = left[first]
+        same = overlap(boxes[np.repeat(lead, counts)], boxes[left]) > SAME
+        same[first] = True  # also a box without an area
+        weights = np.where(same, scores[left], 0.0)[:, None, None]
+        means.append(np.add.reduceat(boxes[left] * weights, first) / np.add.reduceat(weights, first))
+        best.append(scores[lead])
+        whose.append(there)
         left = left[~same]
-    return np.concatenate(means), np.array(best)
+    order = np.argsort(np.concatenate(whose), kind="stable")
+    return tuple(np.concatenate(each)[order] for each in (means, best, whose))

@@ -29,6 +29,8 @@ _LARGEST = 4096  # [px], longer side of the finest picture that crops are cut fr
 _SHARPER = 0.5  # levels that crops are sharper than free of all aliasing
 _BATCH = {"cpu": 4, "cuda": 256}  # crops at a time: on CPU, what caches hold
 _STRIP = 512  # rows that are halved at a time, even
+_UPLOAD = 2**25  # bytes of pictures that go to a device at a time: while one part goes there, the next is gathered
+_UPLOADERS = 4  # threads that gather them
 
 Result = TypeVar("Result")
 
@@ -131,6 +133,45 @@ def work_on_crops(work: Callable[[TurnedCrops], Result], crops: TurnedCrops, dev
     return [result for (result,) in results]
 
 
+class _Pictures:
+    """Pictures of one size at their full size and at halves of it, on one device.
+
+    Args:
+        pixels: Shape (N, H, W, 3), uint8.
+    """
+
+    def __init__(self, pixels: torch.Tensor) -> None:
+        self.first = max(0, math.ceil(math.log2(max(pixels.shape[1:3]) / _LARGEST)))  # number of the finest level
+        self._bytes = pixels.permute(0, 3, 1, 2)
+        self._levels: list[torch.Tensor] = []
+        self._lock = threading.Lock()  # several threads may ask for a level that isn't there yet
+
+    @property
+    def device(self) -> torch.device:
+        return self._bytes.device
+
+    @cached_property
+    def _finest(self) -> torch.Tensor:
+        """The finest level, from 0 to 1, shape (N, 3, h, w)."""
+        if self.first == 0:
+            return self._bytes.float() / 255
+        strips = []
+        for strip in self._bytes.split(_STRIP << self.first, dim=2):
+            values = strip.float() / 255
+            for _ in range(self.first):
+                values = _halved(values)
+            strips.append(values)
+        return torch.cat(strips, dim=2)
+
+    def level(self, number: int) -> torch.Tensor:
+        """A level from the finest one on, shape (N, 3, h, w), channels last."""
+        with self._lock:
+            while len(self._levels) <= number - self.first:
+                made = _halved(self._levels[-1]) if self._levels else self._finest
+                self._levels.append(made.contiguous(memory_format=torch.channels_last))
+        return self._levels[number - self.first]
+
+
 class Pyramid:
     """A picture at its full size and at halves of it, from which crops are cut without aliasing.
 
@@ -140,37 +181,50 @@ class Pyramid:
     """
 
     def __init__(self, picture: np.ndarray, device: torch.device | str) -> None:
-        self.size = picture.shape[0], picture.shape[1]
-        self._first = max(0, math.ceil(math.log2(max(self.size) / _LARGEST)))
-        self._bytes = tensor_over(picture).to(device).permute(2, 0, 1)[None]
-        self.device = self._bytes.device
-        self._levels: list[torch.Tensor] = []
-        self._lock = threading.Lock()  # several threads may ask for a level that isn't there yet
+        self._place(_Pictures(tensor_over(picture)[None].to(device)), 0, picture)
 
-    @cached_property
-    def _finest(self) -> torch.Tensor:
-        """The finest level, from 0 to 1, shape (1, 3, h, w)."""
-        if self._first == 0:
-            return self._bytes.float() / 255
-        strips = []
-        for strip in self._bytes.split(_STRIP << self._first, dim=2):
-            values = strip.float() / 255
-            for _ in range(self._first):
-                values = _halved(values)
-            strips.append(values)
-        return torch.cat(strips, dim=2)
+    @classmethod
+    def each(cls, pictures: Sequence[np.ndarray], device: torch.device | str) -> list[Pyramid]:
+        """Pyramids of pictures; on CUDA, those of one size go there together, and share their levels."""
+        if torch.device(device).type != "cuda":
+            return [cls(picture, device) for picture in pictures]
+        found: dict[int, Pyramid] = {}
+        for shape in dict.fromkeys(picture.shape for picture in pictures):
+            places = [place for place, picture in enumerate(pictures) if picture.shape == shape]
+            step = max(1, _UPLOAD // math.prod(shape))
+            for some in (places[start : start + step] for start in range(0, len(places), step)):
+                together = _Pictures(_uploaded([pictures[place] for place in some], device))
+                for row, place in enumerate(some):
+                    found[place] = cls.__new__(cls)
+                    found[place]._place(together, row, pictures[place])
+        return [found[place] for place in range(len(pictures))]
+
+    def _place(self, pictures: _Pictures, row: int, picture: np.ndarray) -> None:
+        self.size = picture.shape[0], picture.shape[1]
+        self.device = pictures.device
+        self._pictures, self._row = pictures, row
 
     def level(self, wanted: int) -> tuple[torch.Tensor, int]:
         """Level ``wanted``, whose pixels are 2**level wide in the picture, or the finest there is, and its number.
 
         Shape (1, 3, h, w); the colours of a pixel lie side by side in memory.
         """
-        wanted = max(wanted, self._first)
-        with self._lock:
-            while len(self._levels) <= wanted - self._first:
-                made = _halved(self._levels[-1]) if self._levels else self._finest
-                self._levels.append(made.contiguous(memory_format=torch.channels_last))
-        return self._levels[wanted - self._first], wanted
+        wanted = max(wanted, self._pictures.first)
+        return self._pictures.level(wanted)[self._row : self._row + 1], wanted
+
+
+def _uploaded(pictures: Sequence[np.ndarray], device: torch.device | str) -> torch.Tensor:
+    """Pictures of one size on a CUDA device; threads copy them to memory that it reads by itself."""
+    held = torch.empty(len(pictures), *pictures[0].shape, dtype=torch.uint8, pin_memory=True)
+    there, rows = torch.empty(held.shape, dtype=held.dtype, device=device), held.numpy()
+
+    def copy(part: slice) -> None:
+        for row, picture in enumerate(pictures[part], part.start):
+            rows[row] = picture
+
+    threads = max(min(get_num_threads(), _UPLOADERS, len(pictures)), 1)
+    run_slices(copy, [slice(len(pictures) * k // threads, len(pictures) * (k + 1) // threads) for k in range(threads)])
+    return there.copy_(held, non_blocking=True)
 
 
 def _halved(values: torch.Tensor) -> torch.Tensor:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import chain
 
 import numpy as np
 
@@ -62,15 +61,18 @@ def detect_people(
     size = networks.detector.size
     views = join_crops([no_crops(), *(tiles(pyramids[index].size, levels, size, index) for index in pictures)])
 
-    def find(part: TurnedCrops) -> list[tuple[np.ndarray, np.ndarray]]:
+    def find(part: TurnedCrops) -> tuple[np.ndarray, ...]:
         said = networks.detector(cut_crops(pyramids, part, size) * 2 - 1)
-        return decode(said["boxes"], said["scores"][..., 0], size, min_score)
+        boxes, scores, places = decode(said["boxes"], said["scores"][..., 0], size, min_score)
+        return boxes, scores, places, np.array([len(part)])
 
-    boxes = [average_boxes(*each) for each in chain.from_iterable(work_on_crops(find, views, networks.device))]
-    if not boxes:
+    found = work_on_crops(find, views, networks.device)
+    if not found:
         return no_crops(), np.zeros(0)
-    means, scores = (np.concatenate(each) for each in zip(*boxes, strict=True))
-    view = views[np.repeat(np.arange(len(boxes)), [len(each) for each, _ in boxes])]
+    boxes, scores, places, counts = (np.concatenate(each) for each in zip(*found, strict=True))
+    starts = np.repeat(np.cumsum(counts) - counts, [len(each) for each, *_ in found])
+    means, scores, places = average_boxes(boxes, scores, starts + places)
+    view = views[places]
     points = view.to_picture(means[:, 2:4] / size)
     # Larger tiles, which show people whole, come first.
     return distinct_crops(crops_of_people(points[:, 0], points[:, 1], view.pictures), scores)

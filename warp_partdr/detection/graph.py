@@ -58,13 +58,17 @@ def _activate(values: torch.Tensor, name: str) -> torch.Tensor:
     return values.relu_() if name == "relu" else values.clamp_(0.0, 6.0)
 
 
-def _convolution(node: Node, values: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+def convolve(
+    node: Node, values: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, activation: str | None = None
+) -> torch.Tensor:
+    """Convolution, then the node's activation, or another one."""
     left, right, above, below = node.zeros
     if left == right and above == below:
         padding = (above, left)
     else:
         values, padding = F.pad(values, node.zeros), (0, 0)
-    return _activate(F.conv2d(values, weight, bias, node.stride, padding, groups=node.groups), node.activation)
+    found = F.conv2d(values, weight, bias, node.stride, padding, groups=node.groups)
+    return _activate(found, node.activation if activation is None else activation)
 
 
 def _add(node: Node, first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
@@ -101,7 +105,7 @@ def _concatenate(node: Node, *values: torch.Tensor) -> torch.Tensor:
 
 
 KINDS: dict[str, Callable[..., torch.Tensor]] = {
-    "convolution": _convolution,
+    "convolution": convolve,
     "add": _add,
     "max_pool": _max_pool,
     "resize": _resize,
@@ -121,6 +125,8 @@ class OperatorGraph(nn.Module):
         outputs: Name of each output, and number of its value.
         nodes: The operators.
         weights: "N.weight" (out, in / groups, H, W) and "N.bias" (out,) of the convolution with output N.
+
+    These are its attributes, too; weights are buffers, "N_weight".
     """
 
     def __init__(
@@ -133,17 +139,17 @@ class OperatorGraph(nn.Module):
     ) -> None:
         super().__init__()
         self.size = size
-        self._start, self._outputs, self._nodes = start, dict(outputs), tuple(nodes)
+        self.start, self.outputs, self.nodes = start, dict(outputs), tuple(nodes)
         for name, tensor in weights.items():
             # Channels last: convolutions of 1 x 1, the most of them, are products of matrices then.
             form = torch.channels_last if tensor.dim() == 4 else torch.contiguous_format
             self.register_buffer(name.replace(".", "_"), tensor.float().contiguous(memory_format=form))
         self._captured: dict[tuple[int, int], tuple[torch.Tensor, CapturedStep[dict[str, torch.Tensor]]]] = {}
         self._lock = threading.Lock()  # of the captured graphs' buffers
-        last = {number: place for place, node in enumerate(self._nodes) for number in node.inputs}
+        last = {number: place for place, node in enumerate(self.nodes) for number in node.inputs}
         self._done = [
-            [number for number in set(node.inputs) if last[number] == place and number not in self._outputs.values()]
-            for place, node in enumerate(self._nodes)
+            [number for number in set(node.inputs) if last[number] == place and number not in self.outputs.values()]
+            for place, node in enumerate(self.nodes)
         ]
 
     def forward(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
@@ -168,12 +174,14 @@ class OperatorGraph(nn.Module):
             return {name: values[:count].clone() for name, values in step.result.items()}
 
     def _run(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
-        values = {self._start: pictures.contiguous(memory_format=torch.channels_last)}
-        for node, done in zip(self._nodes, self._done, strict=True):
-            inputs = [values[number] for number in node.inputs]
-            if node.kind == "convolution":
-                inputs += [getattr(self, f"{node.output}_weight"), getattr(self, f"{node.output}_bias")]
-            values[node.output] = KINDS[node.kind](node, *inputs)
+        values = {self.start: pictures.contiguous(memory_format=torch.channels_last)}
+        for node, done in zip(self.nodes, self._done, strict=True):
+            values[node.output] = self._computed(node, [values[number] for number in node.inputs])
             for number in done:  # or a batch would keep all of its activations
                 del values[number]
-        return {name: values[number] for name, number in self._outputs.items()}
+        return {name: values[number] for name, number in self.outputs.items()}
+
+    def _computed(self, node: Node, inputs: list[torch.Tensor]) -> torch.Tensor:
+        if node.kind == "convolution":
+            inputs = [*inputs, getattr(self, f"{node.output}_weight"), getattr(self, f"{node.output}_bias")]
+        return KINDS[node.kind](node, *inputs)

@@ -63,6 +63,7 @@ def find_people_in(
     min_score: float = MIN_SCORE,
     levels: int | None = None,
     previous: Sequence[Sequence[FoundPerson]] | None = None,
+    half: bool = False,
 ) -> list[list[FoundPerson]]:
     """The same for several pictures of any sizes, in batches.
 
@@ -72,6 +73,7 @@ def find_people_in(
         min_score: As in ``find_people``.
         levels: As in ``find_people``.
         previous: People of the frame before each picture; None of all.
+        half: On CUDA, ask the networks in float16 (``HalfGraph``).
 
     Returns:
         The people of each picture.
@@ -87,8 +89,9 @@ def find_people_in(
         raise ValueError(f"previous: of {len(before)} pictures; expected {len(pictures)}, as pictures")
     for people in before:
         check_each("previous", people, FoundPerson, "of find_people")
-    networks = packaged_people_networks(str(device))
-    pyramids = [each if isinstance(each, Pyramid) else Pyramid(each, networks.device) for each in pictures]
+    networks = packaged_people_networks(str(device), half=half and torch.device(device).type == "cuda")
+    made = iter(Pyramid.each([each for each in pictures if not isinstance(each, Pyramid)], networks.device))
+    pyramids = [each if isinstance(each, Pyramid) else next(made) for each in pictures]
     if elsewhere := {pyramid.device for pyramid in pyramids} - {networks.device}:
         raise ValueError(f"picture: a pyramid on {elsewhere.pop()}; expected one on {networks.device}")
     everyone = _find(networks, pyramids, before, min_score, fixed or _FEWEST)

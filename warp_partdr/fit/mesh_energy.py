@@ -345,14 +345,18 @@ def gather_starts(
 
 def gather_keypoints(model: DetailedModel, seen: Sequence[Observation]) -> tuple[torch.Tensor, ...]:
     """``places``, ``points`` and ``votes`` of people."""
-    device, rows = seen[0].points.device, [_keypoint_table(model, each.landmarks, each.body_points) for each in seen]
-    columns = -(-max(len(each.landmarks) for each in seen) // _ROW) * _ROW
-    table = np.stack([np.pad(row, ((0, 0), (0, columns - row.shape[1]))) for row in rows], axis=1)
-    places, parts, known = torch.from_numpy(table).to(device)
+    device, columns = seen[0].points.device, -(-max(len(each.landmarks) for each in seen) // _ROW) * _ROW
+    rows = [_keypoint_table(model, each.landmarks, each.body_points, columns) for each in seen]
+    places, parts, known = torch.from_numpy(np.stack(rows, axis=1)).to(device)
+
+    there = np.arange(columns) < np.array([[len(each.landmarks)] for each in seen])
+    person, column = (torch.from_numpy(each).to(device) for each in there.nonzero())
 
     def padded(tensors: list[torch.Tensor]) -> torch.Tensor:
-        found = torch.nn.utils.rnn.pad_sequence(tensors, batch_first=True)
-        return torch.nn.functional.pad(found, (0, 0) * (found.dim() - 2) + (0, columns - found.shape[1]))
+        given = torch.cat(tensors)
+        found = given.new_zeros(len(seen), columns, *given.shape[1:])
+        found[person, column] = given
+        return found
 
     return (
         places,
@@ -362,14 +366,17 @@ def gather_keypoints(model: DetailedModel, seen: Sequence[Observation]) -> tuple
 
 
 @lru_cache(maxsize=1024)
-def _keypoint_table(model: DetailedModel, landmarks: tuple[str, ...], marks: tuple[str, ...]) -> np.ndarray:
-    """Landmark of the model, part, and 1 of each keypoint, shape (3, L); 0 of one that the model has not."""
+def _keypoint_table(
+    model: DetailedModel, landmarks: tuple[str, ...], marks: tuple[str, ...], columns: int
+) -> np.ndarray:
+    """Landmark of the model, part, and 1 of each keypoint, 0 of one that the model has not, and 0: (3, columns)."""
     index = {name: place for place, name in enumerate(model.landmark_names)}
     found = [
         next((index[name] for name in names if name in index), None) for names in zip(marks, landmarks, strict=True)
     ]
     known = [place is not None for place in found]
-    return np.array([[place or 0 for place in found], landmark_points(landmarks).parts[:, 0], known], dtype=np.int64)
+    table = np.array([[place or 0 for place in found], landmark_points(landmarks).parts[:, 0], known], dtype=np.int64)
+    return np.pad(table, ((0, 0), (0, columns - len(landmarks))))
 
 
 def gather_spreads(
@@ -377,10 +384,11 @@ def gather_spreads(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """``depth_spreads`` and ``turn_spreads`` of people, of the dtype and on the device of ``like``."""
     count = 1 + len(FREE_PARTS)
-    unsaid = like.new_full((1, len(JOINT_NAMES) - 1), _DEPTH_SPREAD), like.new_full((1, count + 1), _TURN_SPREAD)
-    locked = like.new_full((1, 1), _LOCKED_SPREAD)
+    unsaid = like.new_full((1, len(JOINT_NAMES) - 1), _DEPTH_SPREAD), like.new_full((1, count), _TURN_SPREAD)
     depths = torch.cat([unsaid[0] if each is None else each.depths for each in said])
-    turns = torch.cat([unsaid[1] if each is None else torch.cat([each.turns, locked], dim=1) for each in said])
+    turns = torch.cat([unsaid[1] if each is None else each.turns for each in said])
+    others = like.new_tensor([[_TURN_SPREAD if each is None else _LOCKED_SPREAD] for each in said])
+    turns = torch.cat([turns, others], dim=1)
     # The orientation is the root's, then come free parts; of other joints nothing is said.
     stated = {0: 0} | {energy.model.part_joints[part]: 1 + place for place, part in enumerate(FREE_PARTS)}
     columns = [stated.get(joint, count) for joint in free_joints(energy.model)]

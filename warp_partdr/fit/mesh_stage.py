@@ -122,6 +122,7 @@ def refine_meshes(
             those that have the results' EllipBodies' bones and pose.
         progress: Told of all batches' iterations.
     """
+    results = list(results)  # of which some make each when it is asked for
     for result in results:
         check_type("results", result, FitResult, "of fit_body")
     check_type("model", model, DetailedModel | None, "of load_model, or anny()")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
-from itertools import combinations
+from itertools import combinations, compress
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.landmarks import mirror_name, without_side
+from ..body.skeletons import Skeleton, skeleton
 from ..body.template import JOINT_NAMES, MEAN_STATURE, PARENTS, PART_NAMES, SHAPE_INDICES, template
 from .keypoints import Keypoints2D, person_height
 from .person import squared_distances
@@ -54,9 +55,21 @@ class Agreement(NamedTuple):
         return sided >= _FEWEST and self.mirrored >= _SWAPPED * sided
 
 
-def limb_bones(keypoints: Keypoints2D) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Part, start and end [px] of each limb's bone between two confident keypoints."""
-    yield from limbs_between(_confident_points(keypoints))
+def limb_bones(keypoints: Keypoints2D) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+    """Parts, starts and ends [px] of the limbs' bones between two confident keypoints, shape (N, 2)."""
+    names, joints = _limbs_of(keypoints.skeleton, keypoints.confident.tobytes())
+    starts, ends = keypoints.points[joints]
+    return names, starts, ends
+
+
+@lru_cache(maxsize=4096)
+def _limbs_of(form: str | Skeleton, confident: bytes) -> tuple[tuple[str, ...], np.ndarray]:
+    """Parts and joints at both ends, shape (2, N), of ``limb_bones``."""
+    sure = np.flatnonzero(np.frombuffer(confident, dtype=bool)).tolist()
+    landmarks = skeleton(form).landmarks
+    found = list(limbs_between({landmarks[joint]: joint for joint in sure}))
+    joints = np.array([(start, end) for _, start, end in found], dtype=np.int64).reshape(-1, 2).T
+    return tuple(name for name, *_ in found), joints
 
 
 def limbs_between(points: Mapping[str, Place]) -> Iterator[tuple[str, Place, Place]]:
@@ -64,12 +77,6 @@ def limbs_between(points: Mapping[str, Place]) -> Iterator[tuple[str, Place, Pla
     for name in (f"{side}_{kind}" for side in ("left", "right") for kinds in LIMBS.values() for kind in kinds):
         if without_side(name) not in _ENDS and (ends := _bone_ends(name, points)):
             yield name, *ends
-
-
-def _confident_points(keypoints: Keypoints2D) -> dict[str, np.ndarray]:
-    """Positions [px] of the confident keypoints by landmark."""
-    landmarks = keypoints.format.landmarks
-    return {landmarks[i]: keypoints.points[i] for i in np.flatnonzero(keypoints.confident)}
 
 
 def _bone_joints(name: str) -> tuple[str, str]:
@@ -89,17 +96,27 @@ def compare_sides(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) 
 
     ``groups``, shape (H, W), here and below, hold this person's ids alone (``select_person``).
     """
+    names, starts, ends = limb_bones(keypoints)
+    table = labels.part_groups[_limb_parts(names)]  # of themselves and their mirror images, (2, N)
+    compared = (table[0] != BACKGROUND) & (table[0] != table[1])
+    if not compared.any():
+        return {}
     counts = {limb: np.zeros(3, dtype=int) for limb in LIMBS}
-    for name, start, end in limb_bones(keypoints):
-        own, mirrored = (int(labels.part_groups[1 + PART_NAMES.index(each)]) for each in (name, mirror_name(name)))
-        if own in (BACKGROUND, mirrored):
-            continue
-        shown = labels_along(groups, start, end, samples=_SAMPLES, margin=_JOINT)
-        limb = next(limb for limb, kinds in LIMBS.items() if without_side(name) in kinds)
-        on_own, on_mirrored = shown == own, shown == mirrored
-        other = ~(on_own | on_mirrored | (shown == BACKGROUND) | (shown == IGNORE))
-        counts[limb] += [np.count_nonzero(each) for each in (on_own, on_mirrored, other)]
+    owns, mirrors = table[:, compared]
+    shown, inside = labels_along(groups, starts[compared], ends[compared], samples=_SAMPLES, margin=_JOINT)
+    on_own, on_mirrored = shown == owns[:, None], shown == mirrors[:, None]
+    other = ~(on_own | on_mirrored | (shown == BACKGROUND) | (shown == IGNORE))
+    found = np.stack([np.count_nonzero(each & inside, axis=1) for each in (on_own, on_mirrored, other)], axis=1)
+    for name, each in zip(compress(names, compared.tolist()), found, strict=True):
+        counts[next(limb for limb, kinds in LIMBS.items() if without_side(name) in kinds)] += each
     return {limb: Agreement(*each.tolist()) for limb, each in counts.items() if each.any()}
+
+
+@lru_cache(maxsize=1024)
+def _limb_parts(names: tuple[str, ...]) -> np.ndarray:
+    """Part labels of parts and of their mirror images, shape (2, N)."""
+    both = names, tuple(mirror_name(name) for name in names)
+    return np.array([[1 + PART_NAMES.index(name) for name in some] for some in both], dtype=np.int64).reshape(2, -1)
 
 
 def disagreement(compared: Mapping[str, Agreement], glances: Iterable[Beyond]) -> float:
@@ -119,17 +136,18 @@ def disagreement(compared: Mapping[str, Agreement], glances: Iterable[Beyond]) -
 
 
 def labels_along(
-    groups: np.ndarray, start: np.ndarray, end: np.ndarray, *, samples: int, margin: float = 0.0
-) -> np.ndarray:
-    """Group ids at evenly spaced points of a bone, without those beyond the picture; (x, y) [px] at its ends.
+    groups: np.ndarray, starts: np.ndarray, ends: np.ndarray, *, samples: int, margin: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Group ids at evenly spaced points of N bones, and which of them are in the picture, both of shape (N, samples).
 
-    ``margin`` is the share of the bone that is left out at either end.
+    (x, y) [px] at the bones' ends, shape (N, 2); ``margin`` is the share of a bone that is left out at either end.
     """
     along = _evenly(samples, margin)
-    columns, rows = np.floor(start + along * (end - start)).astype(np.int64).T
+    places = np.floor(starts[:, None] + along * (ends - starts)[:, None]).astype(np.int64)
+    columns, rows = places[..., 0], places[..., 1]
     height, width = groups.shape
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    return groups[rows[inside], columns[inside]]
+    return groups[np.where(inside, rows, 0), np.where(inside, columns, 0)], inside
 
 
 @lru_cache
@@ -138,16 +156,41 @@ def _evenly(samples: int, margin: float) -> np.ndarray:
     return np.linspace(margin, 1 - margin, samples)[:, None]
 
 
+class _Flesh(NamedTuple):
+    """Segments near which groups of parts may be, of those groups that have equally many (S) of them."""
+
+    groups: tuple[int, ...]  # numbers of the G groups
+    starts: np.ndarray  # landmarks at the segments' ends, by their place in the list, shape (S, G)
+    ends: np.ndarray
+    radii: np.ndarray  # shares of the person's height, shape (S, G)
+
+
 @lru_cache(maxsize=1024)
-def _segments(parts: tuple[str, ...], known: frozenset[str]) -> tuple[Segment, ...] | None:
-    """Segments near which a group of parts may be; None if keypoints of one of its parts are missing."""
-    found: dict[Segment, None] = {}  # parts share them, those of the trunk and head most of all
-    for part in parts:
-        segments = list(_part_segments(part, known))
-        if not segments:
-            return None
-        found |= dict.fromkeys(segments)
-    return tuple(found)
+def _flesh(
+    groups: tuple[tuple[str, tuple[str, ...]], ...], landmarks: tuple[str, ...]
+) -> tuple[list[_Flesh], np.ndarray]:
+    """Segments of all groups, and of their mirror images, whose keypoints are all known.
+
+    And the rank of each group among them, shape (256,), uint8; 255 of the others.
+    """
+    parts, known = dict(groups), frozenset(landmarks)
+    alike: dict[int, list[tuple[int, list[Segment]]]] = {}
+    for number, name in enumerate(parts, 1):
+        either = sorted({name, mirror_name(name)} & parts.keys())
+        found = [list(_part_segments(part, known)) for each in either for part in parts[each]]
+        if all(found):
+            segments = list(dict.fromkeys(each for some in found for each in some))  # parts share them
+            alike.setdefault(len(segments), []).append((number, segments))
+    tables, ranks = [], np.full(256, 255, dtype=np.uint8)
+    for some in alike.values():
+        starts, ends = (
+            np.array([[landmarks.index(each[end]) for each in segments] for _, segments in some]).T for end in (0, 1)
+        )
+        radii = np.array([[radius for *_, radius in segments] for _, segments in some]).T
+        tables.append(_Flesh(tuple(number for number, _ in some), starts, ends, radii))
+    every = [group for table in tables for group in table.groups]
+    ranks[every] = np.arange(len(every))
+    return tables, ranks
 
 
 def _part_segments(part: str, known: frozenset[str]) -> Iterator[Segment]:
@@ -208,23 +251,35 @@ def distances_beyond(
 
     Looks at every so many-th row and column (``stride``), and at all groups or ``only`` one.
     """
-    height, points = person_height(keypoints), _confident_points(keypoints)
-    known = frozenset(points)
+    height, sure = person_height(keypoints), np.flatnonzero(keypoints.confident)
+    landmarks = keypoints.format.landmarks
+    points = keypoints.points[sure]
+    tables, ranks = _flesh(tuple(labels.groups.items()), tuple([landmarks[place] for place in sure.tolist()]))
     thin = groups[::stride, ::stride]
     rows, columns = np.nonzero((thin != BACKGROUND) & (thin != IGNORE) if only is None else thin == only)
-    shown = thin[rows, columns]
-    rows, columns = rows * stride, columns * stride
-    for group, name in enumerate(labels.group_names, 1):
-        mine = np.flatnonzero(shown == group)
-        if not mine.size:
+    rank = ranks[thin[rows, columns]]
+    order = np.argsort(rank, kind="stable")  # pixels of one table lie side by side
+    rows, columns = rows[order] * stride, columns[order] * stride
+    counts = np.bincount(rank, minlength=256)
+    found: list[Beyond] = []
+    first, begin = 0, 0
+    for table in tables:
+        own = counts[first : first + len(table.groups)]
+        first += len(table.groups)
+        mine = slice(begin, begin + int(own.sum()))
+        begin = mine.stop
+        if mine.start == mine.stop:
             continue
-        either = sorted({name, mirror_name(name)} & set(labels.group_names))
-        segments = _segments(tuple(part for each in either for part in labels.groups[each]), known)
-        if segments is not None:
-            x, y = columns[mine] + 0.5, rows[mine] + 0.5
-            starts = np.array([points[start] for start, _, _ in segments])
-            ends = np.array([points[end] for _, end, _ in segments])
-            (x0, y0), (along_x, along_y) = starts.T[..., None], (ends - starts).T[..., None]
-            distances = np.sqrt(squared_distances(x - x0, y - y0, along_x, along_y))
-            radii = np.array([radius for _, _, radius in segments])[:, None]
-            yield Beyond(group, name, rows[mine], columns[mine], (distances / height - radii).min(axis=0))
+        starts, ways = points[table.starts], points[table.ends] - points[table.starts]
+        x, y = columns[mine] + 0.5, rows[mine] + 0.5
+        lines = (starts[..., 0], starts[..., 1], ways[..., 0], ways[..., 1], table.radii)
+        x0, y0, along_x, along_y, radii = (each.repeat(own, axis=1) for each in lines)
+        distances = np.sqrt(squared_distances(x - x0, y - y0, along_x, along_y))
+        beyond = (distances / height - radii).min(axis=0)
+        ends = np.cumsum(own).tolist()
+        for group, start, end in zip(table.groups, [0, *ends], ends, strict=False):
+            if start < end:
+                span = slice(mine.start + start, mine.start + end)
+                name = labels.group_names[group - 1]
+                found.append(Beyond(group, name, rows[span], columns[span], beyond[start:end]))
+    yield from sorted(found, key=lambda each: each.group)

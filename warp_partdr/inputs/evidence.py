@@ -66,13 +66,20 @@ class Evidence:
         assert self.groups is not None
         height, width = picture.shape
         box = box or (0.0, 0.0, float(width), float(height))
-        target = crop_nearest(picture, box, size)
-        target[target != BACKGROUND] = IGNORE
+        if self.window == Crop(0.0, 0.0, 1.0, (picture.shape[0], picture.shape[1])):
+            target = np.full(size, IGNORE, dtype=np.uint8)  # nothing of the picture is beyond the window
+        else:
+            target = crop_nearest(picture, box, size)
+            target[target != BACKGROUND] = IGNORE
         rows, from_rows = self._under_window(0, size[0], box[1], box[3])
         columns, from_columns = self._under_window(1, size[1], box[0], box[2])
         if rows.size and columns.size:  # each without gaps
             place = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-            target[place] = self.groups.take(from_rows, axis=0).take(from_columns, axis=1)
+            # Rows are copied whole, columns pixel by pixel: of as few rows as may be.
+            if len(self.groups) < len(from_rows):
+                target[place] = self.groups.take(from_columns, axis=1).take(from_rows, axis=0)
+            else:
+                target[place] = self.groups.take(from_rows, axis=0).take(from_columns, axis=1)
         return target
 
     def _under_window(self, axis: int, count: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
@@ -106,7 +113,9 @@ def weigh_evidence(
     window = _window(keypoints, parts.groups.shape)
     box, labels = _box_of(window), parts.label_set
     mine = crop_keypoints(keypoints, box, window.size)
-    groups = crop_nearest(parts.groups, box, window.size)
+    groups = parts.groups
+    if window != Crop(0.0, 0.0, 1.0, (groups.shape[0], groups.shape[1])):
+        groups = crop_nearest(groups, box, window.size)
     groups = select_person(groups, mine, [crop_keypoints(other, box, window.size) for other in others])
     glances = glance(groups, mine, labels)
     groups, names = ignore_stray_labels(groups, mine, labels, glances)
@@ -139,7 +148,8 @@ def check_places(keypoints: Keypoints2D) -> None:
         raise InputError("keypoints: none is visible; expected at least one with a confidence above 0")
     if not (np.abs(keypoints.points[visible]) <= LARGEST_PLACE).all():
         raise InputError(f"keypoints: hold NaN, or numbers beyond {LARGEST_PLACE:g}; expected pixels")
-    if len(np.unique(keypoints.points[visible], axis=0)) < 2:
+    points = keypoints.points[visible]
+    if (points == points[0]).all():
         raise InputError("keypoints: all lie in one point; expected different places")
 
 
@@ -155,11 +165,13 @@ def person_windows(
     form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, sizes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Windows of N people with one skeleton in pictures of (H, W), shape (N, 2): a crop's corner, zoom and (H, W)."""
-    boxes = reach_boxes(form, points, confidence)
     limits = sizes[:, ::-1].astype(np.float64)
+    small = sizes.max(axis=1, keepdims=True) <= WINDOW_SIDE
+    if small.all():
+        return np.zeros_like(limits), np.ones(len(sizes)), sizes
+    boxes = reach_boxes(form, points, confidence)
     low = np.floor(np.minimum(np.maximum(boxes[:, :2], 0.0), limits - 1.0))
     high = np.ceil(np.minimum(np.maximum(boxes[:, 2:], low + 1.0), limits))
-    small = sizes.max(axis=1, keepdims=True) <= WINDOW_SIDE
     low, high = np.where(small, 0.0, low), np.where(small, limits, high)
     zooms = np.minimum(1.0, WINDOW_SIDE / (high - low).max(axis=1))
     return low, zooms, np.maximum(((high - low) * zooms[:, None]).astype(np.int64), 1)[:, ::-1]

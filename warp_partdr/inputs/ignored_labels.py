@@ -38,10 +38,14 @@ def ignore_stray_labels(
     cleaned, names = groups.copy(), set()
     thin = groups[:: coarse(groups), :: coarse(groups)]
     known = np.count_nonzero((thin != BACKGROUND) & (thin != IGNORE))
-    for seen in glances:
-        far, within = np.count_nonzero(seen.distances > STRAY), np.count_nonzero(seen.distances <= 0.0)
-        if not are_stray(np.array(known), np.array(within), np.array(far)):
-            continue
+    seen_groups = list(glances)
+    far, within = (
+        np.array([np.count_nonzero(each.distances > least) for each in seen_groups], dtype=np.int64)
+        for least in (STRAY, 0.0)
+    )
+    sizes = np.array([len(each.distances) for each in seen_groups], dtype=np.int64)
+    for place in np.flatnonzero(are_stray(np.array(known), sizes - within, far)).tolist():
+        seen = seen_groups[place]
         for each in distances_beyond(groups, keypoints, labels, only=seen.group):
             blob, seeds = np.zeros((2, *groups.shape), dtype=bool)
             blob[each.rows, each.columns] = each.distances > 0.0
@@ -64,14 +68,17 @@ def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarr
     wider, for keypoints are not exact; with a forearm the hand, which few formats have keypoints of, straight on. Only
     background changes, so a limb behind another part is not missing.
     """
-    height = person_height(keypoints)
+    height, (names, starts, ends) = person_height(keypoints), limb_bones(keypoints)
+    shown, inside = labels_along(groups, starts, ends, samples=LIMB_SAMPLES)
+    missing = np.count_nonzero((shown == BACKGROUND) & inside, axis=1) / LIMB_SAMPLES >= MISSING_SHARE
+    if not missing.any():
+        return groups
     near = np.zeros(groups.shape, dtype=bool)
-    for name, start, end in limb_bones(keypoints):
-        shown = labels_along(groups, start, end, samples=LIMB_SAMPLES)
-        if np.count_nonzero(shown == BACKGROUND) / LIMB_SAMPLES >= MISSING_SHARE:
-            half, further = limb_extent(name)
-            beyond = (end - start).astype(np.float64) * further  # NumPy 1 would stay in float32
-            lower_near(near, np.concatenate([start, end + beyond]), half * height)
+    for place in np.flatnonzero(missing).tolist():
+        start, end = starts[place], ends[place]
+        half, further = limb_extent(names[place])
+        beyond = (end - start).astype(np.float64) * further  # NumPy 1 would stay in float32
+        lower_near(near, np.concatenate([start, end + beyond]), half * height)
     return np.where(near & (groups == BACKGROUND), IGNORE, groups).astype(np.uint8)
 
 

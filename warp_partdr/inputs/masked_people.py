@@ -32,7 +32,7 @@ from .observation import CROP_MARGIN, LABEL_SIZE, REFERENCE_SIZE, Observation, c
 from .person import reach_boxes
 
 MASK_LABELS = label_set("full1")
-_PIXELS = 2**24  # of areas that are looked at together
+_PIXELS = {"cpu": 2**24, "cuda": 2**26}  # of areas that are looked at together
 _NEVER = 2**30  # more than any row or column
 
 
@@ -96,7 +96,7 @@ def _cut_alike(people: Sequence[MaskedPerson], device: torch.device) -> list[Cut
     low, high = np.floor(boxes[:, 1::-1]) - 1, np.ceil(boxes[:, :1:-1]) + 1
     low, high = (each.clip(0, insides).astype(np.int64) for each in (low, high))
     windows = replace(there, points=mine, areas=np.concatenate([low, high - low], axis=1))
-    groups = np.cumsum((high - low).prod(axis=1)) // _PIXELS
+    groups = np.cumsum((high - low).prod(axis=1)) // _PIXELS[device.type]
     steps = [0, *(np.flatnonzero(np.diff(groups)) + 1).tolist(), len(people)]
     return [
         each

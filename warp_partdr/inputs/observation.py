@@ -117,8 +117,8 @@ def crop_evidence(
         Observation(
             landmarks=tuple(names),
             marks=tuple(marks),
-            points=torch.tensor(points, dtype=torch.float32, device=device),
-            confidence=torch.tensor(keypoints.confidence[visible], dtype=torch.float32, device=device),
+            points=torch.from_numpy(points.astype(np.float32)).to(device),
+            confidence=torch.from_numpy(keypoints.confidence[visible].astype(np.float32)).to(device),
             labels=labels,
             label_set=None if evidence.picture is None else evidence.picture.label_set,
             maps=maps,

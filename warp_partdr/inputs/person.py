@@ -31,6 +31,9 @@ MIN_SEED_RADIUS = 1.5  # [px]
 _BEYOND = 2.0
 _LARGEST = 1e5  # [px] the same where there is no picture; more than any camera has
 
+_BLOCK = 16  # [px], side of the squares whose pixels are compared with bones at once
+_ALONG = np.linspace(0, 1, 8)[:, None]  # places along a bone, as shares of it
+
 _LIMB_JOINTS = ("elbow", "wrist", "knee", "ankle")
 
 
@@ -81,25 +84,119 @@ def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[K
     """
     height = person_height(keypoints)
     reach = max(REACH * height, MIN_SEED_RADIUS)
+    seed_radius = max(SEED_RADIUS * height, MIN_SEED_RADIUS)
     foreground = (groups != BACKGROUND) & (groups != IGNORE)
-    keys = np.flatnonzero(foreground)  # few of all pixels
-    pixels = _Pixels(*np.divmod(keys, groups.shape[1]))
-    distances = pixels.bone_distances(keypoints, reach)
-    seeds = distances <= max(SEED_RADIUS * height, MIN_SEED_RADIUS)
-    if not seeds.any():
+    area = _bounds(foreground)
+    labelled = foreground[area]
+    corner = area[0].start, area[1].start
+
+    def seeds_among(pixels: np.ndarray) -> np.ndarray:
+        rows, columns = np.divmod(pixels, labelled.shape[1])
+        distances = _Pixels(rows + corner[0], columns + corner[1]).bone_distances(keypoints, reach)
+        return pixels[distances <= seed_radius]
+
+    mask = _near(labelled, corner, keypoints, others, reach, LOOSE_REACH * height)
+    runs = _Runs(mask)
+    kept = runs.reached(_under_bones(mask, corner, keypoints, seed_radius))
+    # Most hangs together with what is right under a bone; what does not is measured.
+    if not kept.all():
+        kept |= runs.reached(seeds_among(np.flatnonzero(mask & ~runs.pixels(kept))))
+    if not kept.any() and not seeds_among(np.flatnonzero(labelled)).size:
         raise InputError(
             "keypoints: no labelled pixel along the person's bones; expected keypoints and part labels to agree"
         )
-    near = np.isfinite(distances)
-    for x, y in keypoints.points[loose_ends(keypoints.skeleton, keypoints.confident[None])[0]]:
-        near |= pixels.squared_distances((x, y), (x, y)) <= (LOOSE_REACH * height) ** 2
-    for other in others:
-        near &= distances <= pixels.bone_distances(other, reach)
-    mask, start = np.zeros((2, *groups.shape), dtype=bool)
-    mask.flat[keys[near]] = True
-    start.flat[keys[near & seeds]] = True
-    kept = connected(mask, start)
-    return np.where(foreground & ~kept, IGNORE, groups).astype(np.uint8)
+    selected = groups.copy()
+    np.copyto(selected[area], IGNORE, where=labelled & ~runs.pixels(kept))
+    return selected
+
+
+def _bounds(mask: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns from the first to the last that hold something; none if nothing does."""
+    rows = np.flatnonzero(mask.any(axis=1))
+    if not rows.size:
+        return slice(0, 0), slice(0, 0)
+    there = slice(int(rows[0]), int(rows[-1]) + 1)
+    columns = np.flatnonzero(mask[there].any(axis=0))
+    return there, slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def _near(
+    labelled: np.ndarray,
+    corner: tuple[int, int],
+    keypoints: Keypoints2D,
+    others: Sequence[Keypoints2D],
+    reach: float,
+    loose_reach: float,
+) -> np.ndarray:
+    """Labelled pixels (H, W), the first in row and column ``corner``, that are near the person's bones, not others'.
+
+    Where the middle of a block of pixels says it of all of them, they are not measured.
+    """
+    height, width = labelled.shape
+    grid = -(-height // _BLOCK), -(-width // _BLOCK)
+    middles = [start + _BLOCK * np.arange(count) + _BLOCK / 2 for start, count in zip(corner, grid, strict=True)]
+    rows, columns = (each.ravel() for each in np.meshgrid(*middles, indexing="ij"))
+    loose = keypoints.points[loose_ends(keypoints.skeleton, keypoints.confident[None])[0]]
+    bones = [_bone_ends(each) for each in (keypoints, *others)]
+    largest = max(float(np.abs(each).max(initial=0.0)) for each in (*bones, rows, columns))
+    off = _BLOCK / math.sqrt(2) + 1.0 + 1e-5 * largest  # pixels' distances in float32 are a bit off, too
+    own, *theirs = (_least_distances(rows, columns, each) for each in bones)
+    ends = _least_distances(rows, columns, np.stack([loose, loose], axis=1))
+    certain = (own + off <= reach) | (ends + off <= loose_reach)
+    possible = (own - off <= reach) | (ends - off <= loose_reach)
+    for other in theirs:
+        certain &= (other - off > reach) | (own + off < other - off)
+        possible &= ~((other + off <= reach) & (other + off < own - off))
+    sure, unsure = (_spread(each.reshape(grid), labelled) for each in (certain, possible & ~certain))
+    keys = np.flatnonzero(unsure)
+    if keys.size:
+        rows, columns = np.divmod(keys, width)
+        pixels = _Pixels(rows + corner[0], columns + corner[1])
+        distances = pixels.bone_distances(keypoints, reach)
+        near = np.isfinite(distances)
+        for x, y in loose:
+            near |= pixels.squared_distances((x, y), (x, y)) <= loose_reach**2
+        for each in others:
+            near &= distances <= pixels.bone_distances(each, reach)
+        sure.flat[keys[near]] = True
+    return sure
+
+
+def _spread(blocks: np.ndarray, labelled: np.ndarray) -> np.ndarray:
+    """Labelled pixels (H, W) of some blocks."""
+    height, width = labelled.shape
+    return labelled & blocks.repeat(_BLOCK, axis=0)[:height].repeat(_BLOCK, axis=1)[:, :width]
+
+
+def _bone_ends(keypoints: Keypoints2D) -> np.ndarray:
+    """Both ends (x, y) of bones between confident keypoints, and of keypoints at no bone, shape (N, 2, 2)."""
+    sure = keypoints.confident
+    bones = [edge for edge in keypoints.format.edges if sure[edge[0]] and sure[edge[1]]]
+    alone = set(np.flatnonzero(sure).tolist()) - {joint for edge in bones for joint in edge}
+    pairs = [*bones, *((joint, joint) for joint in alone)]
+    return keypoints.points[np.array(pairs, dtype=np.int64).reshape(-1, 2)]
+
+
+def _least_distances(rows: np.ndarray, columns: np.ndarray, bones: np.ndarray) -> np.ndarray:
+    """Distances [px] of places to the nearest of bones (N, 2, 2)."""
+    (x, y), (along_x, along_y) = (
+        each.T.astype(np.float64)[..., None] for each in (bones[:, 0], bones[:, 1] - bones[:, 0])
+    )
+    return np.sqrt(squared_distances(columns - x, rows - y, along_x, along_y).min(axis=0, initial=np.inf))
+
+
+def _under_bones(mask: np.ndarray, corner: tuple[int, int], keypoints: Keypoints2D, radius: float) -> np.ndarray:
+    """Some pixels of a mask that are at most ``radius`` from a bone for certain, by their numbers."""
+    bones = _bone_ends(keypoints).astype(np.float64)
+    if 1.0 + 1e-5 * np.abs(bones).max(initial=0.0) > radius:
+        return np.zeros(0, dtype=np.int64)
+    places = bones[:, :1] + _ALONG * (bones[:, 1:] - bones[:, :1])
+    columns, rows = np.floor(places).reshape(-1, 2).T.astype(np.int64)
+    rows, columns = rows - corner[0], columns - corner[1]
+    height, width = mask.shape
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    keys = np.unique((rows * width + columns)[inside])
+    return keys[mask.flat[keys]]
 
 
 def person_labels(parts: PartLabels, keypoints: Keypoints2D) -> PartLabels:
@@ -153,11 +250,8 @@ class _Pixels:
     def bone_distances(self, keypoints: Keypoints2D, reach: float) -> np.ndarray:
         """Distances [px] of their centres to the nearest bone or keypoint, inf beyond ``reach``, float32."""
         squares = np.full(len(self._u), np.inf, dtype=np.float32)  # one root at the end, not one a bone
-        sure = keypoints.confident
-        bones = [edge for edge in keypoints.format.edges if sure[edge[0]] and sure[edge[1]]]
-        alone = set(np.flatnonzero(sure).tolist()) - {joint for edge in bones for joint in edge}
-        for start, end in [*bones, *((joint, joint) for joint in alone)]:
-            found = self.squared_distances(keypoints.points[start], keypoints.points[end])
+        for start, end in _bone_ends(keypoints):
+            found = self.squared_distances(start, end)
             np.minimum(squares, found, out=squares)
         squares[squares > reach**2] = np.inf
         return np.sqrt(squares, out=squares)
@@ -209,39 +303,57 @@ def loose_ends(form: str | Skeleton, sure: np.ndarray) -> np.ndarray:
 
 
 def connected(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Pixels of ``mask`` that are connected to a seed (8 neighbours), shape (H, W), bool.
+    """Pixels of ``mask`` that are connected to a seed (8 neighbours), shape (H, W), bool."""
+    runs = _Runs(mask)
+    return runs.pixels(runs.reached(np.flatnonzero(mask & seeds)))
 
-    Works on runs, the unbroken stretches of a row, of which there are few: two runs of neighbouring rows touch if they
-    overlap or meet at a corner, and those that touch one run are consecutive.
+
+class _Runs:
+    """Runs of a mask (H, W), the unbroken stretches of a row, of which there are few.
+
+    Two runs of neighbouring rows touch if they overlap or meet at a corner, and those that touch one run are
+    consecutive.
     """
-    stride = mask.shape[1] + 2  # Positions in reading order, with a gap between rows.
-    flat = np.zeros((mask.shape[0], stride), dtype=bool)
-    flat[:, 1:-1] = mask
-    edges = np.flatnonzero(flat.ravel()[1:] != flat.ravel()[:-1])  # of runs, starts and exclusive ends in turn
-    start_keys, end_keys = edges[::2], edges[1::2]
-    touching = [
-        (
-            np.searchsorted(end_keys, start_keys + offset, side="left").tolist(),
-            np.searchsorted(start_keys, end_keys + offset, side="right").tolist(),
-        )
-        for offset in (-stride, stride)
-    ]
-    flat[:, 1:-1] &= seeds
-    seed_keys = np.flatnonzero(flat) - 1
-    reached = np.searchsorted(seed_keys, end_keys) > np.searchsorted(seed_keys, start_keys)
-    stack = np.flatnonzero(reached).tolist()
-    flags = reached.tolist()
-    while stack:
-        run = stack.pop()
-        for first, last in touching:
-            for other in range(first[run], last[run]):
-                if not flags[other]:
-                    flags[other] = True
-                    stack.append(other)
-    chosen = np.array(flags, dtype=bool)
-    turns = np.zeros(flat.size, dtype=np.int8)
-    turns[start_keys[chosen] + 1], turns[end_keys[chosen] + 1] = 1, -1
-    return np.cumsum(turns, dtype=np.int8).view(bool).reshape(flat.shape)[:, 1:-1]
+
+    def __init__(self, mask: np.ndarray) -> None:
+        self._shape = mask.shape
+        stride = mask.shape[1] + 2  # Positions in reading order, with a gap between rows.
+        self._flat = np.zeros((mask.shape[0], stride), dtype=bool)
+        self._flat[:, 1:-1] = mask
+        flat = self._flat.ravel()
+        edges = np.flatnonzero(flat[1:] != flat[:-1])  # of runs, starts and exclusive ends in turn
+        self._starts, self._ends = edges[::2], edges[1::2]
+        self._touching = [
+            (
+                np.searchsorted(self._ends, self._starts + offset, side="left").tolist(),
+                np.searchsorted(self._starts, self._ends + offset, side="right").tolist(),
+            )
+            for offset in (-stride, stride)
+        ]
+
+    def reached(self, seeds: np.ndarray) -> np.ndarray:
+        """Runs that are connected to one of some pixels of the mask, by their ascending numbers in it; (R,), bool."""
+        rows, columns = np.divmod(seeds, max(self._shape[1], 1))
+        seed_keys = rows * self._flat.shape[1] + columns
+        reached = np.searchsorted(seed_keys, self._ends) > np.searchsorted(seed_keys, self._starts)
+        stack = np.flatnonzero(reached).tolist()
+        flags = reached.tolist()
+        while stack:
+            run = stack.pop()
+            for first, last in self._touching:
+                for other in range(first[run], last[run]):
+                    if not flags[other]:
+                        flags[other] = True
+                        stack.append(other)
+        return np.array(flags, dtype=bool)
+
+    def pixels(self, chosen: np.ndarray) -> np.ndarray:
+        """Pixels of some runs (R,), shape (H, W), bool."""
+        if chosen.all():
+            return self._flat[:, 1:-1]
+        turns = np.zeros(self._flat.size, dtype=np.int8)
+        turns[self._starts[chosen] + 1], turns[self._ends[chosen] + 1] = 1, -1
+        return np.cumsum(turns, dtype=np.int8).view(bool).reshape(self._flat.shape)[:, 1:-1]
 
 
 def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1) -> tuple[int, int, int, int]:
@@ -250,10 +362,9 @@ def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1)
     ``groups`` hold this person's ids alone (``select_person``); ``margin`` on each side is a share of the longer side.
     """
     points = keypoints.points[keypoints.confident].astype(np.float64)
-    rows, columns = np.nonzero((groups != BACKGROUND) & (groups != IGNORE))
-    if rows.size:
-        corners = [[columns.min(), rows.min()], [columns.max() + 1, rows.max() + 1]]
-        points = np.concatenate([points, corners])
+    rows, columns = _bounds((groups != BACKGROUND) & (groups != IGNORE))
+    if rows.stop:
+        points = np.concatenate([points, [[columns.start, rows.start], [columns.stop, rows.stop]]])
     low, high = points.min(axis=0), points.max(axis=0)
     grow = margin * max((high - low).max(), 1.0)
     x0, y0 = np.floor(low - grow).astype(int).tolist()
@@ -283,4 +394,7 @@ def crop_keypoints(keypoints: Keypoints2D, box: Box, size: tuple[int, int]) -> K
     scale = np.array([size[1] / (x1 - x0), size[0] / (y1 - y0)])
     points = (keypoints.points - np.array([x0, y0])) * scale
     points[~keypoints.visible] = 0.0
-    return Keypoints2D(keypoints.skeleton, points.astype(np.float32), keypoints.confidence)
+    cropped = points.astype(np.float32)
+    if np.array_equal(cropped, keypoints.points) and keypoints.points.dtype == np.float32:
+        return keypoints  # whose height is known already
+    return Keypoints2D(keypoints.skeleton, cropped, keypoints.confidence)

@@ -87,7 +87,9 @@ class StackedObservations(Movable):
     def __getitem__(self, row: int) -> Observation:
         """One person's."""
         there = self.visible[row].nonzero()[0]
-        columns = torch.from_numpy(there).to(self.points.device)
+        columns: slice | torch.Tensor = slice(None)  # no copy, and nothing goes to the device, where all are there
+        if len(there) < len(self.landmarks):
+            columns = torch.from_numpy(there).to(self.points.device)
         return Observation(
             landmarks=tuple(self.landmarks[column] for column in there),
             marks=tuple(self.marks[column] for column in there),

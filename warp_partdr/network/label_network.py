@@ -23,6 +23,7 @@ from .regressor import Regressor, RegressorConfig
 from .uncertainty import UncertaintyHead
 
 NUM_CHANNELS = NUM_PARTS + 2  # the parts, background, unknown
+EVEN_CHANNELS = 24  # the same in bfloat16, which products of matrices take eight at a time; the last ones are 0
 _UNKNOWN = NUM_CHANNELS - 1
 _HEATMAP_STRIDE = 4  # of the labels' pixels
 _RAYS = 4  # numbers of ``lens_rays``
@@ -114,15 +115,15 @@ class LabelNetwork(nn.Module):
         self.stem = nn.Sequential(
             _Widening(NUM_CHANNELS, stem, 5, stride=2, padding=2, bias=False), nn.BatchNorm2d(stem), nn.ReLU()
         )
-        self.coarse = _Block(stem, rest[0], stride=2)
+        self.coarse = ResidualBlock(stem, rest[0], stride=2)
         self.stages = nn.Sequential(
-            _Block(rest[0] + len(LANDMARKS), rest[0]),
+            ResidualBlock(rest[0] + len(LANDMARKS), rest[0]),
             *[
                 block
                 for before, after in pairwise(rest)
-                for block in (_Block(before, after, stride=2), _Block(after, after))
+                for block in (ResidualBlock(before, after, stride=2), ResidualBlock(after, after))
             ],
-            _Block(rest[-1], last, stride=2),
+            ResidualBlock(rest[-1], last, stride=2),
             nn.Conv2d(last, config.places, 1),
             nn.Flatten(),
         )
@@ -192,7 +193,7 @@ class _Widening(nn.Conv2d):
         return self._conv_forward(values, weight, self.bias)
 
 
-class _Block(nn.Module):
+class ResidualBlock(nn.Module):
     """Two convolutions with a residual connection (He et al., 2016)."""
 
     def __init__(self, before: int, after: int, stride: int = 1) -> None:
@@ -209,4 +210,5 @@ class _Block(nn.Module):
             self.past = nn.Sequential(nn.Conv2d(before, after, 1, stride=stride, bias=False), nn.BatchNorm2d(after))
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
+        """Values (B, C, H, W)."""
         return torch.relu(self.body(values) + self.past(values))

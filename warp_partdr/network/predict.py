@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
+from dataclasses import replace
 
 import torch
 
@@ -12,7 +13,16 @@ from ..errors import check_each, check_type
 from ..inputs.observation import Observation, resize_nearest
 from ..inputs.stacked import StackedObservations
 from ..interop.torch_threads import one_torch_thread
-from .label_network import NUM_CHANNELS, LabelNetwork, label_shares, label_table, lens_rays, map_shares
+from .fused import fused_network
+from .label_network import (
+    EVEN_CHANNELS,
+    NUM_CHANNELS,
+    LabelNetwork,
+    label_shares,
+    label_table,
+    lens_rays,
+    map_shares,
+)
 from .landmarks import format_keypoints, stack_keypoints
 from .mirror import mean_bodies, mirror_bodies, mirror_inputs
 from .predicted import Predicted
@@ -37,6 +47,29 @@ def network_inputs(
     return _network_pictures(seen, size), keypoints, lens_rays(lenses, known)
 
 
+def upright_inputs(
+    seen: Sequence[Observation] | StackedObservations, size: int, *, half: bool = False
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Inputs of N people, turned upright, and by how much they lean, (N,); with ``half``, shares may be bfloat16."""
+    if not isinstance(seen, StackedObservations) or seen.labels is None or seen.label_set is None:
+        shares, keypoints, rays = network_inputs(seen, size)
+        angles = leans(keypoints)
+        return *turn_inputs(shares, keypoints, rays, -angles), angles
+    _, keypoints, rays = network_inputs(replace(seen, labels=None, label_set=None), size)
+    angles = leans(keypoints)
+    labels = resize_nearest(seen.labels, size)[:, None].float()  # to be turned: a number a pixel, not 22
+    labels, keypoints, rays = turn_inputs(labels, keypoints, rays, -angles)
+    table = label_table(seen.label_set).to(labels.device)
+    if half:
+        table = torch.nn.functional.pad(table, (0, EVEN_CHANNELS - table.shape[1])).bfloat16()
+    return _shares_of_ids(labels[:, 0], table), keypoints, rays, angles
+
+
+def _shares_of_ids(labels: torch.Tensor, table: torch.Tensor) -> torch.Tensor:
+    which = torch.zeros(len(labels), dtype=torch.int64, device=labels.device)
+    return label_shares(labels, table[None], which)
+
+
 def _stacked_pictures(seen: StackedObservations, size: int) -> torch.Tensor:
     """Shares of people with labels of one set, or of all without."""
     if seen.labels is None or seen.label_set is None:
@@ -52,9 +85,7 @@ def _no_labels(device: torch.device) -> torch.Tensor:
 
 
 def _label_shares(labels: torch.Tensor, label_set: LabelSet, size: int) -> torch.Tensor:
-    table = label_table(label_set).to(labels.device)
-    which = torch.zeros(len(labels), dtype=torch.int64, device=labels.device)
-    return label_shares(resize_nearest(labels, size), table[None], which)
+    return _shares_of_ids(resize_nearest(labels, size), label_table(label_set).to(labels.device))
 
 
 def _network_pictures(seen: Sequence[Observation], size: int) -> torch.Tensor:
@@ -132,16 +163,15 @@ def ask_network(
     With ``half``, features are made in bfloat16; bodies are made of them in float32 all the same, for three corrections
     in bfloat16 would add up their rounding.
     """
-    inputs = network_inputs(observations, network.config.size)
-    angles = leans(inputs[1])
-    inputs = turn_inputs(*inputs, -angles)
-    if mirror:
-        both = zip(inputs, mirror_inputs(*inputs), strict=True)
-        inputs = torch.cat(next(both)), torch.cat(next(both)), torch.cat(next(both))
+    *inputs, angles = upright_inputs(observations, network.config.size, half=half)
     shares, keypoints, rays = inputs
+    if mirror:
+        both = zip(inputs, mirror_inputs(shares, keypoints, rays), strict=True)
+        shares, keypoints, rays = map(torch.cat, both)
     shares = shares.contiguous(memory_format=torch.channels_last)
     with torch.autocast(shares.device.type, torch.bfloat16, enabled=half):
-        features = network.features(shares, keypoints, rays)
+        asked = fused_network(network) if half and shares.is_cuda else network
+        features = asked.features(shares, keypoints, rays)
     predicted = network.bodies(features.float(), keypoints)
     if mirror:
         own, images = slice(len(observations)), slice(len(observations), None)

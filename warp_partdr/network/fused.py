@@ -1,0 +1,114 @@
+"""The label network in bfloat16 for CUDA: a convolution, its normalisation, a sum and what is cut off in one launch.
+
+Torch alone makes a launch of each, which passes through memory as often.
+"""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from functools import lru_cache
+from weakref import WeakKeyDictionary
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+from torch.nn.utils.fusion import fuse_conv_bn_weights
+
+from .label_network import EVEN_CHANNELS, LabelNetwork, ResidualBlock
+
+_Known = tuple[list[int], LabelNetwork]
+_fused: WeakKeyDictionary[LabelNetwork, _Known] = WeakKeyDictionary()
+
+
+def fused_network(network: LabelNetwork) -> LabelNetwork:
+    """A network for its ``features`` alone, in evaluation mode, kept until the weights change."""
+    versions = [each._version for each in (*network.parameters(), *network.buffers())]
+    kept = _fused.get(network)
+    if kept is None or kept[0] != versions:
+        kept = _fused[network] = versions, _fuse(network)
+    return kept[1]
+
+
+@torch.no_grad()
+def _fuse(network: LabelNetwork) -> LabelNetwork:
+    fused = deepcopy(network)
+    first, norm, _ = network.stem
+    fused.stem = nn.Sequential(_FusedConvolution(first, norm, channels=EVEN_CHANNELS))
+    fused.add_module("coarse", _FusedBlock(network.coarse))
+    fused.stages = nn.Sequential(
+        *(_FusedBlock(each) if isinstance(each, ResidualBlock) else each for each in fused.stages)
+    )
+    return fused.eval()
+
+
+class _FusedConvolution(nn.Module):
+    """Convolution, normalisation, the sum with something where that is given, and a cut at 0 where ``cut`` says so."""
+
+    def __init__(self, convolution: nn.Module, norm: nn.Module, *, channels: int = 0, cut: bool = True) -> None:
+        super().__init__()
+        assert isinstance(convolution, nn.Conv2d)
+        assert isinstance(norm, nn.BatchNorm2d)
+        assert norm.running_mean is not None
+        assert norm.running_var is not None
+        statistics = norm.running_mean, norm.running_var, norm.eps, norm.weight, norm.bias
+        folded, bias = fuse_conv_bn_weights(convolution.weight, convolution.bias, *statistics)
+        weight = F.pad(folded.detach(), (0, 0, 0, 0, 0, max(channels - folded.shape[1], 0)))
+        weight = weight.bfloat16().contiguous(memory_format=torch.channels_last)
+        self.register_buffer("weight", weight)
+        self.register_buffer("bias", bias.detach().bfloat16())
+        self.weight: torch.Tensor
+        self.bias: torch.Tensor
+        assert not isinstance(convolution.padding, str)
+        self.stride, self.padding, self.cut = convolution.stride, convolution.padding, cut
+
+    def forward(self, values: torch.Tensor, added: torch.Tensor | None = None) -> torch.Tensor:
+        """Values (B, C, H, W), and what is added to their convolution."""
+        more = self.weight.shape[1] - values.shape[1]
+        if more:
+            values = F.pad(values, (0, 0, 0, 0, 0, more))
+        values = values.to(self.weight.dtype, memory_format=torch.channels_last)
+        stride, padding, still = self.stride, self.padding, (1, 1)
+        if self.cut and values.is_cuda and fuses(values.device):
+            if added is None:
+                return torch.cudnn_convolution_relu(values, self.weight, self.bias, stride, padding, still, 1)
+            summed = values, self.weight, added, 1.0, self.bias
+            return torch.cudnn_convolution_add_relu(*summed, stride, padding, still, 1)
+        with torch.autocast(values.device.type, enabled=False):
+            found = F.conv2d(values, self.weight, self.bias, stride, padding)
+        found = found if added is None else found.add_(added)
+        return found.relu_() if self.cut else found
+
+
+class _FusedBlock(nn.Module):
+    def __init__(self, block: ResidualBlock) -> None:
+        super().__init__()
+        first, first_norm, _, second, second_norm = block.body
+        self.first, self.second = _FusedConvolution(first, first_norm), _FusedConvolution(second, second_norm)
+        self.past: nn.Module = nn.Identity()
+        if isinstance(block.past, nn.Sequential):
+            self.past = _FusedConvolution(*block.past, cut=False)
+
+    def forward(self, values: torch.Tensor) -> torch.Tensor:
+        values = values.to(self.first.weight.dtype, memory_format=torch.channels_last)
+        return self.second(self.first(values), self.past(values))
+
+
+@lru_cache(maxsize=8)
+def fuses(device: torch.device) -> bool:
+    """True if cuDNN fuses convolutions there, and rightly: torch has these functions without a promise."""
+    generator = torch.Generator(device).manual_seed(0)
+
+    def drawn(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, device=device, generator=generator).bfloat16()
+
+    values, added = (drawn(2, 16, 8, 8).contiguous(memory_format=torch.channels_last) for _ in range(2))
+    weight = drawn(16, 16, 3, 3).contiguous(memory_format=torch.channels_last)
+    bias, ones = drawn(16), (1, 1)
+    try:
+        alone = torch.cudnn_convolution_relu(values, weight, bias, ones, ones, ones, 1)
+        summed = torch.cudnn_convolution_add_relu(values, weight, added, 1.0, bias, ones, ones, ones, 1)
+    except (RuntimeError, AttributeError, TypeError):
+        return False
+    exact = F.conv2d(values.float(), weight.float(), bias.float(), padding=1)
+    pairs = ((alone, exact.relu()), (summed, (exact + added.float()).relu()))
+    return all(bool(torch.allclose(found.float(), expected, rtol=0.05, atol=0.5)) for found, expected in pairs)
