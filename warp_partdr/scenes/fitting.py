@@ -185,7 +185,7 @@ def _refine(energy: SceneEnergy, people: SceneStarts, looks: Sequence[Looked], t
         tell("scene", iteration + 1, options.iterations)
     with torch.no_grad():
         found = {name: value.clone() for name, value in vars(steps.unknowns).items()}
-    terms = {name: float(term.detach()) for name, term in steps.terms.items()}
+    terms = {name: float(term.sum()) for name, term in steps.terms.items()}
     return _Refined(people, looks, Unknowns(**found), terms)
 
 
@@ -205,8 +205,7 @@ def scene_energy(one: MeshEnergy, options: SceneOptions, num_people: int, groups
     if one.mesh is not None:
         if num_people * groups > MAX_LABEL:
             raise InputError(f"sights: {num_people} people of {groups} groups; expected {MAX_LABEL} labels at most")
-        # Vertices that no face needs come along, so that bodies lie in a row.
-        mesh = one.mesh.repeated(num_people, groups, one.model.num_vertices)
+        mesh = one.mesh.repeated(num_people, groups, one.first or one.model.num_vertices)
     several = num_people > 1 and options.apart > 0
     capsules = measure_capsules(one.model) if several else one.capsules if num_people == 1 else None
     return SceneEnergy(one, mesh, capsules, options)
