@@ -21,6 +21,7 @@ from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import crop_evidence
 from warp_partdr.inputs.part_labels import PartLabels, read_parts
+from warp_partdr.interop.precision import exact_convolutions
 from warp_partdr.network.checkpoint import packaged_network
 
 KEYPOINTS = read_keypoints(EXAMPLE / "keypoints.json")[0]
@@ -50,9 +51,10 @@ def test_each_is_as_alone(options: FitOptions, fov: float | None, device: str) -
     camera = None if fov is None else Perspective.of_picture(PARTS.groups.shape, fov=fov)
     given = [(KEYPOINTS, PARTS), (turned(10), None), (KEYPOINTS, PARTS), (turned(-15), None)]
     people = [cut(keypoints, parts, device, camera) for keypoints, parts in given]
-    fits = fit_together(people, options, packaged_network(device))
-    for (keypoints, parts), fit in zip(given, fits, strict=True):
-        alone = fit_body(keypoints, parts, options=options, device=device, camera=camera)
+    with exact_convolutions():  # rounded to TF32, those of another batch differ, in the end by millimetres of depth
+        fits = fit_together(people, options, packaged_network(device))
+        everyone = [fit_body(*each, options=options, device=device, camera=camera) for each in given]
+    for alone, fit in zip(everyone, fits, strict=True):
         torch.testing.assert_close(fit.posed.joints, alone.posed.joints, atol=2e-3, rtol=0)
         torch.testing.assert_close(fit.camera.intrinsics, alone.camera.intrinsics, atol=0.3, rtol=1e-3)
         assert fit.energy == pytest.approx(alone.energy, rel=1e-2, abs=0.05)

@@ -429,7 +429,7 @@ def test_learns_pictures_by_heart(tmp_path):
         sheet = task.pictures(model, torch.device("cpu"))
     assert errors["PA-MPJPE [mm]"] < 75  # 128 at first
     assert sheet.size == (4 * SIZE, 3 * SIZE)
-    task.save(tmp_path / "net.safetensors", model.state_dict(), {}, half=True)
+    task.save(tmp_path / "net.safetensors", model.state_dict(), {}, bits=16)
     assert load_ellipbodynet(tmp_path / "net.safetensors").config.size == SIZE
 
 

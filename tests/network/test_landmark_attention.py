@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from warp_partdr.network.heads import cell_centres
-from warp_partdr.network.landmark_attention import NUM_SAID, LandmarkAttention, shown_at
+from warp_partdr.network.landmark_attention import NUM_SAID, LandmarkAttention, at_keypoints
 from warp_partdr.network.landmarks import LANDMARKS
 
 
@@ -23,7 +23,7 @@ def test_landmarks_are_shown_what_lies_at_their_keypoints(device):
     for size in (8, 16):
         across = cell_centres(size, device).expand(1, size, size)
         ramps.append(torch.stack([across, across.mT], dim=1))
-    shown = shown_at(ramps, keypoints)
+    shown = at_keypoints(ramps, keypoints)
     assert shown.shape == (1, len(LANDMARKS), 4)
     torch.testing.assert_close(shown[0, :2], keypoints[0, :2, [0, 1, 0, 1]])
     assert (shown[0, 2:] == 0).all()  # one outside of the picture, and those that are missing

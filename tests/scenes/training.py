@@ -81,8 +81,8 @@ class TinyTask(Task):
     def pictures(self, model: torch.nn.Module, device: torch.device) -> Image.Image | None:
         return Image.new("RGB", (4, 3))
 
-    def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
-        save_file({name: value.half() if half else value for name, value in weights.items()}, path)
+    def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, bits: int) -> None:
+        save_file({name: value.half() if bits == 16 else value for name, value in weights.items()}, path)
 
     def read(self, source: str) -> Mapping[str, torch.Tensor]:
         return load_file(source)

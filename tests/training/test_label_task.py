@@ -222,7 +222,7 @@ def test_counts_of_people_are_positive(name):
 
 def test_begins_with_a_trained_network_of_the_same_sizes(task, tmp_path):
     weights = task.model().state_dict()
-    task.save(tmp_path / "model.safetensors", weights, {}, half=False)
+    task.save(tmp_path / "model.safetensors", weights, {}, bits=32)
     read = task.read(str(tmp_path / "model.safetensors"))
     assert read.keys() == weights.keys()  # and so the file can be loaded
     assert all(torch.equal(read[name], value) for name, value in weights.items())
@@ -238,13 +238,13 @@ FEEDBACK = {"regressor": RegressorConfig(width=32, feedback=True)}
 @pytest.mark.parametrize("more", [FEEDBACK, {"attention_layers": 1, "attention_width": 8} | FEEDBACK])
 def test_goes_on_with_more_inputs_from_a_network_without_as_the_same_network(task, tmp_path, more):
     before = task.model().eval()
-    task.save(tmp_path / "model.safetensors", before.state_dict(), {}, half=False)
+    task.save(tmp_path / "model.safetensors", before.state_dict(), {}, bits=32)
     wider = make_task(replace(task.config, model=replace(task.config.model, **more)))
     after = wider.model().eval()
     after.load_state_dict(wider.read(str(tmp_path / "model.safetensors")))
     people = task.held_out[0]
     found, expected = (each.predict(network, people) for each, network in ((wider, after), (task, before)))
     torch.testing.assert_close(found.posed().joints, expected.posed().joints, atol=1e-6, rtol=0)
-    wider.save(tmp_path / "wider.safetensors", after.state_dict(), {}, half=False)
+    wider.save(tmp_path / "wider.safetensors", after.state_dict(), {}, bits=32)
     with pytest.raises(InputError, match=r"initial: .*wider.safetensors: a network of"):
         task.read(str(tmp_path / "wider.safetensors"))

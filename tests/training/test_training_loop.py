@@ -393,7 +393,7 @@ def test_running_mean():
 def test_command(tmp_path, capfd):
     path = tmp_path / "tiny.toml"
     path.write_text(f'task = "{TASK}"\nsteps = 2\nbatch_size = 8\n')
-    options = ["--out", str(tmp_path / "out"), "--set", "data.noise=0.5", "--half", "--device", "cpu"]
+    options = ["--out", str(tmp_path / "out"), "--set", "data.noise=0.5", "--bits", "16", "--device", "cpu"]
     app(["train", str(path), *options], standalone_mode=False)
     said = capfd.readouterr()
     assert "2 steps" in said.out

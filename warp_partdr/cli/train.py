@@ -41,7 +41,7 @@ def train_network(
         Option(help="Stop after so long, resumed parts together; the learning rate falls in time for it.", metavar="M"),
     ] = None,
     settings: SetOption = None,
-    half: Annotated[bool, Option("--half", help="Write the trained network in float16, half the size.")] = False,
+    bits: Annotated[int, Option(help="Of the trained network's weights in their file: 32, 16 or 8.")] = 32,
     device: DeviceOption = "auto",
 ) -> None:
     """Train; see ``TRAIN_HELP``."""
@@ -59,7 +59,7 @@ def train_network(
     from ..interop.devices import choose_device
     from ..training.loop import MODEL_FILE, run_training
 
-    result = run_training(numbers, resume=resume, device=choose_device(device), half=half)
+    result = run_training(numbers, resume=resume, device=choose_device(device), bits=bits)
     report = result.report
     if report:
         for name in report["skipped"]:

@@ -19,6 +19,9 @@ from .ellipbodynet import EllipBodyNet, EllipBodyNetConfig
 from .label_network import LabelNetwork, LabelNetworkConfig
 
 MAX_BYTES = 1 << 30
+_BITS = (8, 16, 32)
+_LARGE = 1 << 16  # weights from which on a matrix is worth a scale for each row
+_SCALE = "/scale"  # of a name's rows; names of weights have no slash
 
 Config = TypeVar("Config")
 Network = TypeVar("Network", bound=torch.nn.Module)
@@ -40,21 +43,22 @@ class NetworkFiles(Generic[Network, Config]):
         config: Config,
         about: Mapping[str, Any],
         *,
-        half: bool = False,
+        bits: int = 32,
     ) -> None:
         """Write a network's ``state_dict`` with its sizes and the record of its training (JSON) to a safetensors file.
 
-        With ``half``, weights are stored in float16; statistics of batch normalisation stay as they are.
+        With 16 ``bits``, weights are stored in float16, statistics of batch normalisation as they are; with 8, large
+        matrices and filters moreover in bytes, the largest weight of each row being 127.
+
+        Raises:
+            InputError: If ``bits`` are others than 8, 16 or 32.
         """
         from safetensors.torch import save_file
 
-        def stored(name: str, tensor: torch.Tensor) -> torch.Tensor:
-            tensor = tensor.detach().cpu().contiguous()
-            return tensor.half() if half and tensor.is_floating_point() and "running" not in name else tensor
-
+        check_weight_bits(bits)
         values = asdict(config)  # type: ignore[call-overload]  # a dataclass
         metadata = {"format": self.kind, "config": json.dumps(values), "about": json.dumps(dict(about))}
-        save_file({name: stored(name, tensor) for name, tensor in weights.items()}, path, metadata)
+        save_file(_packed(weights, bits), path, metadata)
 
     def load(self, path: Path | str, *, device: torch.device | str = "cpu") -> Network:
         """Load a network in evaluation mode.
@@ -72,6 +76,7 @@ class NetworkFiles(Generic[Network, Config]):
                 if metadata.get("format") != self.kind:
                     raise InputError(f"{path}: format {metadata.get('format')!r}; expected {self.expected}")
                 weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  no mapping
+            weights = _unpacked(weights)
             if not all(torch.isfinite(tensor).all() for tensor in weights.values()):
                 raise InputError(f"{path}: weights hold NaN or infinity; expected {self.expected}")
             config = read_section(self.sizes, parse_json(metadata["config"], f"{path}: config", self.expected))
@@ -84,6 +89,37 @@ class NetworkFiles(Generic[Network, Config]):
         # Convolutions of pictures whose channels lie together take a sixth less time on CPU.
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's own stubs lack it
         return network.eval().requires_grad_(False).to(device)
+
+
+def check_weight_bits(bits: int) -> None:
+    """Check in how many bits weights are to be stored; see ``NetworkFiles.save``."""
+    if bits not in _BITS:
+        raise InputError(f"bits: {bits}; expected 8, 16 or 32")
+
+
+def _packed(weights: Mapping[str, torch.Tensor], bits: int) -> dict[str, torch.Tensor]:
+    packed = {}
+    for name, weight in weights.items():
+        tensor = weight.detach().cpu().contiguous()
+        if bits < 32 and tensor.is_floating_point() and "running" not in name:
+            if bits == 8 and tensor.ndim > 1 and tensor.numel() >= _LARGE:
+                scale = tensor.flatten(1).abs().amax(1).clamp_min(torch.finfo(torch.float32).tiny) / 127
+                packed[name + _SCALE] = scale.float()
+                tensor = (tensor / _for_rows(scale, tensor)).round().to(torch.int8)
+            else:
+                tensor = tensor.half()
+        packed[name] = tensor
+    return packed
+
+
+def _unpacked(packed: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    scales = {name.removesuffix(_SCALE): scale for name, scale in packed.items() if name.endswith(_SCALE)}
+    weights = {name: tensor for name, tensor in packed.items() if not name.endswith(_SCALE)}
+    return weights | {name: weights[name] * _for_rows(scale, weights[name]) for name, scale in scales.items()}
+
+
+def _for_rows(scale: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+    return scale.view(-1, *[1] * (rows.ndim - 1))
 
 
 _LABEL_NETWORKS = NetworkFiles(

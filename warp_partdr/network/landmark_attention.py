@@ -41,12 +41,12 @@ class LandmarkAttention(nn.Module):
             rays: Of the cameras, shape (B, R); a landmark is told these and its keypoint.
         """
         told = torch.cat([keypoints, rays[:, None].expand(-1, keypoints.shape[1], -1)], dim=2)
-        tokens = self.shown(shown_at(maps, keypoints)) + self.told(told) + self.names
+        tokens = self.shown(at_keypoints(maps, keypoints)) + self.told(told) + self.names
         features: torch.Tensor = self.said(self.layers(tokens)).flatten(1)
         return features
 
 
-def shown_at(maps: Sequence[torch.Tensor], keypoints: torch.Tensor) -> torch.Tensor:
+def at_keypoints(maps: Sequence[torch.Tensor], keypoints: torch.Tensor) -> torch.Tensor:
     """Values of all maps at keypoints (B, L, 3), interpolated between cells, (B, L, sum of C); 0 where missing."""
     places = keypoints[:, None, :, :2].float()
     shown = [nn.functional.grid_sample(each.float(), places, align_corners=False)[:, :, 0] for each in maps]

@@ -152,9 +152,9 @@ class LabelTask(Task):
             rows.append(np.concatenate([group_colours(label_set(of).part_groups)[ids] for ids, of in shown], axis=1))
         return Image.fromarray(np.concatenate(rows))
 
-    def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
+    def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, bits: int) -> None:
         """Write the network."""
-        save_label_network(path, weights, self.config.model, about, half=half)
+        save_label_network(path, weights, self.config.model, about, bits=bits)
 
     def read(self, source: str) -> Mapping[str, torch.Tensor]:
         """Weights of a trained network; see ``Task``."""

@@ -15,6 +15,7 @@ import torch
 
 from ..errors import InputError, cause
 from ..interop.precision import matmul_precision
+from ..network.checkpoint import check_weight_bits
 from .checkpoints import (
     Checkpoint,
     list_checkpoints,
@@ -44,7 +45,7 @@ class Trained:
     report: dict[str, Any]  # of report.json, errors of the last validation; empty in all processes but the first
 
 
-def run_training(config: TrainingConfig, *, resume: bool = False, device: str = "auto", half: bool = False) -> Trained:
+def run_training(config: TrainingConfig, *, resume: bool = False, device: str = "auto", bits: int = 32) -> Trained:
     """Train, and write checkpoints, logs, pictures, the trained network and a report to ``config.out``.
 
     Started by ``torchrun`` or ``accelerate launch`` it is one of several processes that train together.
@@ -53,15 +54,16 @@ def run_training(config: TrainingConfig, *, resume: bool = False, device: str = 
         config: All numbers.
         resume: Go on from the newest checkpoint in ``config.out``, where there is one.
         device: "auto", "cpu" or "cuda".
-        half: Write the trained network in float16.
+        bits: Of the trained network's weights in their file, 32, 16 or 8; see ``NetworkFiles.save``.
 
     Raises:
         InputError: If the folder holds a run and ``resume`` is not set; if a checkpoint is damaged or of another
-            config; if a loss is NaN; if the GPU's memory is too small.
+            config; if a loss is NaN; if the GPU's memory is too small; if there are no such files.
     """
+    check_weight_bits(bits)
     torch.backends.cudnn.benchmark = True  # batches have one shape, for which the fastest convolutions are looked up
     with memory_errors(config), _accelerated(config, device) as accelerator:
-        return _Run(config, accelerator, resume=resume).go(half)
+        return _Run(config, accelerator, resume=resume).go(bits)
 
 
 @contextmanager
@@ -151,7 +153,7 @@ class _Run:
         for line in said:
             self.log.say(line)
 
-    def go(self, half: bool) -> Trained:
+    def go(self, bits: int) -> Trained:
         self.began = time.monotonic()
         with signals() as self.told, self.log:
             self._agree()
@@ -173,7 +175,7 @@ class _Run:
                 self._save()
             report = self._report()
             if self.stopped is None and report:
-                self.task.save(self.config.out / MODEL_FILE, self.mean.module.state_dict(), report, half=half)
+                self.task.save(self.config.out / MODEL_FILE, self.mean.module.state_dict(), report, bits=bits)
                 (self.config.out / REPORT_FILE).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
         self.accelerator.wait_for_everyone()
         return Trained(self.step, self.stopped, report)

@@ -155,9 +155,9 @@ class PictureTask(Task):
         rows = (photos, over, PART_COLOURS[prediction.part_labels(size).cpu().numpy()])
         return Image.fromarray(np.concatenate([np.concatenate(list(row), axis=1) for row in rows]))
 
-    def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
+    def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, bits: int) -> None:
         """Write the network."""
-        save_ellipbodynet(path, weights, self._saved_config, about, half=half)
+        save_ellipbodynet(path, weights, self._saved_config, about, bits=bits)
 
     def read(self, source: str) -> Mapping[str, torch.Tensor]:
         """Weights of a trained network; see ``Task``."""

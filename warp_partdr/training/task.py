@@ -70,8 +70,8 @@ class Task(Protocol):
     def pictures(self, model: torch.nn.Module, device: torch.device) -> Image.Image | None:
         """A contact sheet of some of these samples."""
 
-    def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
-        """Write a trained network (safetensors), with its sizes, for those who use it; ``half`` in float16.
+    def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, bits: int) -> None:
+        """Write a trained network (safetensors), with its sizes, for those who use it; see ``NetworkFiles.save``.
 
         ``weights`` are the ``state_dict`` of such a model as ``model`` returns, ``about`` is JSON of its training.
         """
