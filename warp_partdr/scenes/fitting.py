@@ -27,6 +27,7 @@ from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
 from ..refinement.stepper import rate_share
 from ..render.part_mesh import MAX_LABEL, PartMesh
+from .clip_sizes import of_one_size
 from .depth_order import LEAST_GAIN, exchange, order_people
 from .energy import SceneEnergy, SceneStarts
 from .ground import Grounded, stand_on_ground
@@ -126,6 +127,8 @@ def fit_scene(
     one = mesh_energy(model, options.mesh, label_set)
     energy = scene_energy(one, options, scene.num_people, label_set.num_groups if label_set else 0)
     with torch.no_grad():
+        if options.one_size:
+            looks = of_one_size(model, scene, looks)
         looks, grounded = stand_on_ground(energy, model, scene, looks)
         if options.exchanges:
             people, looks = order_people(energy, model, scene, looks)
