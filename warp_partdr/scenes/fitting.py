@@ -117,6 +117,9 @@ def fit_scene(
     options = options or SceneOptions()
     if scene.ground is not None and not options.ground:
         raise ValueError("options.ground: 0, of a scene whose ground is known; expected its weight, such as 0.1")
+    sets = [sight.parts.label_set for sight in scene.sights if sight.parts is not None]
+    if sets and options.mesh.seg > 0:
+        _check_labels(scene.num_people, sets[0].num_groups)  # before the network looks at many
     where = torch.device(choose_device(str(device)))
     model = model or anny(where)
     tell = progress or (lambda name, done, total: None)
@@ -206,9 +209,16 @@ def scene_energy(one: MeshEnergy, options: SceneOptions, num_people: int, groups
     """Energy of so many people whose labels are of G groups; kept, for captured graphs belong to it."""
     mesh: PartMesh | None = None
     if one.mesh is not None:
-        if num_people * groups > MAX_LABEL:
-            raise InputError(f"sights: {num_people} people of {groups} groups; expected {MAX_LABEL} labels at most")
         mesh = one.mesh.repeated(num_people, groups, one.first or one.model.num_vertices)
     several = num_people > 1 and options.apart > 0
     capsules = measure_capsules(one.model) if several else one.capsules if num_people == 1 else None
     return SceneEnergy(one, mesh, capsules, options)
+
+
+def _check_labels(num_people: int, groups: int) -> None:
+    """Raise InputError if people drawn together had more labels than a picture holds."""
+    if num_people * groups > MAX_LABEL:
+        raise InputError(
+            f"sights: {num_people} people of {groups} groups; expected {MAX_LABEL} labels at most, as of "
+            f"{MAX_LABEL // groups} people; fit them in several scenes, of a film one person each (--person)"
+        )
