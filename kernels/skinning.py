@@ -7,6 +7,7 @@ from typing import Any
 
 import warp as wp
 
+from .lanes import num_lanes, sum_lanes
 from .sparse import SparseRows
 
 wp.set_module_options({"enable_backward": False})
@@ -94,19 +95,32 @@ def blend_maps_adjoint(
     vertices: SparseRows,  # weights of vertices, by joints
     rest: wp.array2d[wp.vec3],
     adj_carried: wp.array2d[wp.vec3],
+    lanes: int,
     grad_maps: wp.array3d[float],  # (B, 12, J)  OUTPUT
 ):
-    """One thread a row of a joint's map."""
-    b, i, joint = wp.tid()
-    turn, move = wp.vec3(), float(0.0)
-    for k in range(vertices.starts[joint], vertices.starts[joint + 1]):
+    """A warp a joint of a body on CUDA."""
+    thread = wp.tid()
+    place = thread // lanes
+    lane = thread - place * lanes
+    b = place // grad_maps.shape[2]
+    joint = place - b * grad_maps.shape[2]
+    turn, move = wp.mat33(), wp.vec3()
+    k = vertices.starts[joint] + lane
+    while k < vertices.starts[joint + 1]:
         v = vertices.columns[k]
-        pull = vertices.values[k] * adj_carried[b, v][i]
-        turn += pull * rest[b, v]
+        pull = vertices.values[k] * adj_carried[b, v]
+        turn += wp.outer(pull, rest[b, v])
         move += pull
-    for c in range(3):
-        grad_maps[b, 4 * i + c, joint] = turn[c]
-    grad_maps[b, 4 * i + 3, joint] = move
+        k += lanes
+    for i in range(3):
+        for c in range(3):
+            turn[i, c] = sum_lanes(turn[i, c])
+        move[i] = sum_lanes(move[i])
+    if lane == 0:
+        for i in range(3):
+            for c in range(3):
+                grad_maps[b, 4 * i + c, joint] = turn[i, c]
+            grad_maps[b, 4 * i + 3, joint] = move[i]
 
 
 for scalar in (wp.float32, wp.float64):  # up front: an overload that appears later would compile the module again
@@ -146,5 +160,6 @@ def launch_blend_adjoint(
     """
     (rows, columns), (grad_maps, grad_rest) = weights, gradients
     wp.launch(blend_vertices_adjoint, adjoint.shape, [rows, maps, adjoint, grad_rest], device=adjoint.device)
-    shape = maps.shape[0], 3, maps.shape[2]
-    wp.launch(blend_maps_adjoint, shape, [columns, rest, adjoint, grad_maps], device=adjoint.device)
+    lanes = num_lanes(adjoint.device)
+    inputs = [columns, rest, adjoint, lanes, grad_maps]
+    wp.launch(blend_maps_adjoint, maps.shape[0] * maps.shape[2] * lanes, inputs, device=adjoint.device)
