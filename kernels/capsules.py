@@ -1,10 +1,12 @@
 """Depth by which capsules stand in one another, within a body and between bodies that share a place.
 
 A capsule is all within a radius of a line between two ends. Each thread has a capsule and looks at all others, so that
-each writes its own gradient alone: a pair is met twice, and costs half each time.
+each writes its own gradient alone: a pair is met twice, and costs half each time. Before that, joints carry capsules.
 """
 
 import warp as wp
+
+from .joint_chain import turn_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -62,12 +64,14 @@ def overlap_costs(
     slack: float,  # the same between bodies [m]
     num_capsules: int,  # C
     num_people: int,  # P: body b shares its place with b + B / P, b + 2 B / P, ...
-    costs: wp.array[float],  # (B C,) half the squares of depths [cm^2]  OUTPUT
-    gradients: wp.array[float],  # (B C 7,)  OUTPUT
+    costs: wp.array[float],  # (B C P,) half the squares of depths [cm^2]  OUTPUT
+    gradients: wp.array[float],  # (B C P 7,)  OUTPUT
 ):
-    """One thread a capsule."""
-    i = wp.tid()
-    places = costs.shape[0] // num_capsules // num_people
+    """One thread a capsule and a person: all who meet in one thread's loop would take too few of a GPU's."""
+    thread = wp.tid()
+    i = thread // num_people
+    person = thread - i * num_people
+    places = costs.shape[0] // num_people // num_capsules // num_people
     own_body = i // num_capsules
     own = i - own_body * num_capsules
     a, radius = end_of(capsules, i, 0), capsules[i * NUMBERS + 6]
@@ -75,33 +79,115 @@ def overlap_costs(
     half_a = 0.5 * wp.length(along_a)
     cost, by_radius = float(0.0), float(0.0)
     by_start, by_end = wp.vec3(), wp.vec3()
-    for person in range(num_people):
-        body = own_body % places + person * places
-        for other in range(num_capsules):
-            free = slack
-            if body == own_body:
-                free = allowed[own * num_capsules + other]
-            j = body * num_capsules + other
-            b, sum_of_radii = end_of(capsules, j, 0), radius + capsules[j * NUMBERS + 6]
-            along_b = end_of(capsules, j, 1) - b
-            # Balls around both: most pairs are far apart.
-            reach = half_a + 0.5 * wp.length(along_b) + sum_of_radii - free
-            if reach > 0.0 and wp.length_sq(a - b + 0.5 * (along_a - along_b)) < reach * reach:
-                near = nearest_of_lines(a, along_a, b, along_b)
-                distance = wp.length(near.apart)
-                depth = CENTIMETRES * (sum_of_radii - free - distance)
-                if depth > 0.0:
-                    out = wp.normalize(near.apart)
-                    if distance * distance < _SHORT:
-                        # Lines that cross: both ways out are as far, and each goes the opposite one.
-                        out = wp.normalize(wp.cross(along_a, along_b))
-                    slope = 2.0 * CENTIMETRES * depth
-                    cost += 0.5 * depth * depth
-                    by_radius += slope
-                    by_start -= (1.0 - near.own) * slope * out
-                    by_end -= near.own * slope * out
-    costs[i] = cost
+    body = own_body % places + person * places
+    for other in range(num_capsules):
+        free = slack
+        if body == own_body:
+            free = allowed[own * num_capsules + other]
+        j = body * num_capsules + other
+        b, sum_of_radii = end_of(capsules, j, 0), radius + capsules[j * NUMBERS + 6]
+        along_b = end_of(capsules, j, 1) - b
+        # Balls around both: most pairs are far apart.
+        reach = half_a + 0.5 * wp.length(along_b) + sum_of_radii - free
+        if reach > 0.0 and wp.length_sq(a - b + 0.5 * (along_a - along_b)) < reach * reach:
+            near = nearest_of_lines(a, along_a, b, along_b)
+            distance = wp.length(near.apart)
+            depth = CENTIMETRES * (sum_of_radii - free - distance)
+            if depth > 0.0:
+                out = wp.normalize(near.apart)
+                if distance * distance < _SHORT:
+                    # Lines that cross: both ways out are as far, and each goes the opposite one.
+                    out = wp.normalize(wp.cross(along_a, along_b))
+                slope = 2.0 * CENTIMETRES * depth
+                cost += 0.5 * depth * depth
+                by_radius += slope
+                by_start -= (1.0 - near.own) * slope * out
+                by_end -= near.own * slope * out
+    costs[thread] = cost
     for k in range(3):
-        gradients[i * NUMBERS + k] = by_start[k]
-        gradients[i * NUMBERS + 3 + k] = by_end[k]
-    gradients[i * NUMBERS + 6] = by_radius
+        gradients[thread * NUMBERS + k] = by_start[k]
+        gradients[thread * NUMBERS + 3 + k] = by_end[k]
+    gradients[thread * NUMBERS + 6] = by_radius
+
+
+@wp.func
+def three_of(numbers: wp.array3d[float], b: int, c: int, first: int):
+    return wp.vec3(numbers[b, c, first], numbers[b, c, first + 1], numbers[b, c, first + 2])
+
+
+@wp.kernel
+def place_capsules(
+    rest: wp.array3d[float],  # (B, C, 7) ends from their joints, and radii [m]
+    frames: wp.array2d[wp.mat44],  # (B, J) of joints
+    moves: wp.array[wp.vec3],  # (B,) of bodies [m]
+    joints: wp.array[wp.int64],  # (C,)
+    placed: wp.array3d[float],  # (B, C, 7)  OUTPUT
+):
+    """One thread a capsule."""
+    b, c = wp.tid()
+    frame = frames[b, int(joints[c])]
+    start = wp.vec3(frame[0, 3], frame[1, 3], frame[2, 3]) + moves[b]
+    for end in range(2):
+        point = turn_of(frame, wp.mat33()) * three_of(rest, b, c, 3 * end) + start
+        for k in range(3):
+            placed[b, c, 3 * end + k] = point[k]
+    placed[b, c, 6] = rest[b, c, 6]
+
+
+@wp.kernel
+def place_capsules_adjoint(
+    rest: wp.array3d[float],
+    frames: wp.array2d[wp.mat44],
+    joints: wp.array[wp.int64],
+    adj_placed: wp.array3d[float],  # (B, C, 7)
+    grad_rest: wp.array3d[float],  # (B, C, 7)  OUTPUT
+):
+    """One thread a capsule."""
+    b, c = wp.tid()
+    back = wp.transpose(turn_of(frames[b, int(joints[c])], wp.mat33()))
+    for end in range(2):
+        point = back * three_of(adj_placed, b, c, 3 * end)
+        for k in range(3):
+            grad_rest[b, c, 3 * end + k] = point[k]
+    grad_rest[b, c, 6] = adj_placed[b, c, 6]
+
+
+@wp.kernel
+def turn_joints_adjoint(
+    rest: wp.array3d[float],
+    joints: wp.array[wp.int64],
+    adj_placed: wp.array3d[float],
+    grad_frames: wp.array2d[wp.mat44],  # (B, J); the last column is that of the places  OUTPUT
+):
+    """One thread a joint, which adds the capsules that it carries."""
+    b, j = wp.tid()
+    turn, move = wp.mat33(), wp.vec3()
+    for c in range(joints.shape[0]):
+        if int(joints[c]) == j:
+            for end in range(2):
+                pull = three_of(adj_placed, b, c, 3 * end)
+                turn += wp.outer(pull, three_of(rest, b, c, 3 * end))
+                move += pull
+    grad_frames[b, j] = wp.mat44(
+        turn[0, 0], turn[0, 1], turn[0, 2], move[0],
+        turn[1, 0], turn[1, 1], turn[1, 2], move[1],
+        turn[2, 0], turn[2, 1], turn[2, 2], move[2],
+        0.0, 0.0, 0.0, 0.0,
+    )  # fmt: skip
+
+
+def launch_place_capsules(
+    rest: wp.array, frames: wp.array, moves: wp.array, joints: wp.array, placed: wp.array
+) -> None:
+    """Fill ``placed``."""
+    wp.launch(place_capsules, placed.shape[:2], [rest, frames, moves, joints, placed], device=placed.device)
+
+
+def launch_place_capsules_adjoint(
+    rest: wp.array, frames: wp.array, joints: wp.array, adjoint: wp.array, gradients: tuple[wp.array, wp.array]
+) -> None:
+    """Fill ``gradients`` with respect to rest and frames from the ``adjoint`` of what ``place_capsules`` filled."""
+    by_rest, by_frames = gradients
+    shape, device = rest.shape[:2], rest.device
+    wp.launch(place_capsules_adjoint, shape, [rest, frames, joints, adjoint, by_rest], device=device)
+    wp.launch(turn_joints_adjoint, by_frames.shape, [rest, joints, adjoint, by_frames], device=device)

@@ -1,4 +1,6 @@
-"""Vertices of a scene's bodies in each of its pictures, where people who are not seen are behind the camera.
+"""Pelvises of a scene's bodies in the world, and their vertices in each of its pictures.
+
+People who are not seen in a picture are behind its camera.
 
 Body ``p T + t`` is person p in frame t, picture ``t V + v`` that of view v, and holds the people one after another.
 """
@@ -28,6 +30,50 @@ class SceneViews:
 def camera_of(lens: wp.vec3, half_size: float):
     """Focal length and principal point [px]."""
     return half_size * wp.vec3(lens[0], lens[1] + 1.0, lens[2] + 1.0)
+
+
+@wp.struct
+class PelvisViews:
+    """Views of the crops in which N pelvises are placed."""
+
+    lenses: wp.array[wp.vec3]  # (N,)
+    rotations: wp.array[wp.mat33]  # (N,) world to camera
+    translations: wp.array[wp.vec3]  # (N,) the same [m]
+
+
+@wp.func
+def ray_to(shift: wp.vec2, lens: wp.vec3):
+    """Ray through the pelvis, whose length is the distance times its scale."""
+    return wp.vec3(shift[0] - lens[1], shift[1] - lens[2], lens[0])
+
+
+@wp.kernel
+def place_pelvises(
+    log_scale: wp.array[float],  # (N,)
+    shift: wp.array[wp.vec2],  # (N,)
+    views: PelvisViews,
+    pelvises: wp.array[wp.vec3],  # (N,) in the world [m]  OUTPUT
+):
+    """One thread a body."""
+    i = wp.tid()
+    seen = ray_to(shift[i], views.lenses[i]) / wp.exp(log_scale[i])
+    pelvises[i] = wp.transpose(views.rotations[i]) * (seen - views.translations[i])
+
+
+@wp.kernel
+def place_pelvises_adjoint(
+    log_scale: wp.array[float],
+    shift: wp.array[wp.vec2],
+    views: PelvisViews,
+    adjoint: wp.array[wp.vec3],  # (N,)
+    by_scale: wp.array[float],  # (N,)  OUTPUT
+    by_shift: wp.array[wp.vec2],  # (N,)  OUTPUT
+):
+    """One thread a body."""
+    i = wp.tid()
+    pull = views.rotations[i] * adjoint[i] / wp.exp(log_scale[i])
+    by_scale[i] = -wp.dot(ray_to(shift[i], views.lenses[i]), pull)
+    by_shift[i] = wp.vec2(pull[0], pull[1])
 
 
 @wp.kernel
@@ -100,3 +146,22 @@ def launch_place(inputs: Sequence[Any], screen: wp.array) -> None:
 def launch_place_adjoint(inputs: Sequence[Any], adjoint: wp.array, gradient: wp.array) -> None:
     """Fill the ``gradient`` with respect to vertices from the ``adjoint`` of what ``launch_place`` filled."""
     wp.launch(place_scene_adjoint, gradient.shape, [*inputs, adjoint, gradient], device=gradient.device)
+
+
+def launch_pelvises(numbers: Sequence[wp.array], views: Sequence[wp.array], pelvises: wp.array) -> None:
+    """Fill ``pelvises`` from logarithms of scales and shifts, by lenses, rotations and translations."""
+    wp.launch(place_pelvises, pelvises.shape, [*numbers, _pelvis_views(views), pelvises], device=pelvises.device)
+
+
+def launch_pelvises_adjoint(
+    numbers: Sequence[wp.array], views: Sequence[wp.array], adjoint: wp.array, gradients: Sequence[wp.array]
+) -> None:
+    """Fill ``gradients`` with respect to the numbers from the ``adjoint`` of what ``launch_pelvises`` filled."""
+    inputs = [*numbers, _pelvis_views(views), adjoint, *gradients]
+    wp.launch(place_pelvises_adjoint, adjoint.shape, inputs, device=adjoint.device)
+
+
+def _pelvis_views(arrays: Sequence[wp.array]) -> Any:
+    views = PelvisViews()
+    views.lenses, views.rotations, views.translations = arrays
+    return views

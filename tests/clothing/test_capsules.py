@@ -12,7 +12,7 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.capsules import FLESH, Capsules, find_overlap, measure_capsules
-from warp_partdr.clothing.model import DetailedModel
+from warp_partdr.clothing.model import Detailed, DetailedModel
 from warp_partdr.clothing.surfaces import vertex_parts
 from warp_partdr.reference import capsules as book
 
@@ -139,6 +139,32 @@ def posed_capsules(
     shape = torch.zeros(1, model.num_shapes) if shape is None else shape
     capsules = measure_capsules(model)
     return capsules, capsules.of(model.pose(shape, rotations, torch.zeros(1, 3)), shape)
+
+
+def test_joints_carry_capsules(device):
+    """By kernels as by torch in float64, written out."""
+    model = anny().to(device)
+    capsules, random = measure_capsules(model), torch.Generator().manual_seed(6)
+    shape, by = torch.randn(3, model.num_shapes, generator=random).to(device), torch.randn(3, 3, generator=random)
+    frames = torch.randn(3, model.num_joints, 4, 4, generator=random)
+    fast = [each.to(device).requires_grad_() for each in (shape, frames, by)]
+    slow = [each.detach().cpu().double().requires_grad_() for each in fast]
+    ends, moves, radii, changes = (
+        each.cpu().double()
+        for each in (capsules.ends, capsules.end_directions, capsules.radii, capsules.radius_directions)
+    )
+    own = slow[1][:, capsules.joints.cpu()]
+    rest = ends + torch.einsum("bs,scex->bcex", slow[0], moves)
+    placed = torch.einsum("bcij,bcej->bcei", own[..., :3, :3], rest) + own[..., None, :3, 3] + slow[2][:, None, None]
+    wanted = torch.cat([placed.flatten(2), (radii + slow[0] @ changes)[..., None]], dim=2)
+    body = Detailed(fast[2], fast[2], fast[1])
+    pull = torch.randn(wanted.shape, dtype=torch.float64, generator=random)
+    slopes = torch.autograd.grad((wanted * pull).sum(), slow)
+    for _ in range(3):  # captured from the second time on
+        found = capsules.of(body, fast[0], by=fast[2])
+        torch.testing.assert_close(found.cpu().double(), wanted, atol=1e-5, rtol=1e-4)
+        for one, other in zip(torch.autograd.grad((found * pull.to(found)).sum(), fast), slopes, strict=True):
+            torch.testing.assert_close(one.cpu().double(), other, atol=1e-4, rtol=1e-3)
 
 
 def test_neighbours_cost_nothing_at_rest_whatever_the_shape():

@@ -6,7 +6,7 @@ import pytest
 import torch
 from scenes.bodies import random_turns
 
-from warp_partdr.clothing.skinning import blend_skin
+from warp_partdr.clothing.skinning import blend_skin, carry_skin, carry_sparsely, map_rows
 
 VERTICES, JOINTS = 11, 4
 
@@ -40,6 +40,29 @@ def test_skin_and_its_gradient(dtype, near, device):
     slopes = torch.autograd.grad((found * pull.to(found)).sum(), fast)
     for one, other in zip(slopes, torch.autograd.grad((wanted * pull).sum(), slow), strict=True):
         torch.testing.assert_close(one.cpu().double(), other, atol=10 * near, rtol=10 * near)
+
+
+def test_skin_of_few_weights_and_its_gradient(device):
+    weights, *moving = case(torch.float32)
+    weights = weights * (torch.rand(weights.shape, generator=torch.Generator().manual_seed(2)) < 0.4)
+    slow = [map_rows(*moving[:3]).double().requires_grad_(), moving[3].double().requires_grad_()]
+    wanted = carry_skin(weights.double(), *slow)
+    pull = torch.randn(wanted.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    slopes = torch.autograd.grad((wanted * pull).sum(), slow)
+    fast, own = [each.detach().to(device, torch.float32).requires_grad_() for each in slow], weights.to(device)
+    for _ in range(3):  # captured from the second time on
+        found = carry_sparsely(own, *fast)
+        torch.testing.assert_close(found.cpu().double(), wanted, atol=1e-5, rtol=1e-5)
+        for one, other in zip(torch.autograd.grad((found * pull.to(found)).sum(), fast), slopes, strict=True):
+            torch.testing.assert_close(one.cpu().double(), other, atol=1e-4, rtol=1e-4)
+    found = carry_sparsely(own, *fast)
+    (slope,) = torch.autograd.grad((found * pull.to(found)).sum(), fast[1], create_graph=True)
+    (again,) = torch.autograd.grad(slope.square().sum(), fast[0])
+    (wanted_slope,) = torch.autograd.grad(
+        (carry_skin(weights.double(), *slow) * pull).sum(), slow[1], create_graph=True
+    )
+    (wanted_again,) = torch.autograd.grad(wanted_slope.square().sum(), slow[0])
+    torch.testing.assert_close(again.cpu().double(), wanted_again, atol=1e-3, rtol=1e-4)
 
 
 def test_skin_is_differentiated_again():

@@ -6,8 +6,8 @@ import pytest
 import torch
 from scenes.bodies import random_turns
 
-from warp_partdr.body.lens import lens_camera
-from warp_partdr.scenes.pictures import PictureViews, place_people
+from warp_partdr.body.lens import lens_camera, placed_at
+from warp_partdr.scenes.pictures import PictureViews, pelvises_in_world, place_people
 
 PEOPLE, FRAMES, VERTICES, SIZE = 2, 3, 7, 96
 
@@ -73,3 +73,22 @@ def test_the_gradient_has_no_derivative():
     (slope,) = torch.autograd.grad(place_people(moving, pelvises, views, SIZE).sum(), moving, create_graph=True)
     with pytest.raises(NotImplementedError, match="place_people"):
         slope.sum().backward()
+
+
+def test_pelvises_are_where_crops_see_them(device):
+    random = torch.Generator().manual_seed(4)
+    numbers = torch.randn(4, 6, generator=random)  # columns are not contiguous
+    moving, lens = [numbers[:, 0], numbers[:, 1:3]], numbers[:, 3:] + torch.tensor([3.0, 0.0, 0.0])
+    turns, moves = random_turns(1, 4, 0.5)[0], torch.randn(4, 3, generator=random)
+    slow = [each.double().requires_grad_() for each in moving]
+    seen = placed_at(*slow, lens.double())
+    wanted = ((seen - moves)[:, None] @ turns.double())[:, 0]
+    fast = [each.to(device).requires_grad_() for each in moving]
+    found = pelvises_in_world(*fast, lens.to(device), turns.float().to(device), moves.to(device))
+    torch.testing.assert_close(found.cpu().double(), wanted, atol=1e-4, rtol=1e-5)
+    pull = torch.randn(4, 3, dtype=torch.float64, generator=random)
+    slopes = torch.autograd.grad((found * pull.to(found)).sum(), fast, create_graph=True)
+    for one, other in zip(slopes, torch.autograd.grad((wanted * pull).sum(), slow), strict=True):
+        torch.testing.assert_close(one.detach().cpu().double(), other, atol=1e-4, rtol=1e-4)
+    with pytest.raises(NotImplementedError, match="pelvises_in_world"):
+        slopes[0].sum().backward()

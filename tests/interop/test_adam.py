@@ -15,7 +15,7 @@ def test_it_is_torch_s_to_the_bit(device):
     ours, theirs = ([torch.linspace(-1, 2, n, device=device).requires_grad_() for n in (4, 7, 3)] for _ in range(2))
     adam = Adam([(ours[:2], rates[0]), (ours[2:], rates[1]), ([], 1.0)])
     groups = [{"params": theirs[:2], "lr": rates[0]}, {"params": theirs[2:], "lr": rates[1]}]
-    expected = torch.optim.Adam(groups, capturable=device != "cpu")
+    expected = torch.optim.Adam(groups, capturable=device != "cpu", fused=device != "cpu")
     for share in shares:
         for tensors in (ours, theirs):
             sum((tensor**3).sum() for tensor in tensors).backward()

@@ -7,7 +7,7 @@ parts. Clothes don't count.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import torch
@@ -16,7 +16,10 @@ import warp as wp
 from ..body.landmarks import without_side
 from ..body.template import PARENTS, PART_NAMES
 from ..interop.arrays import warp_array
+from ..interop.captured_function import Fixed, call_captured
 from ..interop.derivatives import once
+from ..interop.graph_cache import Launch
+from ..interop.layouts import Tensors
 from ..interop.movable import Movable
 from ..interop.streams import on_torch_stream
 from ..kernels import capsules as kernels
@@ -24,6 +27,7 @@ from .model import Detailed, DetailedModel
 from .surfaces import BAND, vertex_parts
 
 FLESH = 0.015  # [m] that parts and people give way where they touch
+_NUMBERS = int(kernels.NUMBERS)  # of a capsule
 _NEAR = 0.02  # [m] between capsules that are neighbours: they touch at rest, or nearly
 _HALVES = ("upper_leg", "lower_leg", "upper_arm", "forearm")  # thinner at one end, so that each has two capsules
 # Of parts that are as wide as long: the axis, x to the left or y up at rest. Others lie along their longest way.
@@ -53,14 +57,20 @@ class Capsules(Movable):
     allowed: torch.Tensor
 
     def of(self, body: Detailed, shape: torch.Tensor, by: torch.Tensor | None = None) -> torch.Tensor:
-        """Both ends and the radius of each [m], shape (B, C, 7); bodies moved by (B, 1, 3) [m]."""
-        ends = self.ends + (shape @ self.end_directions.flatten(1)).unflatten(1, self.ends.shape)
-        frames = body.transforms.index_select(1, self.joints)
-        placed = ends @ frames[..., :3, :3].mT + frames[..., None, :3, 3]
-        if by is not None:
-            placed = placed + by[:, None]
-        radii = self.radii + shape @ self.radius_directions
-        return torch.cat([placed.flatten(2), radii[..., None]], dim=2)
+        """Both ends and the radius of each [m], shape (B, C, 7), float32; bodies moved by (B, 3) [m]."""
+        at_rest, by_shape = self._rows
+        rest = torch.nn.functional.linear(shape, by_shape, at_rest).unflatten(1, (-1, _NUMBERS))
+        moves = shape.new_zeros(len(shape), 3) if by is None else by
+        placed: torch.Tensor = _Placed.apply(rest, body.transforms, moves, self.joints)
+        return placed
+
+    @cached_property
+    def _rows(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Ends and radii of shape 0, shape (7 C,), and their change by shape values, shape (7 C, S)."""
+        pairs = (self.ends, self.radii), (self.end_directions, self.radius_directions)
+        with torch.inference_mode(False):  # kept for calls outside of it, too
+            at_rest, changes = (torch.cat([ends.flatten(-2), radii[..., None]], dim=-1) for ends, radii in pairs)
+            return at_rest.flatten(), changes.flatten(1).mT.contiguous()
 
     def overlap(self, placed: torch.Tensor, people: int = 1) -> torch.Tensor:
         """Sum of the squares of depths [cm^2] beyond what flesh gives way, shape (B,).
@@ -78,21 +88,54 @@ def find_overlap(placed: torch.Tensor, allowed: torch.Tensor, people: int = 1) -
     return found
 
 
+class _Placed(torch.autograd.Function):
+    """Capsules that joints carry."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, rest: torch.Tensor, frames: torch.Tensor, moves: torch.Tensor, joints: torch.Tensor
+    ) -> torch.Tensor:
+        ctx.save_for_backward(rest, frames, moves, joints)
+        return call_captured(_prepare_placed, (rest, frames, moves), (rest.shape,), Fixed(joints))[0]
+
+    @staticmethod
+    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        rest, frames, moves, joints = ctx.saved_tensors
+        given, shapes = (rest, frames, adjoints[0]), (rest.shape, frames.shape)
+        by_rest, by_frames = call_captured(_prepare_placed_adjoint, given, shapes, Fixed(joints))
+        by_moves = by_frames[..., :3, 3].sum(1) if ctx.needs_input_grad[2] else None
+        return *once("Capsules.of", (by_rest, by_frames, by_moves), *adjoints, rest, frames, moves), None
+
+
+def _prepare_placed(inputs: Tensors, outputs: Tensors, joints: Fixed) -> Launch:
+    """Launch that places capsules, from those at rest, joints' frames and moves."""
+    rest, frames, moves = (warp_array(t, kind) for t, kind in zip(inputs, (None, wp.mat44, wp.vec3), strict=True))
+    carried, placed = warp_array(joints.tensor), warp_array(outputs[0])
+    return partial(kernels.launch_place_capsules, rest, frames, moves, carried, placed)
+
+
+def _prepare_placed_adjoint(inputs: Tensors, outputs: Tensors, joints: Fixed) -> Launch:
+    """Launch that fills gradients of capsules at rest and frames from these and the adjoint of placed ones."""
+    rest, frames, adjoint = (warp_array(t, kind) for t, kind in zip(inputs, (None, wp.mat44, None), strict=True))
+    found = warp_array(outputs[0]), warp_array(outputs[1], wp.mat44)
+    return partial(kernels.launch_place_capsules_adjoint, rest, frames, warp_array(joints.tensor), adjoint, found)
+
+
 class _OverlapCost(torch.autograd.Function):
     """Cost and gradient at once: both need the nearest points."""
 
     @staticmethod
     def forward(ctx: Any, placed: torch.Tensor, allowed: torch.Tensor, people: int) -> torch.Tensor:
         rows = placed.contiguous()
-        costs, gradients = rows.new_empty(rows.shape[:2]), torch.empty_like(rows)
+        # Of each whom they meet, who are added in their order.
+        costs, gradients = (rows.new_empty(*rows.shape[:2], people, *own) for own in ((), (_NUMBERS,)))
         if costs.numel():
             with on_torch_stream(rows.device) as device:
                 inputs = [warp_array(rows.view(-1)), warp_array(allowed.view(-1)), FLESH, rows.shape[1], people]
                 outputs = [warp_array(costs.view(-1)), warp_array(gradients.view(-1))]
                 wp.launch(kernels.overlap_costs, dim=costs.numel(), inputs=inputs, outputs=outputs, device=device)
-        ctx.people = people
-        ctx.save_for_backward(placed, gradients)
-        return costs.sum(1)
+        ctx.save_for_backward(placed, gradients.sum(2) if people > 1 else gradients[:, :, 0])
+        return costs.flatten(1).sum(1)
 
     @staticmethod
     def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:

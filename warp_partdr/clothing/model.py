@@ -159,7 +159,7 @@ class DetailedModel(Movable):
         self, shape: torch.Tensor, offsets: torch.Tensor | None, stretches: torch.Tensor | None
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Vertices and joints of ``rest``, without the joints' frames."""
-        found = (self._rests + shape @ self._directions).unflatten(1, (-1, 3))
+        found = torch.addmm(self._rests, shape, self._directions).unflatten(1, (-1, 3))
         vertices, joints = found.split([self.num_vertices, self.num_joints], dim=1)
         if offsets is not None:
             self._check("offsets", offsets, shape.shape[0], self.num_vertices, 3)

@@ -23,6 +23,7 @@ from ..clothing.clothes import CLOTHED, SPREAD, bounded, clothes_basis, dressed_
 from ..clothing.joint_merging import merge_joints
 from ..clothing.joint_turns import turn_joints
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
+from ..clothing.point_sums import sum_points
 from ..clothing.pose import free_joints, pose_from_ellipbody, turning_joints
 from ..clothing.reduction import reduce_model, reduce_within
 from ..clothing.registration import shape_from_lengths
@@ -162,30 +163,35 @@ class MeshEnergy:
     capsules: Capsules | None
     options: MeshOptions
 
+    def factors(self, people: Starts) -> dict[str, float]:
+        """Weights of all costs, by name."""
+        return self.options.factors(self.options.apart, self.options.size)
+
     def __call__(self, people: Starts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
-        """Weighted terms by name, shape (B,) each."""
+        """Costs by name, shape (B, ...) each."""
         options = self.options
         posed = self.pose(people, unknowns)
-        points = self.landmarks(posed)
+        drawn, marked = self.split(posed)
+        points = sum_points(self.weights, marked, posed.joints)
         camera, away = self._camera(people, unknowns, REFERENCE_SIZE)
         aims = LandmarkAims(
             people.places, people.points, people.votes, self.ends, people.depths, people.depth_spreads.pow(-2)
         )
         seen, deep = landmark_costs(points + away, camera, aims)
-        terms = {
-            "proj": options.proj * seen,
-            "depth": options.depth * deep,
-            "turns": options.turns * (unknowns.turns.square().sum(-1) / people.turn_spreads.square()).sum(1),
-            "shape": options.shape / 2 * (unknowns.shape - people.shape).square().sum(1),
+        costs = {
+            "proj": seen,
+            "depth": deep,
+            "turns": unknowns.turns.square() / people.turn_spreads.square()[..., None],
+            "shape": (unknowns.shape - people.shape).square(),
         }
         if options.clothes is not None:
-            terms["clothes"] = options.clothes / 2 * (unknowns.clothes / SPREAD).square().sum(1)
+            costs["clothes"] = (unknowns.clothes / SPREAD).square()
         if self.capsules is not None:
-            terms["apart"] = options.apart * self.capsules.overlap(self.capsules.of(posed, unknowns.shape))
+            costs["apart"] = self.capsules.overlap(self.capsules.of(posed, unknowns.shape))
         if people.target is not None and self.mesh is not None:
             camera, _ = self._camera(people, unknowns, options.size)
-            loss, _ = mesh_label_loss(
-                posed.vertices + away,
+            costs["seg"], _ = mesh_label_loss(
+                drawn + away,
                 self.mesh,
                 camera,
                 people.target,
@@ -194,8 +200,7 @@ class MeshEnergy:
                 depth_weight=options.depth_weight if self.hides else 0.0,
                 validate=False,
             )
-            terms["seg"] = options.seg * (REFERENCE_SIZE / options.size) ** 2 * loss
-        return terms
+        return costs
 
     def rates(self, people: Starts) -> torch.Tensor:
         """Learning rates, as of ``Unknowns``."""
@@ -232,8 +237,15 @@ class MeshEnergy:
 
     def landmarks(self, posed: Detailed) -> torch.Tensor:
         """All of the model's, shape (B, L, 3)."""
-        marked = torch.cat([posed.vertices[:, self.first :], posed.joints], dim=1)
-        return torch.nn.functional.linear(marked.mT.contiguous(), self.weights).mT.contiguous()  # one product for all
+        return sum_points(self.weights, self.split(posed)[1], posed.joints)
+
+    def split(self, posed: Detailed) -> tuple[torch.Tensor, torch.Tensor]:
+        """Vertices that are drawn, and those that carry landmarks."""
+        if self.first == 0:
+            return posed.vertices, posed.vertices
+        # Not by slices, each of whose gradients would be filled up with zeros.
+        drawn, marked = posed.vertices.split([self.first, self.model.num_vertices - self.first], dim=1)
+        return drawn, marked
 
     def depths(self, points: torch.Tensor) -> torch.Tensor:
         """Of ``JOINT_NAMES`` but the pelvis, relative to it [m], shape (..., 20)."""

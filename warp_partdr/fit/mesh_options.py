@@ -8,6 +8,7 @@ from typing import Literal
 
 from ..clothing.reduction import LEAST_VERTICES
 from ..errors import check_whole
+from ..inputs.observation import REFERENCE_SIZE
 from ..interop.checks import MAX_PICTURE, check_steps
 from ..render.options import DEFAULT_DEPTH_WEIGHT, MeshGradient, check_mesh_rule
 from ..render.subdivisions import DEFAULT_TOLERANCE
@@ -69,3 +70,9 @@ class MeshOptions:
     def skin_error(self) -> float:
         """Distance of the whole model's skin from the one drawn, 1 % of it aside: half a drawn pixel at most [m]."""
         return DEFAULT_TOLERANCE * _SHOWN / self.size
+
+    def factors(self, apart: float, size: int) -> dict[str, float]:
+        """Weights of costs by name, where parts are kept ``apart`` so much and labels drawn in crops of a side [px]."""
+        own = {"proj": self.proj, "depth": self.depth, "turns": self.turns, "shape": self.shape / 2}
+        seg = self.seg * (REFERENCE_SIZE / size) ** 2
+        return own | {"clothes": (self.clothes or 0.0) / 2, "apart": apart, "seg": seg}

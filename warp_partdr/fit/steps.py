@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Generic, Protocol, Self, TypeVar
 
@@ -32,10 +33,13 @@ _P = TypeVar("_P", bound=Tensors, contravariant=True)
 
 
 class StepEnergy(Protocol[_P, U]):
-    """Energy whose unknowns are moves from a start."""
+    """Energy whose unknowns are moves from a start: the weighted sum of all numbers of its costs."""
+
+    def factors(self, people: _P) -> Mapping[str, float]:
+        """Weights of all costs, by name."""
 
     def __call__(self, people: _P, unknowns: U) -> dict[str, torch.Tensor]:
-        """Weighted terms by name, of one shape."""
+        """Costs by name, shape (B, ...) each: sums that nobody needs at each step are left out."""
 
     def rates(self, people: _P) -> torch.Tensor:
         """Learning rates of all moves, of the moves' shape."""
@@ -45,28 +49,35 @@ class StepEnergy(Protocol[_P, U]):
 
 
 class Steps(Generic[P, U]):
-    """Adam on what is unknown.
-
-    Attributes:
-        terms: Of the energy before the last step, by name.
-    """
+    """Adam on what is unknown."""
 
     def __init__(self, energy: StepEnergy[P, U], people: P, learning_rate: float) -> None:
         self._energy, self._people, self._rates = energy, people, energy.rates(people)
         # In units of their rates, so that Adam has one tensor.
         self._moves = torch.zeros_like(self._rates).requires_grad_()
         self._adam = Adam([([self._moves], learning_rate)])
-        self.terms: dict[str, torch.Tensor] = {}
+        self._costs: dict[str, torch.Tensor] = {}
+        self._pulls: dict[str, torch.Tensor] = {}  # weights, of the costs' shapes
 
     @property
     def unknowns(self) -> U:
         """As they are now."""
         return self._energy.moved(self._people, self._moves * self._rates)
 
+    @property
+    def terms(self) -> dict[str, torch.Tensor]:
+        """Weighted terms of the energy before the last step by name, shape (B,) each."""
+        factors = self._energy.factors(self._people)
+        costs = {name: cost.detach() for name, cost in self._costs.items()}
+        return {name: factors[name] * cost.reshape(len(cost), -1).sum(1) for name, cost in costs.items()}
+
     def step(self, share: float | torch.Tensor) -> None:
         """One, at this share of the learning rate."""
-        self.terms = self._energy(self._people, self.unknowns)
-        torch.stack(list(self.terms.values())).sum().backward()
+        self._costs = self._energy(self._people, self.unknowns)
+        if not self._pulls:
+            factors = self._energy.factors(self._people)
+            self._pulls = {name: torch.full_like(cost, factors[name]) for name, cost in self._costs.items()}
+        torch.autograd.backward(list(self._costs.values()), list(self._pulls.values()))
         self._adam.step(share)
 
     @torch.no_grad()

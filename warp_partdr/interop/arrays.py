@@ -15,6 +15,13 @@ def contiguous(tensor: torch.Tensor) -> torch.Tensor:
     return tensor if tensor.numel() else tensor.new_empty(tensor.shape)
 
 
+def dense_rows(tensor: torch.Tensor) -> torch.Tensor:
+    """Tensor (B, ...) whose rows are contiguous each, such as a slice of columns, which kernels read where it lies."""
+    if not tensor.numel() or not tensor[0].is_contiguous():
+        return contiguous(tensor)
+    return tensor
+
+
 def warp_array(tensor: torch.Tensor, dtype: Any = None) -> wp.array:
     """A Warp array over a tensor's memory, without gradient.
 

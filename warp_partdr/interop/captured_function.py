@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
-from .arrays import contiguous
+from .arrays import dense_rows
 from .graph_cache import CapturedBodies, Launch, graphs
 from .layouts import Shapes, Tensors, split_blocks, total_length
 from .streams import on_torch_stream
@@ -36,7 +36,8 @@ def call_captured(prepare: Prepare, tensors: Tensors, outputs: Shapes, *options:
     """Results of launches for B bodies, by a captured graph where that pays and memory has room for its buffers.
 
     Args:
-        prepare: A function of a module; called with contiguous inputs and outputs of some bodies, and the options.
+        prepare: A function of a module; called with inputs and outputs of some bodies, of which each body's numbers are
+            contiguous, and the options.
         tensors: Inputs, shapes (B, ...), on one device, of any strides; the first one's dtype is a floating one.
         outputs: Shapes of the results, (B, ...).
         options: Further arguments of ``prepare``.
@@ -57,7 +58,7 @@ def call_captured(prepare: Prepare, tensors: Tensors, outputs: Shapes, *options:
             return graph(tensors)
     found = tuple([first.new_empty(shape) for shape in outputs])
     with on_torch_stream(device):
-        prepare(tuple([contiguous(each) for each in tensors]), found, *options)()
+        prepare(tuple([dense_rows(each) for each in tensors]), found, *options)()
     return found
 
 

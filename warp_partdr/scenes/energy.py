@@ -9,19 +9,18 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from ..body.lens import lens_camera, placed_at
-from ..cameras import ScreenCamera
+from ..cameras import Perspective, ScreenCamera
 from ..clothing.capsules import Capsules
 from ..clothing.clothes import CLOTHED, SPREAD
 from ..clothing.model import DetailedModel
+from ..clothing.point_sums import sum_points
 from ..fit.landmark_costs import LandmarkAims, landmark_costs
 from ..fit.mesh_energy import CLOTHES_RATE, SHAPE_RATE, MeshEnergy, Unknowns
 from ..fit.steps import Tensors
-from ..inputs.observation import REFERENCE_SIZE
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh
 from .options import SceneOptions
-from .pictures import PictureViews, place_people
+from .pictures import PictureViews, pelvises_in_world, place_people
 
 FEET = ("left_heel", "left_big_toe", "left_small_toe", "right_heel", "right_big_toe", "right_small_toe")
 
@@ -39,14 +38,16 @@ class SceneStarts(Tensors):
         log_scale: Of the pelvis in the crop of the body's first view, like ``shift`` as of ``BodyParameters``, (N,).
         shift: Shape (N, 2).
         lens: Of that crop, shape (N, 3).
-        first: That view, shape (N,), int64.
-        turn_spreads: How sure the turn of each free joint is [rad], shape (N, F).
+        first_rotations: World to camera, of that view, shape (N, 3, 3).
+        first_translations: The same [m], shape (N, 3).
+        turn_weights: Of the squares of turns of each free joint [1/rad^2], shape (N, F, 1).
         view_rotations: World to camera, shape (V, 3, 3).
         view_translations: The same [m], shape (V, 3).
         places: Landmark of the model that each keypoint marks, shape (N, V, L), int64.
         points: Keypoints in their crops, from -1 to 1, shape (N, V, L, 2).
         votes: Their weights; 0 where somebody is not seen, shape (N, V, L).
-        lenses: Of the crops, shape (N, V, 3).
+        focals: Of the crops of ``REFERENCE_SIZE`` [px], shape (N, V, 2).
+        centres: Their principal points [px], shape (N, V, 2).
         depths: Of joints relative to the pelvis, as the network saw them in each view [m], shape (N, V, 20).
         depth_weights: Of their squares, 0 where somebody is not seen [1/m^2], shape (N, V, 20).
         shown: Who is seen in each view, shape (N, V), bool.
@@ -65,14 +66,16 @@ class SceneStarts(Tensors):
     log_scale: torch.Tensor
     shift: torch.Tensor
     lens: torch.Tensor
-    first: torch.Tensor
-    turn_spreads: torch.Tensor
+    first_rotations: torch.Tensor
+    first_translations: torch.Tensor
+    turn_weights: torch.Tensor
     view_rotations: torch.Tensor
     view_translations: torch.Tensor
     places: torch.Tensor
     points: torch.Tensor
     votes: torch.Tensor
-    lenses: torch.Tensor
+    focals: torch.Tensor
+    centres: torch.Tensor
     depths: torch.Tensor
     depth_weights: torch.Tensor
     shown: torch.Tensor
@@ -99,40 +102,45 @@ class SceneEnergy:
     capsules: Capsules | None
     options: SceneOptions
 
+    def factors(self, people: SceneStarts) -> dict[str, float]:
+        """Weights of all costs, by name."""
+        count = len(people.shape)
+        apart = self.options.apart if count > 1 else self.options.mesh.apart
+        return self.options.mesh.factors(apart, self.options.size_of(count)) | {"ground": self.options.ground}
+
     def __call__(self, people: SceneStarts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
-        """Weighted terms by name, shape () each."""
+        """Costs by name, of any shape each."""
         options, one = self.options.mesh, self.one
         numbers = self._of_frames(people, unknowns)
         posed = one.pose(people, numbers)
         pelvises = self.pelvises(people, unknowns)
-        points = one.landmarks(posed) + pelvises[:, None]
+        drawn, marked = one.split(posed)
+        points = sum_points(one.weights, marked, posed.joints) + pelvises[:, None]
         aims = (people.places, people.points, people.votes, people.depths, people.depth_weights)
-        places, marked, votes, depths, weights = (each.flatten(0, 1) for each in aims)
+        places, at, votes, depths, weights = (each.flatten(0, 1) for each in aims)
         seen, deep = landmark_costs(
             self._seen(people, points).flatten(0, 1),
-            lens_camera(people.lenses.flatten(0, 1), REFERENCE_SIZE),
-            LandmarkAims(places, marked, votes, one.ends, depths, weights),
+            Perspective(people.focals.flatten(0, 1), people.centres.flatten(0, 1)),
+            LandmarkAims(places, at, votes, one.ends, depths, weights),
         )
-        spread = people.turn_spreads.square()
-        terms = {
-            "proj": options.proj * seen.sum(),
-            "depth": options.depth * deep.sum(),
-            "turns": options.turns * (unknowns.turns.square().sum(-1) / spread).sum(),
-            "shape": options.shape / 2 * (unknowns.shape - people.shape).square().sum(),
+        costs = {
+            "proj": seen,
+            "depth": deep,
+            "turns": unknowns.turns.square() * people.turn_weights,
+            "shape": (unknowns.shape - people.shape).square(),
         }
         if options.clothes is not None:
-            terms["clothes"] = options.clothes / 2 * (unknowns.clothes / SPREAD).square().sum()
+            costs["clothes"] = (unknowns.clothes / SPREAD).square()
         if self.capsules is not None:
-            weight = self.options.apart if len(people.shape) > 1 else options.apart
-            placed = self.capsules.of(posed, numbers.shape, by=pelvises[:, None])
-            terms["apart"] = weight * self.capsules.overlap(placed, people=len(people.shape)).sum()
+            placed = self.capsules.of(posed, numbers.shape, by=pelvises)
+            costs["apart"] = self.capsules.overlap(placed, people=len(people.shape))
         if people.ground is not None and people.standing is not None:
             lowest = self.lowest_feet(points, people.ground)
-            terms["ground"] = self.options.ground * (people.standing * (100 * lowest).square()).sum()
+            costs["ground"] = people.standing * (100 * lowest).square()
         if people.target is not None and people.target_lens is not None and self.mesh is not None:
             views = self._views(people, people.target_lens)
-            loss, _ = mesh_label_loss(
-                place_people(posed.vertices, pelvises, views, people.target.shape[-1]),
+            costs["seg"], _ = mesh_label_loss(
+                place_people(drawn, pelvises, views, people.target.shape[-1]),
                 self.mesh,
                 ScreenCamera(perspective=True),
                 people.target,
@@ -141,14 +149,13 @@ class SceneEnergy:
                 depth_weight=options.depth_weight,
                 validate=False,
             )
-            terms["seg"] = options.seg * (REFERENCE_SIZE / people.target.shape[-1]) ** 2 * loss.sum()
-        return terms
+        return costs
 
     def pictured(self, people: SceneStarts, unknowns: Unknowns, lenses: torch.Tensor, size: int) -> torch.Tensor:
         """Vertices of all people in each picture, as of ``place_people``, by the pictures' lenses, (T V, 3)."""
         posed = self.one.pose(people, self._of_frames(people, unknowns))
         views = self._views(people, lenses)
-        return place_people(posed.vertices, self.pelvises(people, unknowns), views, size)
+        return place_people(self.one.split(posed)[0], self.pelvises(people, unknowns), views, size)
 
     def landmarks(self, people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:
         """All of the drawn model's, in the world [m], shape (N, L, 3)."""
@@ -180,9 +187,9 @@ class SceneEnergy:
         turns, log_scale, shift = rows.split([rows.shape[1] - 3, 1, 2], dim=1)
         return Unknowns(
             turns.unflatten(1, (-1, 3)),
-            people.shape + people.unknown * shape.view_as(people.shape),
-            people.clothes + people.unknown * clothes.view_as(people.clothes),
-            people.log_scale + log_scale[:, 0],
+            torch.addcmul(people.shape, people.unknown, shape.view_as(people.shape)),
+            torch.addcmul(people.clothes, people.unknown, clothes.view_as(people.clothes)),
+            people.log_scale + log_scale.squeeze(1),
             people.shift + shift,
         )
 
@@ -196,12 +203,12 @@ class SceneEnergy:
     @staticmethod
     def pelvises(people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:
         """Pelvises in the world [m], shape (N, 3)."""
-        views = people.view_rotations[people.first], people.view_translations[people.first]
+        views = people.first_rotations, people.first_translations
         return pelvises_in_world(unknowns.log_scale, unknowns.shift, people.lens, *views)
 
     def _sizes(self, people: SceneStarts) -> list[int]:
         """Numbers of moves: of bodies, shapes and clothes."""
-        bodies, joints = people.turn_spreads.shape
+        bodies, joints = people.turn_weights.shape[:2]
         return [bodies * (3 * joints + 3), people.shape.numel(), len(people.shape) * len(CLOTHED)]
 
     @staticmethod
@@ -214,19 +221,9 @@ class SceneEnergy:
     @staticmethod
     def _seen(people: SceneStarts, points: torch.Tensor) -> torch.Tensor:
         """Points (N, L, 3) in each camera's frame, shape (N, V, L, 3)."""
-        return points[:, None] @ people.view_rotations.mT + people.view_translations[:, None]
+        views = people.view_rotations.flatten(0, 1), people.view_translations.flatten()
+        return torch.nn.functional.linear(points, *views).unflatten(2, (-1, 3)).transpose(1, 2)
 
     @staticmethod
     def _views(people: SceneStarts, lenses: torch.Tensor) -> PictureViews:
         return PictureViews(people.view_rotations, people.view_translations, lenses, people.shown)
-
-
-def pelvises_in_world(
-    log_scale: torch.Tensor,
-    shift: torch.Tensor,
-    lens: torch.Tensor,
-    rotations: torch.Tensor,
-    translations: torch.Tensor,
-) -> torch.Tensor:
-    """Pelvises in the world [m], shape (N, 3), of bodies in crops of cameras that stand so, (N, 3, 3) and (N, 3)."""
-    return ((placed_at(log_scale, shift, lens) - translations)[:, None] @ rotations)[:, 0]

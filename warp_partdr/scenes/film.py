@@ -238,7 +238,7 @@ class _Films:
             for view, rows in self._rows(person)
             for sight in self.films[view].sights(rows[np.isin(rows["frames"], best)], 0, view)
         ]
-        return best, Scene(self.views, sights)
+        return best, Scene(self.views, sights, self.films[0].people.rate * len(best) / len(span))
 
     def _rows(self, person: int) -> Iterator[tuple[int, np.ndarray]]:
         """Views that see a person, and the rows there."""

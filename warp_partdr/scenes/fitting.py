@@ -27,6 +27,7 @@ from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
 from ..refinement.stepper import rate_share
 from ..render.part_mesh import MAX_LABEL, PartMesh
+from .clip_sizes import of_one_size
 from .depth_order import LEAST_GAIN, exchange, order_people
 from .energy import SceneEnergy, SceneStarts
 from .ground import Grounded, stand_on_ground
@@ -116,6 +117,9 @@ def fit_scene(
     options = options or SceneOptions()
     if scene.ground is not None and not options.ground:
         raise ValueError("options.ground: 0, of a scene whose ground is known; expected its weight, such as 0.1")
+    sets = [sight.parts.label_set for sight in scene.sights if sight.parts is not None]
+    if sets and options.mesh.seg > 0:
+        _check_labels(scene.num_people, sets[0].num_groups)  # before the network looks at many
     where = torch.device(choose_device(str(device)))
     model = model or anny(where)
     tell = progress or (lambda name, done, total: None)
@@ -126,6 +130,8 @@ def fit_scene(
     one = mesh_energy(model, options.mesh, label_set)
     energy = scene_energy(one, options, scene.num_people, label_set.num_groups if label_set else 0)
     with torch.no_grad():
+        if options.one_size:
+            looks = of_one_size(model, scene, looks)
         looks, grounded = stand_on_ground(energy, model, scene, looks)
         if options.exchanges:
             people, looks = order_people(energy, model, scene, looks)
@@ -185,7 +191,7 @@ def _refine(energy: SceneEnergy, people: SceneStarts, looks: Sequence[Looked], t
         tell("scene", iteration + 1, options.iterations)
     with torch.no_grad():
         found = {name: value.clone() for name, value in vars(steps.unknowns).items()}
-    terms = {name: float(term.detach()) for name, term in steps.terms.items()}
+    terms = {name: float(term.sum()) for name, term in steps.terms.items()}
     return _Refined(people, looks, Unknowns(**found), terms)
 
 
@@ -203,10 +209,16 @@ def scene_energy(one: MeshEnergy, options: SceneOptions, num_people: int, groups
     """Energy of so many people whose labels are of G groups; kept, for captured graphs belong to it."""
     mesh: PartMesh | None = None
     if one.mesh is not None:
-        if num_people * groups > MAX_LABEL:
-            raise InputError(f"sights: {num_people} people of {groups} groups; expected {MAX_LABEL} labels at most")
-        # Vertices that no face needs come along, so that bodies lie in a row.
-        mesh = one.mesh.repeated(num_people, groups, one.model.num_vertices)
+        mesh = one.mesh.repeated(num_people, groups, one.first or one.model.num_vertices)
     several = num_people > 1 and options.apart > 0
     capsules = measure_capsules(one.model) if several else one.capsules if num_people == 1 else None
     return SceneEnergy(one, mesh, capsules, options)
+
+
+def _check_labels(num_people: int, groups: int) -> None:
+    """Raise InputError if people drawn together had more labels than a picture holds."""
+    if num_people * groups > MAX_LABEL:
+        raise InputError(
+            f"sights: {num_people} people of {groups} groups; expected {MAX_LABEL} labels at most, as of "
+            f"{MAX_LABEL // groups} people; fit them in several scenes, of a film one person each (--person)"
+        )

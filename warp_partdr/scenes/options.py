@@ -21,6 +21,8 @@ class SceneOptions:
         apart: ``MeshOptions.apart`` of scenes of several people, who stand in one another as little as their parts do.
         ground: Weight of the squared heights of standing feet [1/cm^2] over one ground, on which several people before
             one camera start, too; 0 leaves it out.
+        one_size: Give everybody whom one camera sees in many frames the most probable size for all of them; else sizes
+            are the mean of frames, which lies nearer to the mean person.
         exchanges: Exchange people of a picture in depth where labels ask for it; else the order is the start's, but
             for a z gradient (``mesh.gradient``).
         together: Side of the crop in which several people are drawn together [px].
@@ -33,6 +35,7 @@ class SceneOptions:
     smoothing: float = 0.15
     apart: float = 0.1
     ground: float = 0.1
+    one_size: bool = True
     exchanges: bool = True
     together: int = 256
     window: int = 64
@@ -54,9 +57,9 @@ class SceneOptions:
     def film(cls) -> SceneOptions:
         """Options of films: moves that are smooth in time are small, so each step is larger, and fewer serve.
 
-        No ground: each window would find its own.
+        Depth, whose errors last many frames, is held half as hard. No ground: each window would find its own.
         """
-        return cls(mesh=MeshOptions(iterations=40, learning_rate=0.02), ground=0.0)
+        return cls(mesh=MeshOptions(iterations=40, learning_rate=0.02, depth=1.0), ground=0.0)
 
     def size_of(self, num_people: int) -> int:
         """Side of drawn crops [px]."""

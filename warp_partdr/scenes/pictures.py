@@ -1,14 +1,15 @@
-"""Vertices of a scene's people in its pictures, by kernels, with gradients for torch."""
+"""People of a scene in the world, and their vertices in its pictures, by kernels, with gradients for torch."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
-from warp import mat33, vec3
+from warp import mat33, vec2, vec3
 
-from ..interop.arrays import contiguous, warp_array
+from ..interop.arrays import contiguous, dense_rows, warp_array
 from ..interop.derivatives import once
 from ..interop.streams import on_torch_stream
 from ..kernels import scene_pictures as kernels
@@ -51,7 +52,7 @@ class _Placed(torch.autograd.Function):
     def forward(
         ctx: Any, vertices: torch.Tensor, pelvises: torch.Tensor, size: int, *views: torch.Tensor
     ) -> torch.Tensor:
-        own, pictures = [contiguous(each) for each in (vertices, pelvises, *views)], len(views[2])
+        own, pictures = [dense_rows(each) for each in (vertices, pelvises, *views)], len(views[2])
         people = len(vertices) * len(views[0]) // pictures if pictures else 0
         screen = vertices.new_empty(pictures, people * vertices.shape[1], 3)
         if screen.numel():
@@ -64,13 +65,52 @@ class _Placed(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         vertices, pelvises, *own = ctx.saved_tensors
-        gradient = torch.empty_like(own[0])
+        gradient = own[0].new_empty(own[0].shape)
         if gradient.numel():
             adjoint = warp_array(contiguous(adjoints[0]), vec3)
             with on_torch_stream(gradient.device):
                 kernels.launch_place_adjoint(_inputs(own, ctx.size), adjoint, warp_array(gradient, vec3))
         found = once("place_people", (gradient, gradient.sum(1)), *adjoints, vertices, pelvises)
         return *found, *[None] * (1 + len(own) - 2)
+
+
+def pelvises_in_world(
+    log_scale: torch.Tensor,
+    shift: torch.Tensor,
+    lens: torch.Tensor,
+    rotations: torch.Tensor,
+    translations: torch.Tensor,
+) -> torch.Tensor:
+    """Pelvises in the world [m], shape (N, 3), of bodies in crops of cameras that stand so, (N, 3, 3) and (N, 3)."""
+    found: torch.Tensor = _Pelvises.apply(log_scale, shift, lens, rotations, translations)
+    return found
+
+
+class _Pelvises(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *given: torch.Tensor) -> torch.Tensor:
+        ctx.save_for_backward(*given)
+        pelvises = given[2].new_empty(given[2].shape)
+        with on_torch_stream(pelvises.device):
+            kernels.launch_pelvises(*_of_pelvises(given), warp_array(pelvises, vec3))
+        return pelvises
+
+    @staticmethod
+    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        given = ctx.saved_tensors
+        found = tuple([each.new_empty(each.shape) for each in given[:2]])
+        arrays = warp_array(found[0]), warp_array(found[1], vec2)
+        with on_torch_stream(found[0].device):
+            adjoint = warp_array(contiguous(adjoints[0]), vec3)
+            kernels.launch_pelvises_adjoint(*_of_pelvises(given), adjoint, arrays)
+        return *once("pelvises_in_world", found, *adjoints, *given[:2]), None, None, None
+
+
+def _of_pelvises(given: Sequence[torch.Tensor]) -> tuple[list[Any], list[Any]]:
+    """Numbers and views."""
+    kinds = None, vec2, vec3, mat33, vec3
+    arrays = [warp_array(dense_rows(each), kind) for each, kind in zip(given, kinds, strict=True)]
+    return arrays[:2], arrays[2:]
 
 
 def _inputs(own: list[torch.Tensor], size: int) -> list[Any]:

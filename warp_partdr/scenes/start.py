@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from ..body.labels import BACKGROUND, IGNORE
-from ..body.lens import seen_at, through_lens, turn_to_rays
+from ..body.lens import lens_camera, seen_at, through_lens, turn_to_rays
 from ..body.parameters import BodyParameters
 from ..body.rotations import nearest_rotation, rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle
 from ..cameras import Crop
@@ -30,7 +30,8 @@ from ..network.label_network import LabelNetwork
 from ..network.predict import ask_network
 from ..network.predicted import Predicted
 from ..network.uncertainty import Uncertainty
-from .energy import SceneEnergy, SceneStarts, pelvises_in_world
+from .energy import SceneEnergy, SceneStarts
+from .pictures import pelvises_in_world
 from .scene import Scene, Sight, View
 
 _TOGETHER = {"cpu": 8, "cuda": 64}  # sights that the network looks at at a time; on the CPU, on each thread
@@ -180,6 +181,8 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         target, lens = _targets(energy, scene, looks, like)
     no_lens = lenses.new_tensor([1.0, 0.0, 0.0])
     shown = table(torch.ones_like(views, dtype=torch.bool))
+    seen_by = torch.where(shown[..., None], table(lenses), no_lens).flatten(0, 1)
+    cameras = lens_camera(seen_by, REFERENCE_SIZE)
     return SceneStarts(
         rotations=turned,
         translation=(to_world @ moved[..., None])[..., 0],
@@ -189,14 +192,16 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         log_scale=log_scale,
         shift=shift,
         lens=lenses[at],
-        first=first,
-        turn_spreads=turn_spreads,
+        first_rotations=rotations[first],
+        first_translations=translations[first],
+        turn_weights=turn_spreads.pow(-2)[..., None],
         view_rotations=rotations,
         view_translations=translations,
         places=table(places),
         points=table(points),
         votes=table(votes),
-        lenses=torch.where(shown[..., None], table(lenses), no_lens),
+        focals=cameras.focal.unflatten(0, (count, num_views)),
+        centres=cameras.centre.unflatten(0, (count, num_views)),
         depths=table(depths[:, 1:] - depths[:, :1]),
         depth_weights=table(1 / depth_spreads.square()),
         shown=shown,

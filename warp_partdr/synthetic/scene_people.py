@@ -41,7 +41,7 @@ _BESIDE, _BEHIND = (0.1, 0.35), (0.3, 0.9)  # [m], of the second of a pair
 _APART = 1.08  # ratio of the distances of two people in the wrong order
 _HIDDEN = (0.05, 0.6)  # share of the one behind that the other hides
 _ROUNDING = 1.5  # [frames], standard deviation over which places of motion capture are averaged
-_LASTS = 0.7  # correlation of a keypoint's noise from frame to frame
+_LASTS, _PER_SECOND = 0.7, 30.0  # correlation of a keypoint's noise from frame to frame, at so many frames a second
 _GROUP = (2, 5)  # people, fewest and most
 _NEXT, _DEEP, _LIFTED = (0.6, 1.0), 1.2, (0.1, 0.5)  # [m], of a group: from one to the next, in depth, of who jumps
 _JUMPS = 0.1  # share of them
@@ -223,6 +223,7 @@ def _see(
     sights: list[Sight] = []
     pictures: list[np.ndarray] = []
     names = annotated(COCO.landmarks, model.landmark_names)
+    lasts = _LASTS ** (_PER_SECOND / frame_rate)
     lasting: dict[tuple[int, int], np.ndarray] = {}  # noise of keypoints one frame ago
     for frame in range(len(bodies[0])):
         for place, view in enumerate(views):
@@ -249,8 +250,8 @@ def _see(
                 there = seen[:, 2:] > 0
                 lasting[person, place] = np.where(there, seen[:, :2] - true, 0.0)
                 if off is not None:
-                    lasting[person, place] *= math.sqrt(1 - _LASTS**2)
-                    lasting[person, place] += _LASTS * off
+                    lasting[person, place] *= math.sqrt(1 - lasts**2)
+                    lasting[person, place] += lasts * off
                 placed = np.where(there, true + lasting[person, place], 0.0).astype(np.float32)
                 keypoints = Keypoints2D(COCO.name, placed, seen[:, 2].astype(np.float32))
                 if keypoints.visible.any():

@@ -128,7 +128,7 @@ def fit_first_view(sample: SceneSample, device: str) -> SceneBodies:
     return SceneBodies([fit_scene(replace(scene, sights=[s for s in scene.sights if s.view == 0]), device=device)])
 
 
-_FRAMES_ALONE = replace(SceneOptions.film(), smoothing=0.0)  # but with one shape
+_FRAMES_ALONE = replace(SceneOptions.film(), smoothing=0.0, one_size=False)  # but with one shape, the mean of all
 _NO_EXCHANGES = SceneOptions(mesh=_PARTDR, exchanges=False)
 SCENE_METHODS: dict[str, SceneMethod] = {
     "scene": SceneMethod(fit_all_together),
@@ -138,6 +138,9 @@ SCENE_METHODS: dict[str, SceneMethod] = {
     "scene, z gradient, no exchanges": SceneMethod(partial(fit_all_together, options=_NO_EXCHANGES), (PAIRS,)),
     "scene, no z gradient, no exchanges": SceneMethod(
         partial(fit_all_together, options=replace(_NO_EXCHANGES, mesh=replace(_PARTDR, depth_weight=0.0))), (PAIRS,)
+    ),
+    "scene, no size of the clip": SceneMethod(
+        partial(fit_all_together, options=replace(SceneOptions.film(), one_size=False)), (CLIP,)
     ),
     "frames alone": SceneMethod(partial(fit_all_together, options=_FRAMES_ALONE), (CLIP,)),
     **{

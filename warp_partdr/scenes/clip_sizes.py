@@ -1,0 +1,64 @@
+"""Sizes of people whom one camera sees in many frames.
+
+A body that grows as it goes away from a single camera looks as before, so the network's size of a frame is a guess from
+proportions, the nearer to the mean person the less it sees. What frames see errs otherwise in each, so the mean of many
+is known better than any of them, but lies as near to the mean person: it is stretched away from there as far as sizes
+of known people ask for. Depths of all frames are then those of one size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+
+from ..clothing.measuring import statures
+from ..clothing.model import DetailedModel
+from ..clothing.registration import shape_from_lengths
+from .depth_order import grown
+from .scene import Scene
+from .start import Looked
+
+# Of 600 people of PartBench's kind, whom no level has, in motion that networks learn from (scripts/learn_sizes.py): the
+# true logarithm changes by 1 / (a + b / n) where the mean of n looks changes by 1, about this sum of lengths [m].
+_SHRUNK, _NOISE, _MIDDLE = 0.74, 0.49, 2.58
+_APART = 4 / 30  # [s], from one look to the next
+
+
+def of_one_size(model: DetailedModel, scene: Scene, looks: Sequence[Looked]) -> list[Looked]:
+    """Sights in which everybody has one size: the known one, or the most probable where one camera sees many frames.
+
+    Args:
+        model: Of the known shapes.
+        scene: The scene.
+        looks: Of ``look_at``.
+    """
+    if scene.num_frames == 1 or len(scene.views) > 1:
+        return list(looks)
+    targets = {person: _target(model, scene, person, looks) for person in range(scene.num_people)}
+    return [grown(look, math.exp(targets[look.sight.person] - _size(look))) for look in looks]
+
+
+def stretch(count: int) -> float:
+    """Factor by which the mean of so many looks lies nearer to the mean person than the truth, 1 or more."""
+    return max(1.0, 1 / (_SHRUNK + _NOISE / count))
+
+
+def _target(model: DetailedModel, scene: Scene, person: int, looks: Sequence[Looked]) -> float:
+    """Logarithm of the size that a person's sights are to have."""
+    own = [look for look in looks if look.sight.person == person]
+    mean = sum(map(_size, own)) / len(own)
+    if (known := scene.shapes.get(person)) is not None:
+        alike = torch.cat([grown(look, math.exp(mean - _size(look))).body.lengths for look in own])
+        body = replace(own[0].body, lengths=alike.mean(0, keepdim=True))
+        seen = shape_from_lengths(model, body.posed())
+        return mean + math.log(float(statures(model, known.values.to(seen)[None]) / statures(model, seen)))
+    times = {math.floor(look.sight.frame / (scene.frame_rate * _APART)) for look in own}
+    return mean + (stretch(len(times)) - 1) * (mean - math.log(_MIDDLE))
+
+
+def _size(look: Looked) -> float:
+    """Logarithm of the sum of a body's lengths [m]."""
+    return math.log(float(look.body.lengths.sum()))
