@@ -27,7 +27,7 @@ def fitted(sample: Sample, **changes):
     return fit_body(sample.keypoints, sample.parts, others=sample.others, options=options, camera=camera)
 
 
-@pytest.mark.parametrize(("nearness", "distance"), [(0.5, 2.0), (0.0625, 16.0), (0.04, None)])
+@pytest.mark.parametrize(("nearness", "distance"), [(0.5, 2.0), (0.125, 8.0), (0.06, 10.0), (0.04, None)])
 def test_the_guess_is_the_lens_that_shows_a_person_so_near_in_that_size(nearness, distance):
     seen = fitted(make_sample(0, NEAR), stages=(), guess_camera=False).observation
     predicted = ask_network([seen], packaged_network("cpu"))

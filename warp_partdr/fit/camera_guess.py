@@ -5,6 +5,10 @@ from __future__ import annotations
 from ..cameras import Crop, Perspective
 from ..network.predicted import Predicted
 
+# [1/m]: the network says the median of what may be, which of photos is too far: who seems to be beyond 10 m is taken to
+# be there.
+_LEAST = 0.1
+
 
 def guess_camera(predicted: Predicted, crop: Crop, image_size: tuple[int, int], within: float) -> Perspective | None:
     """The camera that a person stands before as near as the network says, its axis in the picture's middle.
@@ -23,5 +27,6 @@ def guess_camera(predicted: Predicted, crop: Crop, image_size: tuple[int, int], 
     nearness = float(said.nearness[0])
     if nearness * within < 1:
         return None
+    nearness = max(nearness, _LEAST)
     pixels = float(predicted.log_scale[0].exp()) * crop.size[0] / 2 / crop.zoom  # [px/m] at the person
     return Perspective.of_picture(image_size, focal=pixels / nearness)

@@ -30,7 +30,7 @@ class FitOptions:
             lower energy wins. Empty: never.
         depth_flips: Try the network's body with limbs mirrored in depth, where parts overlap (``repair_depth_order``).
         guess_camera: Where no camera is known and the network sees that it is near, take perspective of the distance
-            that it says, the axis in the picture's middle. Needs labels, for the picture's size.
+            that it says, 10 m at most, the axis in the picture's middle. Needs labels, for the picture's size.
         guess_within: Distance [m] that is near.
         mirror: Ask the network about the mirror image, too; without, it is asked in half the time.
         half: Ask it in bfloat16.
