@@ -51,6 +51,7 @@ class LabelSet:
         class_names: Source id -> the data set's own name of the class, where it differs from the group's.
         left_out: Ellipsoids that are not drawn.
         of: Data set or network of the ids, with its version where there are several.
+        at_joints: Neck, arms and legs begin at their joints; else where a detailed model's skin follows them.
 
     Raises:
         ValueError: If a part is unknown, in two groups, or in one and left out, a group is empty, an id has no such
@@ -63,6 +64,7 @@ class LabelSet:
     class_names: Mapping[int, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
     of: str = ""
+    at_joints: bool = False
 
     def __post_init__(self) -> None:
         if not self.groups:
@@ -224,7 +226,8 @@ def label_set(source: str | Path | Mapping[str, Any] | LabelSet) -> LabelSet:
 
     ``groups`` names the parts (``PART_NAMES``) that each group unites; ``ids`` gives for every number that may occur in
     the label images which group it is; several numbers may be one group. ``name`` may be missing. A list ``left_out``
-    names parts that are not drawn, such as hands and feet that nobody labelled. Ids with the class names of a known
+    names parts that are not drawn, such as hands and feet that nobody labelled; ``"at_joints": true`` is as of
+    ``LabelSet``. Ids with the class names of a known
     set, ``{"0": "Background", "1": "Hat", ...}``, mean that set.
 
     Raises:
@@ -256,6 +259,9 @@ def _from_json(data: Mapping[str, Any], where: str) -> LabelSet:
         )
     try:
         groups, ids, left_out = data.get("groups"), data.get("ids"), data.get("left_out", ())
+        at_joints = data.get("at_joints", False)
+        if not isinstance(at_joints, bool):
+            raise ValueError(f"at_joints: {shown(at_joints)}; expected true or false")
         if not isinstance(groups, Mapping) or not isinstance(ids, Mapping):
             raise ValueError('no "groups" and "ids"; expected {"groups": {name: [parts]}, "ids": {id: name}}')
         lists = {f"group {group!r}": parts for group, parts in groups.items()} | {"left_out": left_out}
@@ -274,6 +280,7 @@ def _from_json(data: Mapping[str, Any], where: str) -> LabelSet:
             groups={str(group): tuple(parts) for group, parts in groups.items()},
             ids=sources,
             left_out=tuple(left_out),
+            at_joints=at_joints,
         )
     except ValueError as error:
         raise InputError(f"{where}: {error}") from error

@@ -22,6 +22,8 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cameras import Perspective
+from warp_partdr.clothing.anny import anny
+from warp_partdr.clothing.model import parts_at_joints
 from warp_partdr.clothing.normals import vertex_normals
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
@@ -190,7 +192,7 @@ def main(out: Path) -> None:
     feet = np.array([(coco[f"{side}_heel"] + coco[f"{side}_big_toe"]) / 2 for side in ("left", "right")])
     photograph(rest, person, mesh, points, feet).save(out / "photo.png", optimize=True)
 
-    labels, _, _ = draw(points, mesh)
+    labels, _, _ = draw(points, PartMesh.from_faces(person.faces, parts_at_joints(anny()).numpy()))  # as CDCL's are
     Image.fromarray(LABELS.to_ids(LABELS.from_parts(labels)).astype(np.uint8)).save(out / "parts.png", optimize=True)
 
     joints = {"lsp14": lsp, "coco17": coco}

@@ -238,6 +238,7 @@ def test_a_set_of_ones_own(tmp_path: Path) -> None:
         ({"left_out": ["tail"]}, "left_out: no part 'tail'"),
         ({"left_out": ["head"]}, "head is in 'left_out' and 'head'"),
         ({"left_out": "left_hand"}, "left_out: 'left_hand'; expected a list"),
+        ({"at_joints": "yes"}, "at_joints: 'yes'; expected true or false"),
     ],
 )
 def test_wrong_sets_of_ones_own(change: dict[str, Any], message: str, tmp_path: Path) -> None:
@@ -283,7 +284,8 @@ def test_ids_of_python_are_integers() -> None:
 
 
 def test_what_is_left_out_is_not_drawn_and_what_is_in_no_group_hides() -> None:
-    labels = label_set({**OWN, "left_out": ["right_foot", "right_hand"]})
+    labels = label_set({**OWN, "left_out": ["right_foot", "right_hand"], "at_joints": True})
+    assert labels.at_joints
     groups = dict(zip(PART_NAMES, labels.part_groups[1:].tolist(), strict=True))
     assert [groups[name] for name in ("right_foot", "right_hand", "head", "left_hand")] == [0, 0, 1, 2]
     assert groups["chest"] == IGNORE

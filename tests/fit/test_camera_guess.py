@@ -27,13 +27,13 @@ def fitted(sample: Sample, **changes):
     return fit_body(sample.keypoints, sample.parts, others=sample.others, options=options, camera=camera)
 
 
-@pytest.mark.parametrize(("nearness", "distance"), [(0.5, 2.0), (0.25, 4.0), (0.19, None)])
+@pytest.mark.parametrize(("nearness", "distance"), [(0.5, 2.0), (0.125, 8.0), (0.06, 10.0), (0.04, None)])
 def test_the_guess_is_the_lens_that_shows_a_person_so_near_in_that_size(nearness, distance):
     seen = fitted(make_sample(0, NEAR), stages=(), guess_camera=False).observation
     predicted = ask_network([seen], packaged_network("cpu"))
     said = replace(predicted.uncertainty, nearness=torch.tensor([nearness]))
     crop = Crop(left=30.0, top=20.0, zoom=2.0, size=(256, 256))
-    camera = guess_camera(replace(predicted, log_scale=torch.tensor([0.0]), uncertainty=said), crop, (300, 400))
+    camera = guess_camera(replace(predicted, log_scale=torch.tensor([0.0]), uncertainty=said), crop, (300, 400), 20.0)
     if distance is None:
         assert camera is None
     else:  # a metre is a half side of the crop, 128 px of it, 64 px of the picture
@@ -59,8 +59,11 @@ def test_who_is_near_stands_before_a_guessed_camera_and_is_nearer_to_the_truth()
 
 
 def test_nothing_is_guessed_of_others():
+    with pytest.raises(ValueError, match=r"guess_within: 0\.0"):
+        FitOptions(guess_within=0.0)
     near, far = make_sample(2, NEAR), make_sample(1, FAR)
     assert not fitted(far).camera.perspective
     assert not fitted(near, camera=near.camera).camera_guessed
+    assert not fitted(near, guess_within=0.5).camera.perspective
     assert not fitted(replace(near, parts=None)).camera_guessed  # the picture's size is not known
     assert not fitted(near, start="search", stages=FAST.search[:1]).camera_guessed

@@ -29,7 +29,7 @@ QUICK = MeshOptions(iterations=20, size=96, vertices=800)
 
 
 def fitted(sample: Sample, device: str = "cpu", **given: object) -> FitResult:
-    options = FitOptions.at("fast")
+    options = replace(FitOptions.at("fast"), guess_camera=False)
     return fit_body(sample.keypoints, sample.parts, others=sample.others, options=options, device=device, **given)
 
 

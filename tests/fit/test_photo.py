@@ -75,14 +75,14 @@ def test_half_a_body_of_a_real_photo(device):
 def test_everyone_stands_before_the_camera_that_is_guessed_by_the_largest(monkeypatch, tmp_path):
     asked = []
 
-    def guess(predicted, crop, size):
-        asked.append(crop)
+    def guess(predicted, crop, size, within):
+        asked.append(within)
         return Perspective.of_picture(size, focal=700.0)
 
     monkeypatch.setattr(fitting, "guess_camera", guess)
     photo = two_people()
     found = fit_photo(photo, options=replace(FAST, stages=(), search=(), mesh=MeshOptions(iterations=1)))
-    assert len(asked) == 1
+    assert asked == [5.0]  # how far they are from one another is told by a guess that is sure
     for fit in found.fits.values():
         assert fit.ellipbody.camera_guessed
         torch.testing.assert_close(fit.camera.intrinsics[0, 0], torch.tensor(700.0))
@@ -243,5 +243,6 @@ def test_evidence_is_weighed_once_and_halves_of_the_photo_are_made_once(everyone
     for place, mesh in before.fits.items():
         np.testing.assert_array_equal(again.fits[place].vertices, mesh.vertices)
         parts = mask_labels(again.owners, place)
-        alone = fitting.fit_body(again.people[place].keypoints, parts, options=FAST.without_outline())
+        options = replace(FAST.without_outline(), guess_within=5.0)
+        alone = fitting.fit_body(again.people[place].keypoints, parts, options=options)
         assert torch.equal(alone.posed.joints, again.fits[place].first.posed.joints)

@@ -250,7 +250,7 @@ def test_the_detailed_body_is_scored_by_its_own_mesh(registered: Registered, res
         return save.save_registered(registered, tmp_path, result.camera, size, evidence=seen)
 
     points = result.camera.project(registered.detailed.vertices)
-    drawn = draw_on_screen(points, detailed_mesh(registered.model), size).labels[0].numpy()
+    drawn = draw_on_screen(points, detailed_mesh(registered.model, at_joints=True), size).labels[0].numpy()
     target = labels.part_groups[drawn]
     target[:100] = 255  # somebody else
     report = score(target)

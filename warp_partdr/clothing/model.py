@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 
 import torch
 
-from ..body.template import NUM_PARTS, PART_NAMES
+from ..body.template import NUM_PARTS, PARENTS, PART_NAMES
 from ..interop.checks import check_tensor
 from ..interop.movable import Movable
 from ..render.part_mesh import PartMesh
@@ -21,6 +21,12 @@ from .joint_chain import chain_joints, homogeneous
 from .joint_maps import map_joints
 from .skinning import blend_skin, carry_skin
 
+# Parts that hang on the trunk, and those whose joints end their bones.
+_LIMBS = {"neck": "head"} | {
+    f"{side}_{part}": f"{side}_{end}"
+    for part, end in (("upper_arm", "forearm"), ("upper_leg", "lower_leg"))
+    for side in ("left", "right")
+}
 _SPREADING = 16  # rows of vertices, about, over which a part's stretch passes into the next one's
 
 
@@ -250,12 +256,29 @@ def _landmark_rows(model: DetailedModel, names: tuple[str, ...]) -> torch.Tensor
 
 
 @lru_cache(maxsize=8)  # its edges take a moment to find
-def detailed_mesh(model: DetailedModel) -> PartMesh:
+def detailed_mesh(model: DetailedModel, at_joints: bool = False) -> PartMesh:
     """A detailed model's mesh with labels 1 to 20, on the model's device.
 
     ``draw_mesh`` and ``mesh_label_loss`` draw it with ``detailed.vertices``, and their gradients
-    reach shape and rotations. ``relabel`` shows another set of parts.
+    reach shape and rotations. ``relabel`` shows another set of parts. With ``at_joints``, labels are
+    ``parts_at_joints``.
     """
-    faces, parts = model.faces.cpu().numpy(), model.face_parts.cpu().numpy()
+    parts = (parts_at_joints(model) if at_joints else model.face_parts).cpu().numpy()
+    faces = model.faces.cpu().numpy()
     with torch.inference_mode(False):  # kept for calls outside of it, too
         return PartMesh.from_faces(faces, parts, device=model.faces.device)
+
+
+def parts_at_joints(model: DetailedModel) -> torch.Tensor:
+    """Part label of each face where neck, arms and legs begin at their joints, shape (F,), uint8.
+
+    Skin follows a limb from far inside of the trunk on. Those of its faces whose middle is before the plane through the
+    limb's joint, across its bone at rest, are the part's that it hangs on.
+    """
+    labels, middles = model.face_parts.clone(), model.rest_vertices[model.faces.long()].mean(1)
+    for part, end in _LIMBS.items():
+        label = PART_NAMES.index(part) + 1
+        start, stop = (model.rest_joints[model.part_joints[PART_NAMES.index(name)]] for name in (part, end))
+        before = (model.face_parts == label) & ((middles - start) @ (stop - start) < 0)
+        labels[before] = PARENTS[label - 1] + 1
+    return labels

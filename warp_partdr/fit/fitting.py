@@ -156,7 +156,7 @@ class _Fit:
         predicted, camera, fit = self._ask(network), None, self
         picture = self.evidence.picture
         if self.options.guess_camera and self.seen.lens is None and self.body is None and picture is not None:
-            camera = guess_camera(predicted, self.crop, picture.groups.shape)
+            camera = guess_camera(predicted, self.crop, picture.groups.shape, self.options.guess_within)
         if camera is not None:
             lens = crop_lens(camera, self.crop).to(device)
             fit = replace(self, seen=replace(self.seen, lens=lens), camera_guessed=True)

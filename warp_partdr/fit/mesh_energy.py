@@ -264,17 +264,19 @@ def mesh_energy(model: DetailedModel, options: MeshOptions, label_set: LabelSet 
     """Energy of people with labels of this set; None: without any. Kept, for the model takes a while to be reduced."""
     drawn = label_set is not None and options.seg > 0
     groups = tuple(label_set.part_groups.tolist()) if label_set is not None and drawn else None
-    return _mesh_energy(model, options, groups)
+    return _mesh_energy(model, options, groups, label_set is not None and label_set.at_joints)
 
 
 @lru_cache(maxsize=8)
-def _mesh_energy(model: DetailedModel, options: MeshOptions, groups: tuple[int, ...] | None) -> MeshEnergy:
+def _mesh_energy(
+    model: DetailedModel, options: MeshOptions, groups: tuple[int, ...] | None, at_joints: bool
+) -> MeshEnergy:
     with torch.inference_mode(False):  # kept for calls outside of it, too
         reduced, first, basis = _reduced_by(model, options)
         names = reduced.landmark_names
         indices = turning_joints(model), free_joints(reduced), [names.index(name) for name in JOINT_NAMES]
         turning, free, ends = (torch.tensor(each, device=basis.device) for each in indices)
-        mesh = None if groups is None else detailed_mesh(reduced).relabel(np.array(groups))
+        mesh = None if groups is None else detailed_mesh(reduced, at_joints).relabel(np.array(groups))
         hides = len(set(groups or ()) - {BACKGROUND, IGNORE}) > 1
         weights = reduced.landmark_weights[:, first:].contiguous()
         capsules = measure_capsules(reduced) if options.apart > 0 else None

@@ -32,8 +32,9 @@ class FitOptions:
         search: Stages of the search that is tried too where the network's body ends far from keypoints or labels; the
             lower energy wins. Empty: never.
         depth_flips: Try the network's body with limbs mirrored in depth, where parts overlap (``repair_depth_order``).
-        guess_camera: Where no camera is known and the network sees that it is nearer than 5 m, take perspective of that
-            distance, the axis in the picture's middle. Needs labels, for the picture's size.
+        guess_camera: Where no camera is known and the network sees that it is near, take perspective of the distance
+            that it says, 10 m at most, the axis in the picture's middle. Needs labels, for the picture's size.
+        guess_within: Distance [m] that is near.
         mirror: Ask the network about the mirror image, too; without, it is asked in half the time.
         half: Ask it in bfloat16.
         mesh: Of the mesh stage, which follows in `partdr fit` and ``fit_photo``.
@@ -48,6 +49,7 @@ class FitOptions:
     search: tuple[Stage, ...] = STAGES["search"]["balanced"]
     depth_flips: bool = True
     guess_camera: bool = True
+    guess_within: float = 20.0
     mirror: bool = True
     half: bool = False
     mesh: MeshOptions = field(default_factory=MeshOptions)
@@ -55,6 +57,8 @@ class FitOptions:
     def __post_init__(self) -> None:
         if self.start not in STAGES:
             raise ValueError(f"start: {self.start!r}; expected {', '.join(STAGES)}")
+        if not self.guess_within > 0:
+            raise ValueError(f"guess_within: {self.guess_within}; expected a positive distance [m]")
 
     @classmethod
     def at(cls, quality: Quality, start: Start = "network") -> FitOptions:

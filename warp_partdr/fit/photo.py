@@ -38,6 +38,8 @@ from .result import FitResult
 
 PACKAGED = "packaged: BlazePose"  # name of the packaged network
 _COMPARED = 1024  # [px], longer side of the picture in which it is looked for who hides whom
+# [m], within which a distance is sure enough to say where people are, too; else they are where a usual lens sees them.
+_SURE_WITHIN = 5.0
 _HIDDEN = 0.02  # share of a body that shows somebody else, from which on that one hides it
 
 
@@ -96,7 +98,7 @@ def fit_photo(
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
         camera: The photo's; if None, of a file, as its EXIF data tell it, if they do, or else, if the largest person
-            is near, a guess for all (``FitOptions.guess_camera``).
+            is within 5 m, a guess for all (``FitOptions.guess_camera``).
 
     Raises:
         InputError: If the file can't be read, nobody is found, or not so many people, or a network gives something else
@@ -116,6 +118,7 @@ def fit_photo(
         found, owners = _everyone(picture, min_score, keypoints_from)
     chosen = range(len(found)) if person is None else [person_place(person, len(found))]
     options = (options or FitOptions.at("balanced")).without_outline()
+    options = replace(options, guess_within=min(options.guess_within, _SURE_WITHIN))
     evidence = _PeopleEvidence(found, owners, picture, parts_from, keypoints_from, len(chosen))
     results: list[FitResult] = []
     sources: dict[int, dict[str, str | None]] = {}

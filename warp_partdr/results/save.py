@@ -170,7 +170,7 @@ def save_registered(
         label_set, (zoom, scored) = evidence.picture.label_set, shown_at(size)
         vertices = shown.detailed.vertices[:1].detach()
         seen = zoomed(first_of(camera).to(vertices.device), zoom, scored)
-        image = draw_mesh(vertices, detailed_mesh(model), seen, scored)
+        image = draw_mesh(vertices, detailed_mesh(model, label_set.at_joints), seen, scored)
         report |= score_labels(label_set.part_groups[image.labels[0].cpu().numpy()], evidence.target(scored), label_set)
     with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
         save_detailed(registered, temporary)

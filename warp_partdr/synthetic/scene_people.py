@@ -32,7 +32,7 @@ from .partbench_people import COCO, NUM_PEOPLE, SEED, draw_phenotypes, pose_kind
 from .pose_recipes import draw_pose
 from .poses import mean_body
 
-LABELS = label_set("cdcl14")
+LABELS = replace(label_set("cdcl14"), at_joints=False)  # of Anny's skin
 _SIZE = (400, 480)  # (H, W) of pictures [px]
 _FILL = 0.8  # of the picture's height or width that the people take
 _DISTANCE = (3.0, 5.0)  # [m]

@@ -19,7 +19,7 @@ from ...synthetic.noise import HIDDEN_CONFIDENCE, LEVELS, noisy_keypoints, noisy
 from ...synthetic.partbench_people import COCO, NUM_PEOPLE, SEED, Person, Setting, make_person
 from . import VERSION
 
-LABELS = label_set("cdcl14")
+LABELS = replace(label_set("cdcl14"), at_joints=False)  # of Anny's skin
 # Levels of noise as "realistic", and people of ``make_person(setting=...)``.
 NEAR, FAR, TILTED, CLOTHED = SETTINGS = ("near", "far", "tilted", "clothed")
 TURNED = "turned"  # level of "realistic" people in pictures that are turned
