@@ -14,8 +14,9 @@ from warp_partdr.body.skeletons import MPJPE_JOINTS
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.capsules import measure_capsules
 from warp_partdr.errors import InputError
-from warp_partdr.fit.mesh_energy import Starts, Unknowns, mesh_energy
+from warp_partdr.fit.mesh_energy import mesh_energy
 from warp_partdr.fit.mesh_options import MeshOptions
+from warp_partdr.fit.mesh_unknowns import Starts, Unknowns
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.scenes.depth_order import exchange, grown, order_people

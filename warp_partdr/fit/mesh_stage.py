@@ -33,8 +33,9 @@ from ..refinement.stepper import rate_share
 from ..render.mesh import PartImage, draw_mesh
 from .fitting import Progress
 from .given_poses import GivenPoses
-from .mesh_energy import MeshEnergy, Starts, Unknowns, gather_starts, mesh_energy
+from .mesh_energy import MeshEnergy, gather_starts, mesh_energy
 from .mesh_options import MeshOptions
+from .mesh_unknowns import Starts, Unknowns
 from .result import FitResult
 from .steps import Steps, find_steps
 

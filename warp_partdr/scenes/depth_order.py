@@ -15,7 +15,7 @@ import torch
 
 from ..cameras import ScreenCamera
 from ..clothing.model import DetailedModel
-from ..fit.mesh_energy import Unknowns
+from ..fit.mesh_unknowns import Unknowns
 from ..render.mesh import mesh_label_loss
 from .energy import SceneEnergy, SceneStarts
 from .scene import Scene

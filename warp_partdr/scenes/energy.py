@@ -15,7 +15,8 @@ from ..clothing.clothes import CLOTHED, SPREAD
 from ..clothing.model import DetailedModel
 from ..clothing.point_sums import sum_points
 from ..fit.landmark_costs import LandmarkAims, landmark_costs
-from ..fit.mesh_energy import CLOTHES_RATE, SHAPE_RATE, MeshEnergy, Unknowns
+from ..fit.mesh_energy import MeshEnergy
+from ..fit.mesh_unknowns import CLOTHES_RATE, SHAPE_RATE, Unknowns
 from ..fit.steps import Tensors
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh

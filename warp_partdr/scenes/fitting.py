@@ -19,7 +19,8 @@ from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
 from ..errors import InputError, check_type
 from ..fit.fitting import Progress
-from ..fit.mesh_energy import MeshEnergy, Unknowns, mesh_energy
+from ..fit.mesh_energy import MeshEnergy, mesh_energy
+from ..fit.mesh_unknowns import Unknowns
 from ..fit.steps import find_steps
 from ..interop.devices import choose_device
 from ..interop.gradient_mode import with_gradients
