@@ -90,16 +90,18 @@ def run(root: Path, quality: str, gpus: int, share: int) -> float:
     count = max(gpus, 1)
     shutil.rmtree(out, ignore_errors=True)
     logs = [root / f"errors-{number}.txt" for number in range(count)]
-    runs = [
-        subprocess.Popen(
-            [*line, "--share", f"{number}/{count}"],
-            env=os.environ | ({"CUDA_VISIBLE_DEVICES": str(number)} if gpus else {}),
-            stdout=subprocess.DEVNULL,
-            stderr=logs[number].open("w"),
-            preexec_fn=lambda number=number: os.sched_setaffinity(0, cores[share * number : share * (number + 1)]),
+    runs = []
+    for number in range(count):
+        os.sched_setaffinity(0, cores[share * number : share * (number + 1)])  # which a process inherits
+        runs.append(
+            subprocess.Popen(
+                [*line, "--share", f"{number}/{count}"],
+                env=os.environ | ({"CUDA_VISIBLE_DEVICES": str(number)} if gpus else {}),
+                stdout=subprocess.DEVNULL,
+                stderr=logs[number].open("w"),
+            )
         )
-        for number in range(count)
-    ]
+    os.sched_setaffinity(0, cores)
     ends: float | None = None
     while any(each.poll() is None for each in runs):
         if ends is None and all(len(found) > FIRST for found in shards_of(out, count)):

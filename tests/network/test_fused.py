@@ -56,7 +56,9 @@ def test_it_is_kept_until_weights_change() -> None:
 
 
 def test_a_gpu_fuses(device: str) -> None:
-    if device == "cpu":
-        assert not fuses(torch.device("cpu"))  # cuDNN's alone
-    else:
-        assert fuses(torch.device(device, torch.cuda.current_device()))
+    fuses.cache_clear()  # or an earlier test's answer is kept
+    with torch.autocast(torch.device(device).type, torch.bfloat16):  # as a network asks
+        if device == "cpu":
+            assert not fuses(torch.device("cpu"))  # cuDNN's alone
+        else:
+            assert fuses(torch.device(device, torch.cuda.current_device()))
