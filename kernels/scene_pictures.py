@@ -2,7 +2,8 @@
 
 People who are not seen in a picture are behind its camera.
 
-Body ``p T + t`` is person p in frame t, picture ``t V + v`` that of view v, and holds the people one after another.
+Body ``p T + t`` is person p in frame t. People who may hide one another are a cluster: picture ``(k T + t) V + v`` is
+that of cluster k in frame t and view v, and holds its people in slots, one after another.
 """
 
 from collections.abc import Sequence
@@ -21,8 +22,10 @@ class SceneViews:
 
     rotations: wp.array[wp.mat33]  # (V,) world to camera
     translations: wp.array[wp.vec3]  # (V,) the same [m]
-    lenses: wp.array[wp.vec3]  # (T V,) focal length and principal point of the pictures' crops, in half-sides
+    lenses: wp.array[wp.vec3]  # (K T V,) focal length and principal point of the pictures' crops, in half-sides
     shown: wp.array2d[wp.bool]  # (N, V)
+    slots: wp.array2d[int]  # (K, C) who is in each, -1 where nobody is
+    places: wp.array[wp.vec2i]  # (P,) cluster and slot of each person
     half_size: float  # of the pictures [px]
 
 
@@ -81,18 +84,19 @@ def place_scene(
     vertices: wp.array2d[wp.vec3],  # (N, n) about the pelvis [m]
     pelvises: wp.array[wp.vec3],  # (N,) in the world [m]
     views: SceneViews,
-    screen: wp.array2d[wp.vec3],  # (T V, P n) u [px], v [px], z [m]  OUTPUT
+    screen: wp.array2d[wp.vec3],  # (K T V, C n) u [px], v [px], z [m]  OUTPUT
 ):
     """One thread a vertex of a picture."""
     picture, column = wp.tid()
     count, num_views = vertices.shape[1], views.rotations.shape[0]
-    frame, person = picture // num_views, column // count
-    view = picture - frame * num_views
-    body = person * (screen.shape[0] // num_views) + frame
-    if not views.shown[body, view]:
+    frames, row, slot = vertices.shape[0] // views.places.shape[0], picture // num_views, column // count
+    view, cluster = picture - row * num_views, row // frames
+    person = views.slots[cluster, slot]
+    body = wp.max(person, 0) * frames + row - cluster * frames
+    if person < 0 or not views.shown[body, view]:
         screen[picture, column] = wp.vec3(0.0, 0.0, -1.0)
         return
-    world = vertices[body, column - person * count] + pelvises[body]
+    world = vertices[body, column - slot * count] + pelvises[body]
     seen = views.rotations[view] * world + views.translations[view]
     camera, depth = camera_of(views.lenses[picture], views.half_size), project_depth(seen[2])
     screen[picture, column] = wp.vec3(
@@ -105,21 +109,22 @@ def place_scene_adjoint(
     vertices: wp.array2d[wp.vec3],
     pelvises: wp.array[wp.vec3],
     views: SceneViews,
-    adj_screen: wp.array2d[wp.vec3],  # (T V, P n)
+    adj_screen: wp.array2d[wp.vec3],  # (K T V, C n)
     gradient: wp.array2d[wp.vec3],  # (N, n) of the vertices, whose sums are the pelvises'  OUTPUT
 ):
     """One thread a vertex of a body, which adds its pictures in their order."""
     body, i = wp.tid()
     count, num_views = vertices.shape[1], views.rotations.shape[0]
-    frames = adj_screen.shape[0] // num_views
+    frames = vertices.shape[0] // views.places.shape[0]
     person = body // frames
-    frame = body - person * frames
+    place = views.places[person]
+    first = (place[0] * frames + body - person * frames) * num_views
     world = vertices[body, i] + pelvises[body]
     pull = wp.vec3()
     for view in range(num_views):
         if views.shown[body, view]:
-            picture = frame * num_views + view
-            adjoint = adj_screen[picture, person * count + i]
+            picture = first + view
+            adjoint = adj_screen[picture, place[1] * count + i]
             seen = views.rotations[view] * world + views.translations[view]
             focal, depth = camera_of(views.lenses[picture], views.half_size)[0], project_depth(seen[2])
             along = wp.vec3(adjoint[0] * focal / depth, adjoint[1] * focal / depth, adjoint[2])
@@ -132,7 +137,7 @@ def place_scene_adjoint(
 def gather_views(arrays: Sequence[wp.array], half_size: float) -> Any:
     """Views of arrays in their order."""
     views = SceneViews()
-    for name, array in zip(("rotations", "translations", "lenses", "shown"), arrays, strict=True):
+    for name, array in zip(("rotations", "translations", "lenses", "shown", "slots", "places"), arrays, strict=True):
         setattr(views, name, array)
     views.half_size = half_size
     return views

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from warp_partdr.evaluation.evaluate import one_thread
-from warp_partdr.scenes.start import look_at
+from warp_partdr.scenes.looks import look_at
 from warp_partdr.synthetic.mocap import Clip, is_held_out, smooth_windows
 from warp_partdr.synthetic.mocap_files import FRAME_RATE, load_clips
 from warp_partdr.synthetic.scene_people import make_clip

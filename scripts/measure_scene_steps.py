@@ -22,9 +22,10 @@ from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.fit.steps import find_steps
 from warp_partdr.interop.torch_threads import one_torch_thread
 from warp_partdr.scenes.fitting import scene_energy
+from warp_partdr.scenes.looks import look_at
 from warp_partdr.scenes.options import SceneOptions
 from warp_partdr.scenes.scene import Scene
-from warp_partdr.scenes.start import gather_scene, look_at
+from warp_partdr.scenes.start import gather_scene
 from warp_partdr.synthetic.scene_people import make_views
 
 _STEPS, _REPEATS = 50, 5
@@ -38,7 +39,7 @@ def measure(people: int, frames: int, device: torch.device) -> float:
     scene = Scene(one.views, sights)
     looks = look_at(scene, device)
     labels = looks[0].seen.label_set
-    energy = scene_energy(mesh_energy(model, options.mesh, labels), options, people, labels.num_groups)
+    energy = scene_energy(mesh_energy(model, options.mesh, labels), options, (tuple(range(people)),), labels.num_groups)
     with torch.no_grad():
         starts = gather_scene(energy, model, scene, looks)
     steps, found = find_steps(energy, starts, options.mesh), []

@@ -30,8 +30,8 @@ from warp_partdr.evaluation.scene_scoring import (
     score_scene,
 )
 from warp_partdr.fit.mesh_options import MeshOptions
+from warp_partdr.scenes.looks import look_at
 from warp_partdr.scenes.options import SceneOptions
-from warp_partdr.scenes.start import look_at
 from warp_partdr.synthetic.mocap import Clip
 from warp_partdr.synthetic.scene_people import SceneSample, depths_of, in_wrong_order, make_clip
 

@@ -12,9 +12,9 @@ from warp_partdr.clothing.measuring import statures
 from warp_partdr.scenes.clip_sizes import of_one_size, stretch
 from warp_partdr.scenes.depth_order import grown
 from warp_partdr.scenes.fitting import fit_scene
+from warp_partdr.scenes.looks import Looked, look_at
 from warp_partdr.scenes.options import SceneOptions
 from warp_partdr.scenes.scene import PersonShape, Scene
-from warp_partdr.scenes.start import Looked, look_at
 from warp_partdr.synthetic.scene_people import make_views
 
 FRAMES = 31  # eight looks

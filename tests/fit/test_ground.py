@@ -11,9 +11,9 @@ import torch
 from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.scenes.fitting import fit_scene
 from warp_partdr.scenes.ground import Standing, find_ground
+from warp_partdr.scenes.looks import look_at
 from warp_partdr.scenes.options import SceneOptions
 from warp_partdr.scenes.scene import Ground, Scene
-from warp_partdr.scenes.start import look_at
 from warp_partdr.synthetic.scene_people import make_group, make_views
 
 QUICK = SceneOptions(mesh=MeshOptions(iterations=30, size=96, vertices=800), together=160, ground=0.1)

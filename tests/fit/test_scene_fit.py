@@ -19,12 +19,14 @@ from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.fit.mesh_unknowns import Starts, Unknowns
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.render.part_mesh import PartMesh
+from warp_partdr.scenes.clusters import find_clusters
 from warp_partdr.scenes.depth_order import exchange, grown, order_people
 from warp_partdr.scenes.energy import SceneEnergy, SceneStarts
 from warp_partdr.scenes.fitting import fit_scene, scene_energy
+from warp_partdr.scenes.looks import look_at
 from warp_partdr.scenes.options import SceneOptions
 from warp_partdr.scenes.scene import Scene, Sight, View
-from warp_partdr.scenes.start import gather_scene, look_at, time_shares
+from warp_partdr.scenes.start import gather_scene, time_shares
 from warp_partdr.synthetic.scene_people import LABELS, make_pair, make_views
 
 QUICK = SceneOptions(mesh=MeshOptions(iterations=30, size=96, vertices=800), together=160)
@@ -32,9 +34,11 @@ QUICK = SceneOptions(mesh=MeshOptions(iterations=30, size=96, vertices=800), tog
 
 def prepared(scene: Scene, device: str, options: SceneOptions = QUICK) -> tuple[SceneEnergy, SceneStarts]:
     model = anny(torch.device(device))
-    energy = scene_energy(mesh_energy(model, options.mesh, LABELS), options, scene.num_people, LABELS.num_groups)
+    looks = look_at(scene, device)
+    clusters = find_clusters(looks, scene.num_people)
+    energy = scene_energy(mesh_energy(model, options.mesh, LABELS), options, clusters, LABELS.num_groups)
     with torch.no_grad():
-        return energy, gather_scene(energy, model, scene, look_at(scene, device))
+        return energy, gather_scene(energy, model, scene, looks)
 
 
 def test_one_body_in_one_picture_has_the_mesh_stage_s_energy(device):
@@ -172,8 +176,8 @@ def test_scenes_that_can_t_be():
     with pytest.raises(ValueError, match="apart: -1"):
         SceneOptions(apart=-1)
     many = Scene(views, [Sight(sight.keypoints, sight.parts, person) for person in range(19)])
-    with pytest.raises(InputError, match="19 people of 14 groups; expected 254 labels at most, as of 18 people"):
-        fit_scene(many, options=QUICK, looks=[])  # before anybody looks
+    with pytest.raises(InputError, match="19 people of 14 groups overlap; expected 254 labels at most, as of 18"):
+        fit_scene(many, options=QUICK)
 
 
 def walkers() -> Scene:

@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import product
+
 import pytest
 import torch
 from scenes.bodies import random_turns
 
 from warp_partdr.body.lens import lens_camera, placed_at
+from warp_partdr.scenes.clusters import Clusters, slots_of
 from warp_partdr.scenes.pictures import PictureViews, pelvises_in_world, place_people
 
-PEOPLE, FRAMES, VERTICES, SIZE = 2, 3, 7, 96
+FRAMES, VERTICES, SIZE = 3, 7, 96
 
 
-def case(num_views: int) -> tuple[torch.Tensor, torch.Tensor, PictureViews]:
+def case(num_views: int, clusters: Clusters = ((0, 1),)) -> tuple[torch.Tensor, torch.Tensor, PictureViews]:
     """Vertices, pelvises and views, in which one of the people is not seen."""
+    slots, places = slots_of(clusters, torch.device("cpu"))
     random = torch.Generator().manual_seed(num_views)
-    bodies = PEOPLE * FRAMES
+    bodies, pictures = sum(map(len, clusters)) * FRAMES, len(clusters) * FRAMES * num_views
     shown = torch.ones(bodies, num_views, dtype=torch.bool)
     shown[1, 0] = False
+    moves = torch.randn(num_views, 3, generator=random), torch.randn(pictures, 3, generator=random)
     views = PictureViews(
         rotations=random_turns(1, num_views, 0.2)[0].float(),
-        translations=torch.tensor([0.0, 0.0, 4.0]) + 0.3 * torch.randn(num_views, 3, generator=random),
-        lenses=torch.tensor([2.0, 0.0, 0.0]) + 0.3 * torch.randn(FRAMES * num_views, 3, generator=random),
+        translations=torch.tensor([0.0, 0.0, 4.0]) + 0.3 * moves[0],
+        lenses=torch.tensor([2.0, 0.0, 0.0])
+        + 0.3 * torch.randn(len(clusters) * FRAMES * num_views, 3, generator=random),
         shown=shown,
+        slots=slots,
+        places=places,
     )
     vertices, pelvises = (torch.randn(bodies, *shape, 3, generator=random) for shape in ((VERTICES,), ()))
     return vertices, pelvises, views
@@ -30,22 +39,23 @@ def case(num_views: int) -> tuple[torch.Tensor, torch.Tensor, PictureViews]:
 
 def slow_pictures(vertices: torch.Tensor, pelvises: torch.Tensor, views: PictureViews) -> torch.Tensor:
     rows = []
-    for frame in range(FRAMES):
+    for people, frame in product(views.slots.tolist(), range(FRAMES)):
         for view, (turn, move) in enumerate(zip(views.rotations.double(), views.translations.double(), strict=True)):
-            camera = lens_camera(views.lenses[frame * len(views.rotations) + view][None].double(), SIZE)
+            camera = lens_camera(views.lenses[len(rows)][None].double(), SIZE)
             drawn = []
-            for person in range(PEOPLE):
-                body = person * FRAMES + frame
+            for person in people:
+                body = max(person, 0) * FRAMES + frame
                 seen = camera.project(((vertices[body] + pelvises[body]) @ turn.T + move)[None])[0]
                 hidden = seen.new_tensor([0.0, 0.0, -1.0]).expand_as(seen)
-                drawn.append(seen if views.shown[body, view] else hidden)
+                drawn.append(seen if person >= 0 and views.shown[body, view] else hidden)
             rows.append(torch.cat(drawn))
     return torch.stack(rows)
 
 
+@pytest.mark.parametrize("clusters", [((0, 1),), ((0,), (1,)), ((0, 3), (1,), (2, 4))])
 @pytest.mark.parametrize("num_views", [1, 3])
-def test_people_are_where_their_cameras_see_them(num_views, device):
-    vertices, pelvises, views = case(num_views)
+def test_people_are_where_their_cameras_see_them(num_views, clusters, device):
+    vertices, pelvises, views = case(num_views, clusters)
     slow = [each.double().requires_grad_() for each in (vertices, pelvises)]
     wanted = slow_pictures(*slow, views)
     fast = [each.to(device).requires_grad_() for each in (vertices, pelvises)]
@@ -59,7 +69,7 @@ def test_people_are_where_their_cameras_see_them(num_views, device):
 
 def test_points_in_the_camera_have_finite_places(device):
     vertices, pelvises, views = (case(1)[0] * 0, case(1)[1] * 0, case(1)[2])
-    views = PictureViews(views.rotations, 0 * views.translations, views.lenses, views.shown)
+    views = replace(views, translations=0 * views.translations)
     moving = vertices.to(device).requires_grad_()
     found = place_people(moving, pelvises.to(device), PictureViews(*(v.to(device) for v in vars(views).values())), SIZE)
     (slope,) = torch.autograd.grad(found.sum(), moving)

@@ -18,8 +18,8 @@ from ..clothing.measuring import statures
 from ..clothing.model import DetailedModel
 from ..clothing.registration import shape_from_lengths
 from .depth_order import grown
+from .looks import Looked
 from .scene import Scene
-from .start import Looked
 
 # Of 600 people of PartBench's kind, whom no level has, in motion that networks learn from (scripts/learn_sizes.py): the
 # true logarithm changes by 1 / (a + b / n) where the mean of n looks changes by 1, about this sum of lengths [m].

@@ -18,8 +18,9 @@ from ..clothing.model import DetailedModel
 from ..fit.mesh_unknowns import Unknowns
 from ..render.mesh import mesh_label_loss
 from .energy import SceneEnergy, SceneStarts
+from .looks import Looked
 from .scene import Scene
-from .start import Looked, gather_scene
+from .start import gather_scene
 
 _APART = 1.08  # ratio of the distances of two people who were exchanged
 LEAST_GAIN = 0.003  # of the loss, that an exchange must save; rounding alone moves a few pixels
@@ -37,7 +38,7 @@ def order_people(
     bodies = _drawn(energy, people, energy.at_rest(people))
     for frame in range(scene.num_frames):
         for _ in range(_MOST_EXCHANGES * scene.num_people):
-            factors = _best_exchange(energy, people, bodies, frame)
+            factors = _best_exchanges(energy, people, bodies, frame)
             if factors is None:
                 break
             looks = _exchanged(looks, {frame: factors})
@@ -57,23 +58,23 @@ def exchange(
     if not _tells_order(energy, people):
         return None
     bodies = _drawn(energy, people, unknowns)
-    tried = {frame: _best_exchange(energy, people, bodies, frame, least_gain) for frame in range(len(bodies))}
+    tried = {frame: _best_exchanges(energy, people, bodies, frame, least_gain) for frame in range(bodies.shape[1])}
     found = {frame: factors for frame, factors in tried.items() if factors is not None}
     return _exchanged(looks, found) if found else None
 
 
 def _tells_order(energy: SceneEnergy, people: SceneStarts) -> bool:
     """True if labels can say who stands in front; several views, or known sizes, tell the depth."""
-    one_view = len(people.view_rotations) == 1
-    return energy.mesh is not None and len(people.shape) > 1 and one_view and bool(people.unknown.any())
+    one_view, several = len(people.view_rotations) == 1, people.slots.shape[1] > 1
+    return energy.mesh is not None and several and one_view and bool(people.unknown.any())
 
 
 def _drawn(energy: SceneEnergy, people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:
-    """Vertices of the people in each picture of the one view, u [px], v [px], z [m], shape (T, P, n, 3)."""
+    """Vertices in each picture of the one view, u [px], v [px], z [m], of clusters K with C slots, (K, T, C, n, 3)."""
     assert people.target is not None
     assert people.target_lens is not None
     drawn = energy.pictured(people, unknowns, people.target_lens, people.target.shape[-1])
-    return drawn.unflatten(1, (len(people.shape), -1))
+    return drawn.unflatten(1, (people.slots.shape[1], -1)).unflatten(0, (len(people.slots), -1))
 
 
 def _exchanged(looks: Sequence[Looked], factors: Mapping[int, Mapping[int, float]]) -> list[Looked]:
@@ -81,32 +82,45 @@ def _exchanged(looks: Sequence[Looked], factors: Mapping[int, Mapping[int, float
     return [grown(look, factors.get(look.sight.frame, {}).get(look.sight.person, 1.0)) for look in looks]
 
 
-def _best_exchange(
+def _best_exchanges(
     energy: SceneEnergy, people: SceneStarts, drawn: torch.Tensor, frame: int, least_gain: float = LEAST_GAIN
 ) -> dict[int, float] | None:
-    """Factors by which two people of a frame grow as they are exchanged, by person; None if no exchange helps."""
-    assert energy.mesh is not None
+    """Factors by which two people of each cluster grow as they are exchanged in a frame; None if that helps nowhere."""
     assert people.target is not None
-    bodies = drawn[frame]
-    shown = people.shown.unflatten(0, (len(bodies), -1))[:, frame, 0].tolist()
+    targets = people.target.unflatten(0, drawn.shape[:2])
+    shown = people.shown.unflatten(0, (len(people.shape), -1))[:, frame, 0]
+    found: dict[int, float] = {}
+    for cluster, members in enumerate(energy.clusters):
+        if len(members) > 1:
+            seen = shown[list(members)].tolist()
+            factors = _best_exchange(energy, drawn[cluster, frame], seen, targets[cluster, frame], least_gain)
+            found |= {members[slot]: factor for slot, factor in factors.items()}
+    return found or None
+
+
+def _best_exchange(
+    energy: SceneEnergy, bodies: torch.Tensor, shown: Sequence[bool], target: torch.Tensor, least_gain: float
+) -> dict[int, float]:
+    """Factors by which two people of a picture grow as they are exchanged, by slot; none if no exchange helps."""
+    assert energy.mesh is not None
     distances = bodies[..., 2].mean(1).tolist()
     boxes = [(points.amin(0), points.amax(0)) for points in bodies[..., :2]]
     tries: list[dict[int, float]] = [{}]
-    for one, other in combinations(range(len(bodies)), 2):
+    for one, other in combinations(range(len(shown)), 2):
         (low, high), (from_, to) = boxes[one], boxes[other]
         if shown[one] and shown[other] and bool((torch.minimum(high, to) > torch.maximum(low, from_)).all()):
             front, back = sorted((one, other), key=distances.__getitem__)
             factor = math.sqrt(_APART * distances[back] / distances[front])
             tries.append({front: factor, back: 1 / factor})
     if len(tries) == 1:
-        return None
-    factors = bodies.new_tensor([[each.get(person, 1.0) for person in range(len(bodies))] for each in tries])
+        return {}
+    factors = bodies.new_tensor([[each.get(slot, 1.0) for slot in range(len(bodies))] for each in tries])
     # About the camera: only depths change.
     places, depths = bodies[..., :2].expand(len(tries), -1, -1, -1), bodies[..., 2:] * factors[..., None, None]
-    tried, target = torch.cat([places, depths], dim=-1), people.target[frame : frame + 1]
-    loss, _ = mesh_label_loss(tried.flatten(1, 2), energy.mesh, ScreenCamera(perspective=True), target)
+    tried = torch.cat([places, depths], dim=-1)
+    loss, _ = mesh_label_loss(tried.flatten(1, 2), energy.mesh, ScreenCamera(perspective=True), target[None])
     best = 1 + int(loss[1:].argmin())
-    return tries[best] if float(loss[best]) < (1 - least_gain) * float(loss[0]) else None
+    return tries[best] if float(loss[best]) < (1 - least_gain) * float(loss[0]) else {}
 
 
 def grown(look: Looked, factor: float) -> Looked:

@@ -20,6 +20,7 @@ from ..fit.mesh_unknowns import CLOTHES_RATE, SHAPE_RATE, Unknowns
 from ..fit.steps import Tensors
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh
+from .clusters import Clusters
 from .options import SceneOptions
 from .pictures import PictureViews, pelvises_in_world, place_people
 
@@ -55,8 +56,10 @@ class SceneStarts(Tensors):
         smooth: Share of each frame in each frame's moves, shape (T, T); None: frames move for themselves.
         ground: Normal and offset [m] of the ground in the world, shape (4,); None: no feet are held to any.
         standing: How surely each body stands on it, shape (N,).
-        target: Labels of pictures: person G + group, shape (T V, size, size), uint8; None: without labels.
-        target_lens: Of the pictures' crops, shape (T V, 3).
+        target: Labels of pictures: slot G + group, shape (K T V, size, size), uint8; None: without labels.
+        target_lens: Of the pictures' crops, shape (K T V, 3).
+        slots: Of people in K clusters, as of ``PictureViews``, shape (K, C), int32.
+        drawn_in: Cluster and slot of each person, shape (P, 2), int32.
     """
 
     rotations: torch.Tensor
@@ -83,6 +86,8 @@ class SceneStarts(Tensors):
     smooth: torch.Tensor | None
     target: torch.Tensor | None
     target_lens: torch.Tensor | None
+    slots: torch.Tensor
+    drawn_in: torch.Tensor
     ground: torch.Tensor | None = None
     standing: torch.Tensor | None = None
 
@@ -93,21 +98,28 @@ class SceneEnergy:
 
     Attributes:
         one: Model, landmarks and terms of a person.
-        mesh: Of all people together, with their labels; None: without labels.
+        clusters: People who are drawn together.
+        mesh: Of a cluster's people together, with their labels; None: without labels.
         capsules: Of each person; None: nothing keeps parts and people apart.
         options: Weights.
     """
 
     one: MeshEnergy
+    clusters: Clusters
     mesh: PartMesh | None
     capsules: Capsules | None
     options: SceneOptions
 
+    @property
+    def size(self) -> int:
+        """Side of drawn crops [px]."""
+        several = any(len(members) > 1 for members in self.clusters)
+        return self.options.together if several else self.options.mesh.size
+
     def factors(self, people: SceneStarts) -> dict[str, float]:
         """Weights of all costs, by name."""
-        count = len(people.shape)
-        apart = self.options.apart if count > 1 else self.options.mesh.apart
-        return self.options.mesh.factors(apart, self.options.size_of(count)) | {"ground": self.options.ground}
+        apart = self.options.apart if len(people.shape) > 1 else self.options.mesh.apart
+        return self.options.mesh.factors(apart, self.size) | {"ground": self.options.ground}
 
     def __call__(self, people: SceneStarts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
         """Costs by name, of any shape each."""
@@ -153,7 +165,7 @@ class SceneEnergy:
         return costs
 
     def pictured(self, people: SceneStarts, unknowns: Unknowns, lenses: torch.Tensor, size: int) -> torch.Tensor:
-        """Vertices of all people in each picture, as of ``place_people``, by the pictures' lenses, (T V, 3)."""
+        """Vertices of people in each picture, as of ``place_people``, by the pictures' lenses, (K T V, 3)."""
         posed = self.one.pose(people, self._of_frames(people, unknowns))
         views = self._views(people, lenses)
         return place_people(self.one.split(posed)[0], self.pelvises(people, unknowns), views, size)
@@ -227,4 +239,5 @@ class SceneEnergy:
 
     @staticmethod
     def _views(people: SceneStarts, lenses: torch.Tensor) -> PictureViews:
-        return PictureViews(people.view_rotations, people.view_translations, lenses, people.shown)
+        views = people.view_rotations, people.view_translations
+        return PictureViews(*views, lenses, people.shown, people.slots, people.drawn_in)

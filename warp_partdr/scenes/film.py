@@ -26,11 +26,11 @@ from ..interop.ahead import made_ahead
 from .film_looks import FilmLooks
 from .film_pieces import FilmPieces
 from .fitting import SceneFit, fit_scene
+from .looks import Looked
 from .options import SceneOptions
 from .same_people import Track, match_people
 from .scene import PersonShape, Scene, Sight, View
 from .seen_film import SeenFilm
-from .start import Looked
 
 _RATES = 0.01  # share by which rates of films may differ
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import torch
 
+from .looks import Looked, look_in_batches, looked_at_together
 from .scene import Scene, Sight, View
-from .start import Looked, look_in_batches, looked_at_together
 
 _Block = tuple[int, int, int]  # a person, a view, and which block of frames
 

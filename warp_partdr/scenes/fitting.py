@@ -17,7 +17,7 @@ from ..clothing.clothes import bounded
 from ..clothing.measuring import statures
 from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
-from ..errors import InputError, check_type
+from ..errors import check_type
 from ..fit.fitting import Progress
 from ..fit.mesh_energy import MeshEnergy, mesh_energy
 from ..fit.mesh_unknowns import Unknowns
@@ -27,14 +27,16 @@ from ..interop.gradient_mode import with_gradients
 from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
 from ..refinement.stepper import rate_share
-from ..render.part_mesh import MAX_LABEL, PartMesh
+from ..render.part_mesh import PartMesh
 from .clip_sizes import of_one_size
+from .clusters import Clusters, check_room, find_clusters
 from .depth_order import LEAST_GAIN, exchange, order_people
 from .energy import SceneEnergy, SceneStarts
 from .ground import Grounded, stand_on_ground
+from .looks import Looked, look_at
 from .options import SceneOptions
 from .scene import Ground, Scene
-from .start import Looked, gather_scene, look_at
+from .start import gather_scene
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ def fit_scene(
         looks: Of ``look_at`` on the same device, where somebody looked already or starts otherwise.
 
     Raises:
-        InputError: If a sight has no keypoint, or there are more people and groups than 254 labels.
+        InputError: If a sight has no keypoint, or people who overlap have more than 254 labels.
         ValueError: If a known shape is of another model, or the ground is known and ``options.ground`` 0.
         TypeError: If an argument is of another type.
     """
@@ -118,9 +120,6 @@ def fit_scene(
     options = options or SceneOptions()
     if scene.ground is not None and not options.ground:
         raise ValueError("options.ground: 0, of a scene whose ground is known; expected its weight, such as 0.1")
-    sets = [sight.parts.label_set for sight in scene.sights if sight.parts is not None]
-    if sets and options.mesh.seg > 0:
-        _check_labels(scene.num_people, sets[0].num_groups)  # before the network looks at many
     where = torch.device(choose_device(str(device)))
     model = model or anny(where)
     tell = progress or (lambda name, done, total: None)
@@ -128,8 +127,10 @@ def fit_scene(
     tell("network", 0, 1)
     looks = look_at(scene, where) if looks is None else list(looks)
     label_set = next((look.seen.label_set for look in looks if look.seen.label_set is not None), None)
-    one = mesh_energy(model, options.mesh, label_set)
-    energy = scene_energy(one, options, scene.num_people, label_set.num_groups if label_set else 0)
+    one, clusters = mesh_energy(model, options.mesh, label_set), find_clusters(looks, scene.num_people)
+    if one.mesh is not None and label_set is not None:
+        check_room(clusters, label_set.num_groups)
+    energy = scene_energy(one, options, clusters, label_set.num_groups if label_set else 0)
     with torch.no_grad():
         if options.one_size:
             looks = of_one_size(model, scene, looks)
@@ -206,20 +207,12 @@ def _warnings(looks: Sequence[Looked]) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=8)
-def scene_energy(one: MeshEnergy, options: SceneOptions, num_people: int, groups: int) -> SceneEnergy:
-    """Energy of so many people whose labels are of G groups; kept, for captured graphs belong to it."""
+def scene_energy(one: MeshEnergy, options: SceneOptions, clusters: Clusters, groups: int) -> SceneEnergy:
+    """Energy of people drawn together so, whose labels are of G groups; kept, for captured graphs belong to it."""
     mesh: PartMesh | None = None
     if one.mesh is not None:
-        mesh = one.mesh.repeated(num_people, groups, one.first or one.model.num_vertices)
+        mesh = one.mesh.repeated(max(map(len, clusters)), groups, one.first or one.model.num_vertices)
+    num_people = sum(map(len, clusters))
     several = num_people > 1 and options.apart > 0
     capsules = measure_capsules(one.model) if several else one.capsules if num_people == 1 else None
-    return SceneEnergy(one, mesh, capsules, options)
-
-
-def _check_labels(num_people: int, groups: int) -> None:
-    """Raise InputError if people drawn together had more labels than a picture holds."""
-    if num_people * groups > MAX_LABEL:
-        raise InputError(
-            f"sights: {num_people} people of {groups} groups; expected {MAX_LABEL} labels at most, as of "
-            f"{MAX_LABEL // groups} people; fit them in several scenes, of a film one person each (--person)"
-        )
+    return SceneEnergy(one, clusters, mesh, capsules, options)

@@ -17,8 +17,9 @@ from ..clothing.model import DetailedModel
 from ..inputs.keypoints import Keypoints2D
 from .depth_order import grown
 from .energy import FEET, SceneEnergy, SceneStarts
+from .looks import Looked
 from .scene import Ground, Scene
-from .start import Looked, gather_scene
+from .start import gather_scene
 
 _ANKLES = ("left_ankle", "right_ankle")
 STANDING_LANDMARKS = (*FEET, *_ANKLES, "pelvis", "neck")

@@ -25,7 +25,7 @@ class SceneOptions:
             are the mean of frames, which lies nearer to the mean person.
         exchanges: Exchange people of a picture in depth where labels ask for it; else the order is the start's, but
             for a z gradient (``mesh.gradient``).
-        together: Side of the crop in which several people are drawn together [px].
+        together: Side of the crop in which people who overlap are drawn together [px].
         window: Frames of a film that are fitted together.
         overlap: Frames that two windows share, from one to the other.
         shape_frames: Frames, spread over a film of several windows, in which a person's shape is found.
@@ -60,7 +60,3 @@ class SceneOptions:
         Depth, whose errors last many frames, is held half as hard. No ground: each window would find its own.
         """
         return cls(mesh=MeshOptions(iterations=40, learning_rate=0.02, depth=1.0), ground=0.0)
-
-    def size_of(self, num_people: int) -> int:
-        """Side of drawn crops [px]."""
-        return self.mesh.size if num_people == 1 else self.together

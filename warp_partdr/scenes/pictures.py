@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from warp import mat33, vec2, vec3
+from warp import mat33, vec2, vec2i, vec3
 
 from ..interop.arrays import contiguous, dense_rows, warp_array
 from ..interop.derivatives import once
@@ -17,23 +17,27 @@ from ..kernels import scene_pictures as kernels
 
 @dataclass(frozen=True)
 class PictureViews:
-    """V views of T frames with P people.
+    """V views of T frames with P people in K clusters, C at most in one.
 
     Attributes:
         rotations: World to camera, shape (V, 3, 3).
         translations: The same [m], shape (V, 3).
-        lenses: Of the pictures' crops, shape (T V, 3).
+        lenses: Of the pictures' crops, shape (K T V, 3).
         shown: Who is seen in each view, shape (P T, V), bool.
+        slots: Who is in each cluster, -1 where nobody is, shape (K, C), int32.
+        places: Cluster and slot of each person, shape (P, 2), int32.
     """
 
     rotations: torch.Tensor
     translations: torch.Tensor
     lenses: torch.Tensor
     shown: torch.Tensor
+    slots: torch.Tensor
+    places: torch.Tensor
 
 
 def place_people(vertices: torch.Tensor, pelvises: torch.Tensor, views: PictureViews, size: int) -> torch.Tensor:
-    """Vertices of all people in each picture, u [px], v [px], z [m], shape (T V, P n, 3).
+    """Vertices of a cluster's people in each of its pictures, u [px], v [px], z [m], shape (K T V, C n, 3).
 
     Who is not seen is behind the camera, where nothing is drawn.
 
@@ -52,9 +56,8 @@ class _Placed(torch.autograd.Function):
     def forward(
         ctx: Any, vertices: torch.Tensor, pelvises: torch.Tensor, size: int, *views: torch.Tensor
     ) -> torch.Tensor:
-        own, pictures = [dense_rows(each) for each in (vertices, pelvises, *views)], len(views[2])
-        people = len(vertices) * len(views[0]) // pictures if pictures else 0
-        screen = vertices.new_empty(pictures, people * vertices.shape[1], 3)
+        own = [dense_rows(each) for each in (vertices, pelvises, *views)]
+        screen = vertices.new_empty(len(views[2]), views[4].shape[1] * vertices.shape[1], 3)
         if screen.numel():
             with on_torch_stream(screen.device):
                 kernels.launch_place(_inputs(own, size), warp_array(screen, vec3))
@@ -114,6 +117,6 @@ def _of_pelvises(given: Sequence[torch.Tensor]) -> tuple[list[Any], list[Any]]:
 
 
 def _inputs(own: list[torch.Tensor], size: int) -> list[Any]:
-    kinds = vec3, vec3, mat33, vec3, vec3, None
+    kinds = vec3, vec3, mat33, vec3, vec3, None, None, vec2i
     vertices, pelvises, *views = (warp_array(each, kind) for each, kind in zip(own, kinds, strict=True))
     return [vertices, pelvises, kernels.gather_views(views, size / 2)]

@@ -1,16 +1,15 @@
-"""Starts of a scene: the label network looks at each sight, and cameras put together what it says."""
+"""Starts of a scene: cameras put together what the label network says of each sight."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import chain
+from dataclasses import replace
 
 import numpy as np
 import torch
 
 from ..body.labels import BACKGROUND, IGNORE
-from ..body.lens import lens_camera, seen_at, through_lens, turn_to_rays
+from ..body.lens import lens_camera, seen_at, through_lens
 from ..body.parameters import BodyParameters
 from ..body.rotations import nearest_rotation, rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle
 from ..cameras import Crop
@@ -18,110 +17,19 @@ from ..clothing.clothes import CLOTHED
 from ..clothing.model import DetailedModel
 from ..clothing.pose import pose_from_ellipbody
 from ..clothing.registration import shape_from_lengths
-from ..errors import InputError
 from ..fit.mesh_energy import gather_keypoints, gather_spreads
-from ..inputs.evidence import Evidence, weigh_evidence
-from ..inputs.observation import REFERENCE_SIZE, Observation, crop_evidence, crop_lens, resize_nearest
+from ..inputs.observation import REFERENCE_SIZE, crop_lens, resize_nearest
 from ..interop.checks import FLOATS, check_tensor
-from ..interop.torch_threads import one_torch_thread
-from ..kernels.launch import get_num_threads, run_slices
-from ..network.checkpoint import packaged_network
-from ..network.label_network import LabelNetwork
-from ..network.predict import ask_network
-from ..network.predicted import Predicted
-from ..network.uncertainty import Uncertainty
+from .clusters import slots_of
 from .energy import SceneEnergy, SceneStarts
+from .looks import Looked
 from .pictures import pelvises_in_world
-from .scene import Scene, Sight, View
+from .scene import Scene, View
 
-_TOGETHER = {"cpu": 8, "cuda": 64}  # sights that the network looks at at a time; on the CPU, on each thread
 _SLOPES = 0.1  # of smooth moves: weight of their squares, in standard deviations of the Gaussian
 _UNSEEN_SPREAD = 1.0  # [rad], of turns where nobody sees a person
 _NEAREST = 0.1  # [m], of a pelvis before its camera
 _MARGIN = 0.02  # of a picture's crop around several people
-
-
-@dataclass(frozen=True)
-class Looked:
-    """A sight that the network looked at.
-
-    Attributes:
-        sight: The sight.
-        evidence: What is believed of it.
-        seen: The same in a crop.
-        crop: The crop.
-        body: The network's body, as the crop's camera sees it, B = 1.
-        uncertainty: How sure it is.
-    """
-
-    sight: Sight
-    evidence: Evidence
-    seen: Observation
-    crop: Crop
-    body: BodyParameters
-    uncertainty: Uncertainty | None
-
-
-def look_at(scene: Scene, device: torch.device | str) -> list[Looked]:
-    """Bodies that the network sees in each sight, in the order of people, frames and views."""
-    sights = sorted(scene.sights, key=lambda sight: (sight.person, sight.frame, sight.view))
-    together = looked_at_together(device)
-    batches = [sights[start : start + together] for start in range(0, len(sights), together)]
-    return list(chain.from_iterable(look_in_batches(scene.views, batches, device)))
-
-
-def looked_at_together(device: torch.device | str) -> int:
-    """Number of sights that the network is to look at at a time."""
-    return _TOGETHER[torch.device(device).type]
-
-
-def look_in_batches(
-    views: Sequence[View], batches: Sequence[Sequence[Sight]], device: torch.device | str
-) -> list[list[Looked]]:
-    """Bodies that the network sees in each sight, of one batch after another; on the CPU, threads share them."""
-    network, on_cpu = packaged_network(str(device)), torch.device(device).type == "cpu"
-    found: list[list[Looked]] = [[] for _ in batches]
-
-    @one_torch_thread()
-    @torch.no_grad()
-    def look(some: slice) -> None:
-        for place in range(len(batches))[some]:
-            found[place] = _look(views, batches[place], network, device)
-
-    threads = max(min(get_num_threads(), len(batches)), 1) if on_cpu else 1
-    run_slices(look, [slice(first, None, threads) for first in range(threads)])
-    return found
-
-
-def _look(
-    views: Sequence[View], sights: Sequence[Sight], network: LabelNetwork, device: torch.device | str
-) -> list[Looked]:
-    """Of sights in one batch."""
-    evidence = [_weighed(sight) for sight in sights]
-    pairs = [
-        crop_evidence(each, device=device, camera=views[sight.view].camera)
-        for each, sight in zip(evidence, sights, strict=True)
-    ]
-    said: Predicted = ask_network([seen for seen, _ in pairs], network)
-    lenses = torch.stack([seen.lens for seen, _ in pairs if seen.lens is not None])
-    bodies = turn_to_rays(said.parameters(), lenses)
-    found = []
-    for place, (sight, each, (seen, crop)) in enumerate(zip(sights, evidence, pairs, strict=True)):
-        own = slice(place, place + 1)
-        unsure = None if said.uncertainty is None else said.uncertainty.select(own)
-        found.append(Looked(sight, each, seen, crop, bodies.select(own), unsure))
-    return found
-
-
-def _weighed(sight: Sight) -> Evidence:
-    """Evidence of a sight, whose labels are without others' already; where they are along no bone, of keypoints."""
-    try:
-        return weigh_evidence(sight.keypoints, sight.parts)[0]
-    except InputError as error:
-        if sight.parts is None:
-            raise
-        alone = weigh_evidence(sight.keypoints)[0]
-        return replace(alone, warnings=(f"{error}; keypoints alone taken",))
 
 
 def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks: Sequence[Looked]) -> SceneStarts:
@@ -177,8 +85,9 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
 
     depths = BodyParameters.joined([look.body for look in looks]).posed().joints[..., 2]
     target = lens = None
+    slots, drawn_in = slots_of(energy.clusters, like.device)
     if energy.mesh is not None:
-        target, lens = _targets(energy, scene, looks, like)
+        target, lens = _targets(energy, scene, looks, drawn_in.tolist(), like)
     no_lens = lenses.new_tensor([1.0, 0.0, 0.0])
     shown = table(torch.ones_like(views, dtype=torch.bool))
     seen_by = torch.where(shown[..., None], table(lenses), no_lens).flatten(0, 1)
@@ -208,6 +117,8 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         smooth=smooth,
         target=target,
         target_lens=lens,
+        slots=slots,
+        drawn_in=drawn_in,
     )
 
 
@@ -346,36 +257,39 @@ def _meeting_point(group: Sequence[Looked], rotations: torch.Tensor, translation
 
 
 def _targets(
-    energy: SceneEnergy, scene: Scene, looks: Sequence[Looked], like: torch.Tensor
+    energy: SceneEnergy, scene: Scene, looks: Sequence[Looked], places: Sequence[Sequence[int]], like: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """``target`` and ``target_lens`` of all pictures; where nobody is seen, all is ignored."""
-    size = energy.options.size_of(scene.num_people)
-    shape = scene.num_frames * len(scene.views), size, size
+    """``target`` and ``target_lens`` of all pictures, by places of people; where nobody is seen, all is ignored."""
+    size = energy.size
+    shape = len(energy.clusters) * scene.num_frames * len(scene.views), size, size
     target = torch.full(shape, IGNORE, dtype=torch.uint8, device=like.device)
     lens = like.new_tensor([1.0, 0.0, 0.0]).repeat(shape[0], 1)
     groups: dict[int, list[Looked]] = {}
     for look in looks:
         if look.seen.labels is not None:
-            groups.setdefault(look.sight.frame * len(scene.views) + look.sight.view, []).append(look)
+            row = places[look.sight.person][0] * scene.num_frames + look.sight.frame
+            groups.setdefault(row * len(scene.views) + look.sight.view, []).append(look)
     for picture, group in groups.items():
         if len(group) == 1:
             look = group[0]
             assert look.seen.labels is not None
             assert look.seen.lens is not None
-            labels = _shifted(resize_nearest(look.seen.labels, size), look)
+            labels = _shifted(resize_nearest(look.seen.labels, size), look, places)
             target[picture], lens[picture] = labels, look.seen.lens
         else:
-            target[picture], lens[picture] = _together(group, size, scene.views[group[0].sight.view], like)
+            target[picture], lens[picture] = _together(group, places, size, scene.views[group[0].sight.view], like)
     return target, lens
 
 
-def _shifted(labels: torch.Tensor, look: Looked) -> torch.Tensor:
-    """Group ids of a person as the scene has them."""
-    moved = labels + look.sight.person * look.evidence.labels.label_set.num_groups
+def _shifted(labels: torch.Tensor, look: Looked, places: Sequence[Sequence[int]]) -> torch.Tensor:
+    """Group ids of a person as the cluster's pictures have them."""
+    moved = labels + places[look.sight.person][1] * look.evidence.labels.label_set.num_groups
     return torch.where((labels == BACKGROUND) | (labels == IGNORE), labels, moved.to(torch.uint8))
 
 
-def _together(group: Sequence[Looked], size: int, view: View, like: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _together(
+    group: Sequence[Looked], places: Sequence[Sequence[int]], size: int, view: View, like: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Labels of several people in one crop around them, and its lens."""
     sides = [look.crop.size[0] / look.crop.zoom for look in group]
     low = np.min([(look.crop.left, look.crop.top) for look in group], axis=0)
@@ -389,7 +303,7 @@ def _together(group: Sequence[Looked], size: int, view: View, like: torch.Tensor
     each = [torch.from_numpy(look.evidence.target((size, size), box)).to(like.device) for look in group]
     stack = torch.stack(each)
     known = (stack != BACKGROUND) & (stack != IGNORE)
-    shifted = torch.stack([_shifted(labels, look) for labels, look in zip(each, group, strict=True)])
+    shifted = torch.stack([_shifted(labels, look, places) for labels, look in zip(each, group, strict=True)])
     # A pixel is somebody's if just one says so, and background if all do.
     owned = torch.where(known, shifted, 0).sum(0).to(torch.uint8)
     rest = torch.where((stack == BACKGROUND).all(0), BACKGROUND, IGNORE).to(torch.uint8)

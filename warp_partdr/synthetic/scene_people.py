@@ -23,8 +23,9 @@ from ..inputs.part_labels import PartLabels
 from ..interop.torch_threads import one_torch_thread
 from ..render.mesh import draw_mesh
 from ..scenes.depth_order import grown
+from ..scenes.looks import Looked
 from ..scenes.scene import Scene, Sight, View
-from ..scenes.start import Looked, time_shares
+from ..scenes.start import time_shares
 from . import people
 from .mocap import Clip
 from .noise import LEVELS, Level, noisy_keypoints, noisy_labels

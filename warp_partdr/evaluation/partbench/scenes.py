@@ -12,8 +12,8 @@ import torch
 from ...errors import InputError
 from ...fit.mesh_options import MeshOptions
 from ...scenes.fitting import fit_scene
+from ...scenes.looks import look_at
 from ...scenes.options import SceneOptions
-from ...scenes.start import look_at
 from ...synthetic.mocap import Clip
 from ...synthetic.mocap_files import FRAME_RATE, held_out_windows
 from ...synthetic.partbench_people import NUM_PEOPLE

@@ -1,0 +1,104 @@
+"""People of a scene who are drawn together: those who overlap, and nobody else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from warp_partdr.clothing.anny import anny
+from warp_partdr.fit.mesh_energy import mesh_energy
+from warp_partdr.fit.mesh_options import MeshOptions
+from warp_partdr.scenes.clusters import find_clusters, slots_of
+from warp_partdr.scenes.fitting import fit_scene, scene_energy
+from warp_partdr.scenes.looks import Looked, look_at
+from warp_partdr.scenes.options import SceneOptions
+from warp_partdr.scenes.scene import Scene, Sight
+from warp_partdr.scenes.start import gather_scene
+from warp_partdr.synthetic.scene_people import LABELS, make_views
+
+QUICK = SceneOptions(mesh=MeshOptions(iterations=8, size=96, vertices=800), together=160)
+
+
+def beside(sight: Sight, person: int, widths: float, *, frame: int = 0, parts: bool = True) -> Sight:
+    """The same person so many widths of the box farther to the right."""
+    points, seen = sight.keypoints.points, sight.keypoints.visible
+    aside = round(widths * 1.3 * float(np.ptp(points[seen, 0])))
+    moved = replace(sight.keypoints, points=points + np.float32([aside, 0]))
+    labels = sight.parts if parts else None
+    if labels is not None:
+        room = ((0, 0), (max(aside, 0), 0))
+        groups = np.pad(labels.groups, room)[:, : labels.groups.shape[1]] if aside else labels.groups
+        labels = replace(labels, groups=groups)
+    return Sight(moved, labels, person, frame)
+
+
+def line(*widths: float, frame: int = 0) -> list[Sight]:
+    one = make_views(3, 1).scene.sights[0]
+    return [beside(one, person, far, frame=frame, parts=False) for person, far in enumerate(widths)]
+
+
+def looked(sights: list[Sight]) -> tuple[Scene, list[Looked]]:
+    scene = Scene(make_views(3, 1).scene.views, sights)
+    return scene, look_at(scene, "cpu")
+
+
+@pytest.mark.parametrize(
+    ("widths", "clusters"),
+    [
+        ((0.0,), ((0,),)),
+        ((0.0, 3.0), ((0,), (1,))),
+        ((0.0, 0.2), ((0, 1),)),
+        ((0.0, 3.0, 0.5, 1.0, 3.2), ((0, 2, 3), (1, 4))),  # 2 overlaps both 0 and 3
+    ],
+)
+def test_who_overlaps_is_drawn_together(widths: tuple[float, ...], clusters: tuple[tuple[int, ...], ...]) -> None:
+    scene, looks = looked(line(*widths))
+    assert find_clusters(looks, scene.num_people) == clusters
+
+
+def test_once_is_enough() -> None:
+    """Two who meet in one of the frames are drawn together in all."""
+    scene, looks = looked(line(0.0, 3.0) + line(0.0, 0.2, frame=1))
+    assert find_clusters(looks, scene.num_people) == ((0, 1),)
+
+
+def test_a_crowd_in_a_line_is_one_cluster() -> None:
+    scene, looks = looked(line(*(0.6 * place for place in range(9))))
+    assert find_clusters(looks, scene.num_people) == (tuple(range(9)),)
+
+
+def test_everybody_has_a_slot() -> None:
+    slots, places = slots_of(((0, 3), (1,), (2, 4)), torch.device("cpu"))
+    assert slots.tolist() == [[0, 3], [1, -1], [2, 4]]
+    assert places.tolist() == [[0, 0], [1, 0], [2, 0], [0, 1], [2, 1]]
+
+
+def test_who_stands_apart_is_drawn_as_alone() -> None:
+    """The same labels, in the same crop, of the same size as of a scene of one."""
+    scene = make_views(3, 1).scene
+    one = scene.sights[0]
+    many = replace(scene, sights=[one, beside(one, 1, 4.0, parts=False)])
+    targets = []
+    for each in (scene, many):
+        looks = look_at(each, "cpu")
+        part = mesh_energy(anny("cpu"), QUICK.mesh, LABELS)
+        energy = scene_energy(part, QUICK, find_clusters(looks, each.num_people), LABELS.num_groups)
+        with torch.no_grad():
+            people = gather_scene(energy, anny("cpu"), each, looks)
+        assert people.target is not None
+        assert energy.size == QUICK.mesh.size
+        targets.append(people.target)
+    assert torch.equal(targets[1][:1], targets[0])
+    assert bool((targets[1][1] == 255).all())  # of the other there are keypoints alone
+
+
+def test_more_people_than_labels_are_fitted_where_few_overlap() -> None:
+    """20 people, of whom a picture could hold 18: 14 groups each."""
+    one = make_views(3, 1).scene
+    sights = [beside(one.sights[0], person, 4.0 * person, parts=person % 10 == 0) for person in range(20)]
+    fit = fit_scene(replace(one, sights=sights), options=QUICK)
+    assert fit.joints.shape[0] == 20
+    assert bool(fit.joints.isfinite().all())
