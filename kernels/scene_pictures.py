@@ -25,7 +25,7 @@ class SceneViews:
     lenses: wp.array[wp.vec3]  # (K T V,) focal length and principal point of the pictures' crops, in half-sides
     shown: wp.array2d[wp.bool]  # (N, V)
     slots: wp.array2d[int]  # (K, C) who is in each, -1 where nobody is
-    places: wp.array[wp.vec2i]  # (P,) cluster and slot of each person
+    places: wp.array[wp.vec2i]  # (P,) cluster and slot of each person, -1 of those who are in none
     half_size: float  # of the pictures [px]
 
 
@@ -122,7 +122,7 @@ def place_scene_adjoint(
     world = vertices[body, i] + pelvises[body]
     pull = wp.vec3()
     for view in range(num_views):
-        if views.shown[body, view]:
+        if place[0] >= 0 and views.shown[body, view]:
             picture = first + view
             adjoint = adj_screen[picture, place[1] * count + i]
             seen = views.rotations[view] * world + views.translations[view]

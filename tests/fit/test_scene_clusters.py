@@ -12,6 +12,7 @@ from warp_partdr.clothing.anny import anny
 from warp_partdr.fit.mesh_energy import mesh_energy
 from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.scenes.clusters import find_clusters, slots_of
+from warp_partdr.scenes.energy import SceneEnergy, SceneStarts
 from warp_partdr.scenes.fitting import fit_scene, scene_energy
 from warp_partdr.scenes.looks import Looked, look_at
 from warp_partdr.scenes.options import SceneOptions
@@ -29,8 +30,7 @@ def beside(sight: Sight, person: int, widths: float, *, frame: int = 0, parts: b
     moved = replace(sight.keypoints, points=points + np.float32([aside, 0]))
     labels = sight.parts if parts else None
     if labels is not None:
-        room = ((0, 0), (max(aside, 0), 0))
-        groups = np.pad(labels.groups, room)[:, : labels.groups.shape[1]] if aside else labels.groups
+        groups = np.pad(labels.groups, ((0, 0), (aside, 0)))
         labels = replace(labels, groups=groups)
     return Sight(moved, labels, person, frame)
 
@@ -43,6 +43,14 @@ def line(*widths: float, frame: int = 0) -> list[Sight]:
 def looked(sights: list[Sight]) -> tuple[Scene, list[Looked]]:
     scene = Scene(make_views(3, 1).scene.views, sights)
     return scene, look_at(scene, "cpu")
+
+
+def energy_of(scene: Scene, options: SceneOptions) -> tuple[SceneEnergy, SceneStarts]:
+    looks = look_at(scene, "cpu")
+    one = mesh_energy(anny("cpu"), options.mesh, LABELS)
+    energy = scene_energy(one, options, find_clusters(looks, scene.num_people), LABELS.num_groups)
+    with torch.no_grad():
+        return energy, gather_scene(energy, anny("cpu"), scene, looks)
 
 
 @pytest.mark.parametrize(
@@ -71,9 +79,9 @@ def test_a_crowd_in_a_line_is_one_cluster() -> None:
 
 
 def test_everybody_has_a_slot() -> None:
-    slots, places = slots_of(((0, 3), (1,), (2, 4)), torch.device("cpu"))
-    assert slots.tolist() == [[0, 3], [1, -1], [2, 4]]
-    assert places.tolist() == [[0, 0], [1, 0], [2, 0], [0, 1], [2, 1]]
+    slots, places = slots_of(((0, 3), (2, 4, 5)), 6, torch.device("cpu"))
+    assert slots.tolist() == [[0, 3, -1], [2, 4, 5]]
+    assert places.tolist() == [[0, 0], [-1, -1], [1, 0], [0, 1], [1, 1], [1, 2]]
 
 
 def test_who_stands_apart_is_drawn_as_alone() -> None:
@@ -83,14 +91,10 @@ def test_who_stands_apart_is_drawn_as_alone() -> None:
     many = replace(scene, sights=[one, beside(one, 1, 4.0, parts=False)])
     targets = []
     for each in (scene, many):
-        looks = look_at(each, "cpu")
-        part = mesh_energy(anny("cpu"), QUICK.mesh, LABELS)
-        energy = scene_energy(part, QUICK, find_clusters(looks, each.num_people), LABELS.num_groups)
-        with torch.no_grad():
-            people = gather_scene(energy, anny("cpu"), each, looks)
-        assert people.target is not None
-        assert energy.size == QUICK.mesh.size
-        targets.append(people.target)
+        _, people = energy_of(each, QUICK)
+        assert people.together is None
+        assert people.alone is not None
+        targets.append(people.alone.target)
     assert torch.equal(targets[1][:1], targets[0])
     assert bool((targets[1][1] == 255).all())  # of the other there are keypoints alone
 
@@ -102,3 +106,29 @@ def test_more_people_than_labels_are_fitted_where_few_overlap() -> None:
     fit = fit_scene(replace(one, sights=sights), options=QUICK)
     assert fit.joints.shape[0] == 20
     assert bool(fit.joints.isfinite().all())
+
+
+def seg_of(scene: Scene, options: SceneOptions = QUICK) -> float:
+    energy, people = energy_of(scene, options)
+    with torch.no_grad():
+        return energy.factors(people)["seg"] * float(energy(people, energy.at_rest(people))["seg"].sum())
+
+
+def test_labels_of_all_count_where_some_overlap() -> None:
+    """Two who overlap and one who does not cost as much as the two and the one."""
+    scene = make_views(3, 1).scene
+    one = scene.sights[0]
+    pair = [one, beside(one, 1, 0.5, parts=False)]
+    third = beside(one, 2, 4.0)
+    two, alone, all_ = (
+        seg_of(replace(scene, sights=each)) for each in (pair, [replace(third, person=0)], [*pair, third])
+    )
+    assert min(two, alone) > 0
+    assert all_ == pytest.approx(two + alone, rel=1e-4)
+
+
+def test_the_size_of_pictures_together_does_not_weigh() -> None:
+    one = make_views(3, 1).scene
+    pair = replace(one, sights=[one.sights[0], beside(one.sights[0], 1, 0.5, parts=False)])
+    small, large = (seg_of(pair, replace(QUICK, together=size)) for size in (128, 256))
+    assert small == pytest.approx(large, rel=0.3)

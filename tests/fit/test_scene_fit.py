@@ -50,7 +50,7 @@ def test_one_body_in_one_picture_has_the_mesh_stage_s_energy(device):
         **{name: getattr(people, name)[:, 0] for name in ("places", "points", "votes", "depths")},
         depth_spreads=people.depth_weights[:, 0].rsqrt(),
         turn_spreads=people.turn_weights[..., 0].rsqrt(),
-        target=people.target,
+        target=people.alone.target,
         lens=people.lens,
     )
     moves = 0.02 * torch.randn(energy.rates(people).shape, generator=torch.Generator().manual_seed(0)).to(device)
@@ -104,8 +104,9 @@ def test_a_pair_in_the_wrong_order_is_exchanged(device):
 def test_people_are_drawn_together():
     sample = make_pair(102, "clean")
     _energy, people = prepared(sample.scene, "cpu")
-    assert people.target is not None
-    shown = set(people.target.unique().tolist()) - {0, 255}
+    assert people.together is not None
+    assert people.alone is None
+    shown = set(people.together.target.unique().tolist()) - {0, 255}
     assert min(shown) <= LABELS.num_groups < max(shown) <= 2 * LABELS.num_groups
     fit = fit_scene(sample.scene, options=QUICK)
     for person in range(2):

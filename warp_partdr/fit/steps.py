@@ -16,15 +16,29 @@ from .mesh_options import MeshOptions
 
 
 class Tensors(Movable):
-    """Mixin for a dataclass of tensors, or None: starts, which a captured graph copies from others."""
+    """Mixin for a dataclass of tensors, others of these, or None: starts, which a captured graph copies from others."""
+
+    def named(self) -> dict[str, torch.Tensor]:
+        """All that are there, by their names."""
+        found: dict[str, torch.Tensor] = {}
+        for name, value in vars(self).items():
+            if isinstance(value, Tensors):
+                found |= {f"{name}.{own}": tensor for own, tensor in value.named().items()}
+            elif value is not None:
+                found[name] = value
+        return found
 
     def tensors(self) -> list[torch.Tensor]:
         """All that are there."""
-        return [tensor for tensor in vars(self).values() if tensor is not None]
+        return list(self.named().values())
 
     def copied(self) -> Self:
         """Copies of all tensors."""
-        return replace(self, **{name: None if value is None else value.clone() for name, value in vars(self).items()})
+        values = {name: value for name, value in vars(self).items() if value is not None}
+        return replace(
+            self,
+            **{name: value.copied() if isinstance(value, Tensors) else value.clone() for name, value in values.items()},
+        )
 
 
 P = TypeVar("P", bound=Tensors)
@@ -107,8 +121,7 @@ def find_steps(energy: StepEnergy[P, U], people: P, options: MeshOptions) -> Ste
     tensors = people.tensors()
     device, rate = tensors[0].device, options.learning_rate
     if device.type == "cuda" and options.iterations > 0:
-        # Which tensors are there is told by their names.
-        shapes = tuple((name, each.shape) for name, each in vars(people).items() if isinstance(each, torch.Tensor))
+        shapes = tuple((name, each.shape) for name, each in people.named().items())  # names tell which are there
         key = _CapturedSteps, energy, shapes, rate
         steps = graphs.find(key, device, 0, lambda: _CapturedSteps(energy, people, rate), at_once=True)
         if steps is not None:

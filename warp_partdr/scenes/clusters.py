@@ -44,10 +44,20 @@ def check_room(clusters: Clusters, groups: int) -> None:
         )
 
 
-def slots_of(clusters: Clusters, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
+def of_several(clusters: Clusters) -> Clusters:
+    """Those of more than one person."""
+    return tuple(members for members in clusters if len(members) > 1)
+
+
+def of_one(clusters: Clusters) -> Clusters:
+    """Those of one person."""
+    return tuple(members for members in clusters if len(members) == 1)
+
+
+def slots_of(clusters: Clusters, num_people: int, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
     """``slots`` and ``places`` of ``PictureViews``, shapes (K, C) and (P, 2)."""
     slots = np.full((len(clusters), max(map(len, clusters))), -1, dtype=np.int32)
-    places = np.zeros((sum(map(len, clusters)), 2), dtype=np.int32)
+    places = np.full((num_people, 2), -1, dtype=np.int32)
     for number, members in enumerate(clusters):
         slots[number, : len(members)] = members
         places[list(members)] = [(number, slot) for slot in range(len(members))]

@@ -17,6 +17,7 @@ from ..cameras import ScreenCamera
 from ..clothing.model import DetailedModel
 from ..fit.mesh_unknowns import Unknowns
 from ..render.mesh import mesh_label_loss
+from .clusters import of_several
 from .energy import SceneEnergy, SceneStarts
 from .looks import Looked
 from .scene import Scene
@@ -65,16 +66,16 @@ def exchange(
 
 def _tells_order(energy: SceneEnergy, people: SceneStarts) -> bool:
     """True if labels can say who stands in front; several views, or known sizes, tell the depth."""
-    one_view, several = len(people.view_rotations) == 1, people.slots.shape[1] > 1
-    return energy.mesh is not None and several and one_view and bool(people.unknown.any())
+    one_view = len(people.view_rotations) == 1
+    return energy.mesh is not None and people.together is not None and one_view and bool(people.unknown.any())
 
 
 def _drawn(energy: SceneEnergy, people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:
-    """Vertices in each picture of the one view, u [px], v [px], z [m], of clusters K with C slots, (K, T, C, n, 3)."""
-    assert people.target is not None
-    assert people.target_lens is not None
-    drawn = energy.pictured(people, unknowns, people.target_lens, people.target.shape[-1])
-    return drawn.unflatten(1, (people.slots.shape[1], -1)).unflatten(0, (len(people.slots), -1))
+    """Vertices in pictures of those who overlap, u [px], v [px], z [m], of K clusters with C slots, (K, T, C, n, 3)."""
+    assert people.together is not None
+    clusters, slots = people.together.slots.shape
+    drawn = energy.pictured(people, unknowns, people.together)
+    return drawn.unflatten(1, (slots, -1)).unflatten(0, (clusters, -1))
 
 
 def _exchanged(looks: Sequence[Looked], factors: Mapping[int, Mapping[int, float]]) -> list[Looked]:
@@ -86,15 +87,14 @@ def _best_exchanges(
     energy: SceneEnergy, people: SceneStarts, drawn: torch.Tensor, frame: int, least_gain: float = LEAST_GAIN
 ) -> dict[int, float] | None:
     """Factors by which two people of each cluster grow as they are exchanged in a frame; None if that helps nowhere."""
-    assert people.target is not None
-    targets = people.target.unflatten(0, drawn.shape[:2])
+    assert people.together is not None
+    targets = people.together.target.unflatten(0, drawn.shape[:2])
     shown = people.shown.unflatten(0, (len(people.shape), -1))[:, frame, 0]
     found: dict[int, float] = {}
-    for cluster, members in enumerate(energy.clusters):
-        if len(members) > 1:
-            seen = shown[list(members)].tolist()
-            factors = _best_exchange(energy, drawn[cluster, frame], seen, targets[cluster, frame], least_gain)
-            found |= {members[slot]: factor for slot, factor in factors.items()}
+    for cluster, members in enumerate(of_several(energy.clusters)):
+        seen = shown[list(members)].tolist()
+        factors = _best_exchange(energy, drawn[cluster, frame], seen, targets[cluster, frame], least_gain)
+        found |= {members[slot]: factor for slot, factor in factors.items()}
     return found or None
 
 

@@ -28,6 +28,28 @@ FEET = ("left_heel", "left_big_toe", "left_small_toe", "right_heel", "right_big_
 
 
 @dataclass(frozen=True)
+class Sheet(Tensors):
+    """Pictures of K clusters of people, C at most in one, in all frames and views.
+
+    Attributes:
+        target: Labels: slot G + group, shape (K T V, size, size), uint8.
+        lenses: Of the crops, shape (K T V, 3).
+        slots: As of ``PictureViews``, like ``places``, shape (K, C), int32.
+        places: Shape (P, 2), int32.
+    """
+
+    target: torch.Tensor
+    lenses: torch.Tensor
+    slots: torch.Tensor
+    places: torch.Tensor
+
+    @property
+    def size(self) -> int:
+        """Side of the crops [px]."""
+        return self.target.shape[-1]
+
+
+@dataclass(frozen=True)
 class SceneStarts(Tensors):
     """Starts and observations of P people in T frames, seen by V views; N = P T bodies, frames of a person in a row.
 
@@ -56,10 +78,8 @@ class SceneStarts(Tensors):
         smooth: Share of each frame in each frame's moves, shape (T, T); None: frames move for themselves.
         ground: Normal and offset [m] of the ground in the world, shape (4,); None: no feet are held to any.
         standing: How surely each body stands on it, shape (N,).
-        target: Labels of pictures: slot G + group, shape (K T V, size, size), uint8; None: without labels.
-        target_lens: Of the pictures' crops, shape (K T V, 3).
-        slots: Of people in K clusters, as of ``PictureViews``, shape (K, C), int32.
-        drawn_in: Cluster and slot of each person, shape (P, 2), int32.
+        together: Pictures of people who overlap; None: without labels, or nobody does.
+        alone: Pictures of each of the others; None: without labels, or there are none.
     """
 
     rotations: torch.Tensor
@@ -84,10 +104,8 @@ class SceneStarts(Tensors):
     depth_weights: torch.Tensor
     shown: torch.Tensor
     smooth: torch.Tensor | None
-    target: torch.Tensor | None
-    target_lens: torch.Tensor | None
-    slots: torch.Tensor
-    drawn_in: torch.Tensor
+    together: Sheet | None
+    alone: Sheet | None
     ground: torch.Tensor | None = None
     standing: torch.Tensor | None = None
 
@@ -99,7 +117,7 @@ class SceneEnergy:
     Attributes:
         one: Model, landmarks and terms of a person.
         clusters: People who are drawn together.
-        mesh: Of a cluster's people together, with their labels; None: without labels.
+        mesh: Of people who overlap, as many as a cluster has, with their labels; None: without labels, or nobody does.
         capsules: Of each person; None: nothing keeps parts and people apart.
         options: Weights.
     """
@@ -110,16 +128,10 @@ class SceneEnergy:
     capsules: Capsules | None
     options: SceneOptions
 
-    @property
-    def size(self) -> int:
-        """Side of drawn crops [px]."""
-        several = any(len(members) > 1 for members in self.clusters)
-        return self.options.together if several else self.options.mesh.size
-
     def factors(self, people: SceneStarts) -> dict[str, float]:
         """Weights of all costs, by name."""
         apart = self.options.apart if len(people.shape) > 1 else self.options.mesh.apart
-        return self.options.mesh.factors(apart, self.size) | {"ground": self.options.ground}
+        return self.options.mesh.factors(apart, self.options.mesh.size) | {"ground": self.options.ground}
 
     def __call__(self, people: SceneStarts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
         """Costs by name, of any shape each."""
@@ -150,25 +162,37 @@ class SceneEnergy:
         if people.ground is not None and people.standing is not None:
             lowest = self.lowest_feet(points, people.ground)
             costs["ground"] = people.standing * (100 * lowest).square()
-        if people.target is not None and people.target_lens is not None and self.mesh is not None:
-            views = self._views(people, people.target_lens)
-            costs["seg"], _ = mesh_label_loss(
-                place_people(drawn, pelvises, views, people.target.shape[-1]),
-                self.mesh,
-                ScreenCamera(perspective=True),
-                people.target,
-                gradient=options.gradient,
-                max_distance=options.max_distance,
-                depth_weight=options.depth_weight,
-                validate=False,
-            )
+        seg = [
+            self._label_loss(people, sheet, mesh, drawn, pelvises)
+            for sheet, mesh in ((people.together, self.mesh), (people.alone, one.mesh))
+            if sheet is not None and mesh is not None
+        ]
+        if seg:
+            costs["seg"] = torch.cat(seg) if len(seg) > 1 else seg[0]
         return costs
 
-    def pictured(self, people: SceneStarts, unknowns: Unknowns, lenses: torch.Tensor, size: int) -> torch.Tensor:
-        """Vertices of people in each picture, as of ``place_people``, by the pictures' lenses, (K T V, 3)."""
+    def _label_loss(
+        self, people: SceneStarts, sheet: Sheet, mesh: PartMesh, drawn: torch.Tensor, pelvises: torch.Tensor
+    ) -> torch.Tensor:
+        """Of each picture of a sheet, in pixels of a person's crop."""
+        options = self.options.mesh
+        loss, _ = mesh_label_loss(
+            place_people(drawn, pelvises, self._views(people, sheet), sheet.size),
+            mesh,
+            ScreenCamera(perspective=True),
+            sheet.target,
+            gradient=options.gradient,
+            max_distance=options.max_distance,
+            depth_weight=options.depth_weight,
+            validate=False,
+        )
+        return loss if sheet.size == options.size else loss * (options.size / sheet.size) ** 2
+
+    def pictured(self, people: SceneStarts, unknowns: Unknowns, sheet: Sheet) -> torch.Tensor:
+        """Vertices of people in each picture of a sheet, as of ``place_people``."""
         posed = self.one.pose(people, self._of_frames(people, unknowns))
-        views = self._views(people, lenses)
-        return place_people(self.one.split(posed)[0], self.pelvises(people, unknowns), views, size)
+        views = self._views(people, sheet)
+        return place_people(self.one.split(posed)[0], self.pelvises(people, unknowns), views, sheet.size)
 
     def landmarks(self, people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:
         """All of the drawn model's, in the world [m], shape (N, L, 3)."""
@@ -238,6 +262,6 @@ class SceneEnergy:
         return torch.nn.functional.linear(points, *views).unflatten(2, (-1, 3)).transpose(1, 2)
 
     @staticmethod
-    def _views(people: SceneStarts, lenses: torch.Tensor) -> PictureViews:
+    def _views(people: SceneStarts, sheet: Sheet) -> PictureViews:
         views = people.view_rotations, people.view_translations
-        return PictureViews(*views, lenses, people.shown, people.slots, people.drawn_in)
+        return PictureViews(*views, sheet.lenses, people.shown, sheet.slots, sheet.places)

@@ -210,8 +210,8 @@ def _warnings(looks: Sequence[Looked]) -> tuple[str, ...]:
 def scene_energy(one: MeshEnergy, options: SceneOptions, clusters: Clusters, groups: int) -> SceneEnergy:
     """Energy of people drawn together so, whose labels are of G groups; kept, for captured graphs belong to it."""
     mesh: PartMesh | None = None
-    if one.mesh is not None:
-        mesh = one.mesh.repeated(max(map(len, clusters)), groups, one.first or one.model.num_vertices)
+    if one.mesh is not None and (most := max(map(len, clusters))) > 1:
+        mesh = one.mesh.repeated(most, groups, one.first or one.model.num_vertices)
     num_people = sum(map(len, clusters))
     several = num_people > 1 and options.apart > 0
     capsules = measure_capsules(one.model) if several else one.capsules if num_people == 1 else None

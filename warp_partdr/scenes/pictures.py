@@ -25,7 +25,7 @@ class PictureViews:
         lenses: Of the pictures' crops, shape (K T V, 3).
         shown: Who is seen in each view, shape (P T, V), bool.
         slots: Who is in each cluster, -1 where nobody is, shape (K, C), int32.
-        places: Cluster and slot of each person, shape (P, 2), int32.
+        places: Cluster and slot of each person, -1 of those who are in none, shape (P, 2), int32.
     """
 
     rotations: torch.Tensor

@@ -20,8 +20,8 @@ from ..clothing.registration import shape_from_lengths
 from ..fit.mesh_energy import gather_keypoints, gather_spreads
 from ..inputs.observation import REFERENCE_SIZE, crop_lens, resize_nearest
 from ..interop.checks import FLOATS, check_tensor
-from .clusters import slots_of
-from .energy import SceneEnergy, SceneStarts
+from .clusters import Clusters, of_one, of_several, slots_of
+from .energy import SceneEnergy, SceneStarts, Sheet
 from .looks import Looked
 from .pictures import pelvises_in_world
 from .scene import Scene, View
@@ -84,10 +84,10 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         return full
 
     depths = BodyParameters.joined([look.body for look in looks]).posed().joints[..., 2]
-    target = lens = None
-    slots, drawn_in = slots_of(energy.clusters, like.device)
-    if energy.mesh is not None:
-        target, lens = _targets(energy, scene, looks, drawn_in.tolist(), like)
+    together = alone = None
+    if one.mesh is not None:
+        together = _sheet(of_several(energy.clusters), energy.options.together, scene, looks)
+        alone = _sheet(of_one(energy.clusters), energy.options.mesh.size, scene, looks)
     no_lens = lenses.new_tensor([1.0, 0.0, 0.0])
     shown = table(torch.ones_like(views, dtype=torch.bool))
     seen_by = torch.where(shown[..., None], table(lenses), no_lens).flatten(0, 1)
@@ -115,10 +115,8 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         depth_weights=table(1 / depth_spreads.square()),
         shown=shown,
         smooth=smooth,
-        target=target,
-        target_lens=lens,
-        slots=slots,
-        drawn_in=drawn_in,
+        together=together,
+        alone=alone,
     )
 
 
@@ -256,18 +254,21 @@ def _meeting_point(group: Sequence[Looked], rotations: torch.Tensor, translation
     return torch.linalg.solve(normal, right)
 
 
-def _targets(
-    energy: SceneEnergy, scene: Scene, looks: Sequence[Looked], places: Sequence[Sequence[int]], like: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """``target`` and ``target_lens`` of all pictures, by places of people; where nobody is seen, all is ignored."""
-    size = energy.size
-    shape = len(energy.clusters) * scene.num_frames * len(scene.views), size, size
+def _sheet(clusters: Clusters, size: int, scene: Scene, looks: Sequence[Looked]) -> Sheet | None:
+    """Pictures of these clusters in crops of a size, all ignored where nobody is seen; None if there is no cluster."""
+    if not clusters:
+        return None
+    like = looks[0].body.log_scale
+    slots, rows = slots_of(clusters, scene.num_people, like.device)
+    places: list[list[int]] = rows.tolist()
+    shape = len(clusters) * scene.num_frames * len(scene.views), size, size
     target = torch.full(shape, IGNORE, dtype=torch.uint8, device=like.device)
-    lens = like.new_tensor([1.0, 0.0, 0.0]).repeat(shape[0], 1)
+    lenses = like.new_tensor([1.0, 0.0, 0.0]).repeat(shape[0], 1)
     groups: dict[int, list[Looked]] = {}
     for look in looks:
-        if look.seen.labels is not None:
-            row = places[look.sight.person][0] * scene.num_frames + look.sight.frame
+        cluster = places[look.sight.person][0]
+        if cluster >= 0 and look.seen.labels is not None:
+            row = cluster * scene.num_frames + look.sight.frame
             groups.setdefault(row * len(scene.views) + look.sight.view, []).append(look)
     for picture, group in groups.items():
         if len(group) == 1:
@@ -275,10 +276,10 @@ def _targets(
             assert look.seen.labels is not None
             assert look.seen.lens is not None
             labels = _shifted(resize_nearest(look.seen.labels, size), look, places)
-            target[picture], lens[picture] = labels, look.seen.lens
+            target[picture], lenses[picture] = labels, look.seen.lens
         else:
-            target[picture], lens[picture] = _together(group, places, size, scene.views[group[0].sight.view], like)
-    return target, lens
+            target[picture], lenses[picture] = _together(group, places, size, scene.views[group[0].sight.view], like)
+    return Sheet(target, lenses, slots, rows)
 
 
 def _shifted(labels: torch.Tensor, look: Looked, places: Sequence[Sequence[int]]) -> torch.Tensor:
