@@ -55,13 +55,14 @@ def mean_bodies(first: Predicted, second: Predicted) -> Predicted:
     def middle(name: str) -> torch.Tensor:
         return (getattr(first, name) + getattr(second, name)) / 2
 
-    turns = {name: rotation_from_6d(rotation_to_6d(middle(name))) for name in ("orientation", "rotations")}
+    turns = torch.cat([middle("orientation")[:, None], middle("rotations")], dim=1)
+    orientation, rotations = rotation_from_6d(rotation_to_6d(turns)).tensor_split([1], dim=1)
     numbers = {name: middle(name) for name in ("lengths", "thicknesses", "log_scale", "shift")}
     said = first.uncertainty
     if said is not None and second.uncertainty is not None:
         pairs = zip(vars(said).items(), vars(second.uncertainty).values(), strict=True)
         said = Uncertainty(**{name: (own + other) / 2 for (name, own), other in pairs})
-    return Predicted(**turns, **numbers, uncertainty=said)
+    return Predicted(orientation[:, 0], rotations, **numbers, uncertainty=said)
 
 
 @lru_cache(maxsize=8)

@@ -34,7 +34,7 @@ _HEADS: dict[str, int] = {
     "thicknesses": len(THICKNESS_NAMES),
     "camera": 3,  # log_scale, shift
 }
-_GROUPS = [6, 6 * len(FREE_PARTS), _NUM_SIZES, 3]  # of an estimate, sizes together
+_GROUPS = [6 * (1 + len(FREE_PARTS)), _NUM_SIZES, 3]  # of an estimate, the orientation with rotations, sizes together
 
 
 @dataclass(frozen=True)
@@ -91,11 +91,11 @@ class Regressor(nn.Module):
         return self._bodies(estimate)
 
     def _bodies(self, estimate: torch.Tensor) -> Predicted:
-        orientation, turns, logarithms, camera = estimate.split(_GROUPS, dim=1)
-        free = rotation_from_6d(turns.unflatten(1, (-1, 6)))
+        turns, logarithms, camera = estimate.split(_GROUPS, dim=1)
+        orientation, free = rotation_from_6d(turns.unflatten(1, (-1, 6))).tensor_split([1], dim=1)
         sizes = (_MAX_LOG_SIZE * torch.tanh(logarithms / _MAX_LOG_SIZE)).exp() * self.sizes
         return Predicted(
-            orientation=rotation_from_6d(orientation),
+            orientation=orientation[:, 0],
             rotations=torch.cat([self.locked.expand(len(free), -1, -1, -1), free], dim=1),  # the hips come first
             lengths=sizes[:, : len(LENGTH_NAMES)],
             thicknesses=sizes[:, len(LENGTH_NAMES) :],
