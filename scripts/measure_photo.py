@@ -19,11 +19,11 @@ import warp as wp
 
 from warp_partdr import metrics
 from warp_partdr.body.labels import label_set, regroup
-from warp_partdr.fit.photo import fit_photo
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import person_height
 from warp_partdr.inputs.part_labels import read_labelled_parts, read_photo
+from warp_partdr.scenes.photo import fit_photo
 
 COARSE = label_set("lsp6")
 

@@ -25,9 +25,9 @@ from warp_partdr.bulk import run as bulk_run
 from warp_partdr.bulk.rows import columns
 from warp_partdr.clothing.anny import anny
 from warp_partdr.errors import InputError
-from warp_partdr.fit.photo import fit_photo
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.interop import precision
+from warp_partdr.scenes.photo import fit_photo
 
 pa = pytest.importorskip("pyarrow", reason="needs pyarrow, the extra dataset")
 pq = pytest.importorskip("pyarrow.parquet", reason="needs pyarrow, the extra dataset")

@@ -17,12 +17,12 @@ from scenes.films import write_film
 
 from warp_partdr.body.template import JOINT_NAMES
 from warp_partdr.detection.people import find_people
-from warp_partdr.fit.photo import PACKAGED
 from warp_partdr.inputs.films import read_frames
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.predictors.networks import upright_crop
 from warp_partdr.results.predictions import load_film_bodies
+from warp_partdr.scenes.photo import PACKAGED
 
 ANKLES = [JOINT_NAMES.index(name) for name in ("left_ankle", "right_ankle")]
 

@@ -15,8 +15,8 @@ from scenes.files import EXAMPLE, save_with_focal
 
 from warp_partdr import FitOptions
 from warp_partdr.fit.mesh_options import MeshOptions
-from warp_partdr.fit.photo import fit_photo
 from warp_partdr.results.save_photo import PHOTO_FILES
+from warp_partdr.scenes.photo import fit_photo
 
 files, run = commands.files, commands.run  # fixtures
 

@@ -18,10 +18,10 @@ from warp_partdr.detection.crops import TurnedCrops
 from warp_partdr.detection.people import find_people
 from warp_partdr.detection.person import FoundPerson
 from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.photo import PACKAGED, PhotoFit, fit_photo
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.predictors.networks import KeypointNetwork, PartNetwork, upright_crop
+from warp_partdr.scenes.photo import PACKAGED, PhotoFit, fit_photo
 
 FAST = FitOptions.at("fast")
 CDCL = label_set("cdcl14")

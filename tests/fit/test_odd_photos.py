@@ -17,14 +17,14 @@ from scenes.files import EXAMPLE
 from scenes.people import crowd
 
 from warp_partdr.cameras import Perspective
-from warp_partdr.fit import photo as photos
 from warp_partdr.fit.mesh_stage import MeshFit
 from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.photo import fit_photo, person_evidence
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.results import save
 from warp_partdr.results.body_file import load_body
 from warp_partdr.results.save_photo import save_photo_fit
+from warp_partdr.scenes import photo as photos
+from warp_partdr.scenes.photo import fit_photo, person_evidence
 
 FAST = FitOptions.at("fast")
 

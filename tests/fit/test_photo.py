@@ -16,15 +16,15 @@ from warp_partdr.cameras import Perspective
 from warp_partdr.detection import crops
 from warp_partdr.errors import InputError
 from warp_partdr.fit import fitting
-from warp_partdr.fit import photo as photo_fit
 from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.photo import PACKAGED, PhotoFit, fit_photo, mask_labels
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.results.result_sets import check_result
 from warp_partdr.results.save import DETAILED_FILES, RESULT_FILES, save_fit
 from warp_partdr.results.save_photo import PHOTO_FILES, save_photo_fit
 from warp_partdr.results.scene_places import place_on_ground
+from warp_partdr.scenes import photo as photo_fit
+from warp_partdr.scenes.photo import PACKAGED, PhotoFit, fit_photo, mask_labels
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "warp_partdr" / "assets" / "example"
 FAST = FitOptions.at("fast")

@@ -14,7 +14,6 @@ from warp_partdr.body.labels import BACKGROUND, label_set
 from warp_partdr.body.skeletons import SKELETONS, skeleton
 from warp_partdr.cameras import Perspective
 from warp_partdr.errors import InputError
-from warp_partdr.fit.photo import person_evidence
 from warp_partdr.inputs import masked_people
 from warp_partdr.inputs.evidence import WINDOW_SIDE
 from warp_partdr.inputs.keypoint_files import read_keypoints
@@ -22,6 +21,7 @@ from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.masked_people import MaskedPerson, cut_masks
 from warp_partdr.inputs.observation import crop_evidence
 from warp_partdr.inputs.part_labels import read_parts
+from warp_partdr.scenes.photo import person_evidence
 
 
 @cache

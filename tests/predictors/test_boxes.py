@@ -17,10 +17,10 @@ from warp_partdr.detection.given_boxes import BoxNetwork, find_boxes, find_peopl
 from warp_partdr.detection.people import find_people
 from warp_partdr.errors import InputError
 from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.photo import PACKAGED, fit_photo
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.predictors.film_sights import GivenNetworks
 from warp_partdr.predictors.networks import KeypointNetwork, upright_crop
+from warp_partdr.scenes.photo import PACKAGED, fit_photo
 
 PHOTO = read_photo(EXAMPLE / "photo.png")
 CLASSES = {0: "dog", 1: "Person", 2: "car"}

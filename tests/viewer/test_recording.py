@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
-from warp_partdr.fit.photo import person_in_photo
+from warp_partdr.scenes.photo import person_in_photo
 from warp_partdr.viewer.recording import Film, check_format
 from warp_partdr.viewer.targets import person_target
 

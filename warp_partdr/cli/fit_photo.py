@@ -44,11 +44,11 @@ def fit_everyone(
     files.networks.check("--keypoints")
     picture = read_photo(photo)
 
-    from ..fit.photo import fit_photo
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save_photo import PHOTO_FILES, save_photo_fit
+    from ..scenes.photo import fit_photo
     from .progress import FitProgress
 
     if model == NO_MODEL:

@@ -196,25 +196,52 @@ def _finish(
     if given is not None:
         rotations = given.whole(rotations[:, energy.turning])
     bodies = ungrown(model, shape, rotations, translation, terms)
-    seen, pelvises = measure_parameters(bodies, found.log_scale, found.shift, people.lens)
-    there, _ = place_bodies(seen, seen.posed(), people.lens, REFERENCE_SIZE)
-    bodies, clothes = bodies.moved(there.joints[:, 0] - pelvises), bounded(found.clothes)
+    numbers = {name: term.tolist() for name, term in terms.items()}
+    energies = [{name: values[place] for name, values in numbers.items()} for place in range(len(results))]
+    where = found.log_scale, found.shift, people.lens
     try:
-        check_finite(vertices=bodies.detailed.vertices, scale=seen.log_scale.exp(), shift=seen.shift)
+        fits = mesh_fits(bodies, where, bounded(found.clothes), results, energies)
     except ValueError as error:
         told = f"learning_rate: {energy.options.learning_rate}; the mesh stage went astray ({error})"
         raise InputError(f"{told}; expected a smaller rate, or smaller weights of its terms") from error
-    numbers = {name: term.tolist() for name, term in terms.items()}
     seconds = (time.perf_counter() - started) / len(results)
+    for fit in fits:
+        fit.ellipbody.stage_seconds["mesh"] = seconds
+    return fits
+
+
+def mesh_fits(
+    bodies: Registered,
+    where: tuple[torch.Tensor, torch.Tensor, torch.Tensor | None],
+    clothes: torch.Tensor,
+    results: Sequence[FitResult],
+    energies: Sequence[dict[str, float]],
+) -> list[MeshFit]:
+    """Detailed bodies of B people where their cameras see them, with EllipBodies measured from them.
+
+    Args:
+        bodies: About the origin.
+        where: Of the origin, ``log_scale`` (B,) and ``shift`` (B, 2) in the crops of the results, and their lenses.
+        clothes: Thicknesses [m], shape (B, 8).
+        results: The fits that they went on from.
+        energies: Weighted terms by name; of a person without any, the result's stay.
+
+    Raises:
+        ValueError: If a number is not finite.
+    """
+    seen, pelvises = measure_parameters(bodies, *where)
+    there, _ = place_bodies(seen, seen.posed(), where[2], REFERENCE_SIZE)
+    bodies = bodies.moved(there.joints[:, 0] - pelvises)
+    check_finite(vertices=bodies.detailed.vertices, scale=seen.log_scale.exp(), shift=seen.shift)
     fits: list[MeshFit] = []
-    for place, result in enumerate(results):
+    for place, (result, energy) in enumerate(zip(results, energies, strict=True)):
         own = slice(place, place + 1)
         ellipbody = replace(
             result,
             parameters=seen.select(own),
             before_outline=None,
-            energy={name: values[place] for name, values in numbers.items()} or result.energy,
-            stage_seconds=result.stage_seconds | {"mesh": seconds},
+            energy=energy or result.energy,
+            stage_seconds=dict(result.stage_seconds),
         )
         fits.append(MeshFit(result, bodies.select(own), ellipbody, clothes[own]))
     return fits

@@ -15,12 +15,12 @@ from ..clothing.measuring import measure_ellipbody
 from ..detection.film_people import SEEN
 from ..errors import check_type
 from ..fit.fitting import Progress
-from ..fit.photo import PACKAGED
 from ..inputs.films import read_frames
 from ..interop.ahead import made_ahead
 from ..interop.torch_threads import one_torch_thread
 from ..predictors.film_sights import GivenNetworks
 from ..scenes.film import FilmFit, Motion
+from ..scenes.photo import PACKAGED
 from ..scenes.seen_film import SeenFilm
 from .film_file import write_film
 from .film_pictures import PosedMotions, draw_bodies, resized, zoomed_view

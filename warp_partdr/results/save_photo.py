@@ -12,8 +12,8 @@ import numpy as np
 from ..cameras import Perspective
 from ..errors import check_type
 from ..fit.mesh_stage import MeshFit
-from ..fit.photo import PhotoFit
 from ..interop.torch_threads import one_torch_thread
+from ..scenes.photo import PhotoFit
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .further_files import FURTHER_FILES
 from .palette import PART_COLOURS

@@ -34,10 +34,15 @@ def find_clusters(looks: Sequence[Looked], num_people: int) -> Clusters:
     return tuple(dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in near))
 
 
+def fits_in_labels(people: int, groups: int) -> bool:
+    """True if a picture holds the labels of so many people of so many groups."""
+    return people * groups <= MAX_LABEL
+
+
 def check_room(clusters: Clusters, groups: int) -> None:
     """Raise InputError if people drawn together had more labels than a picture holds."""
     most = max(map(len, clusters))
-    if most * groups > MAX_LABEL:
+    if not fits_in_labels(most, groups):
         raise InputError(
             f"sights: {most} people of {groups} groups overlap; expected {MAX_LABEL} labels at most, as of "
             f"{MAX_LABEL // groups} people; fit them in several scenes, of a film one person each (--person)"

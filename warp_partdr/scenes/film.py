@@ -21,13 +21,13 @@ from ..clothing.registration import Registered, ungrown
 from ..detection.film_people import FilmPeople
 from ..errors import InputError, check_each
 from ..fit.fitting import Progress
-from ..fit.photo import person_place
 from ..interop.ahead import made_ahead
 from .film_looks import FilmLooks
 from .film_pieces import FilmPieces
 from .fitting import SceneFit, fit_scene
 from .looks import Looked
 from .options import SceneOptions
+from .photo import person_place
 from .same_people import Track, match_people
 from .scene import PersonShape, Scene, Sight, View
 from .seen_film import SeenFilm

@@ -124,7 +124,8 @@ def fit_scene(
     model = model or anny(where)
     tell = progress or (lambda name, done, total: None)
     started = time.perf_counter()
-    tell("network", 0, 1)
+    if looks is None:
+        tell("network", 0, 1)
     looks = look_at(scene, where) if looks is None else list(looks)
     label_set = next((look.seen.label_set for look in looks if look.seen.label_set is not None), None)
     one, clusters = mesh_energy(model, options.mesh, label_set), find_clusters(looks, scene.num_people)

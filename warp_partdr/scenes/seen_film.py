@@ -12,9 +12,9 @@ from ..body.labels import IGNORE
 from ..cameras import Perspective, zoomed
 from ..detection.film_people import FilmPeople, kept_size, pack_owners, row_keypoints
 from ..errors import check_type
-from ..fit.photo import mask_labels
 from ..inputs.calibrated_camera import CalibratedCamera
 from ..predictors.film_sights import FilmSights, pack_groups
+from .photo import mask_labels
 from .scene import Sight, View
 
 

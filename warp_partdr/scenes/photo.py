@@ -23,6 +23,10 @@ from ..detection.masks import instance_map
 from ..detection.people import check_picture, find_people
 from ..detection.person import FoundPerson
 from ..errors import InputError, check_type, check_whole, told_as
+from ..fit.fitting import Progress, fit_evidence
+from ..fit.mesh_stage import MeshFit
+from ..fit.options import FitOptions
+from ..fit.result import FitResult
 from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.masked_people import MASK_LABELS
@@ -31,10 +35,7 @@ from ..inputs.person import PersonInputs
 from ..predictors.keypoints import find_keypoints
 from ..predictors.networks import KeypointNetwork, PartNetwork
 from ..predictors.parts import PeopleParts
-from .fitting import Progress, fit_evidence
-from .mesh_stage import MeshFit, refine_meshes
-from .options import FitOptions
-from .result import FitResult
+from .overlapping import refine_people
 
 PACKAGED = "packaged: BlazePose"  # name of the packaged network
 _COMPARED = 1024  # [px], longer side of the picture in which it is looked for who hides whom
@@ -84,7 +85,7 @@ def fit_photo(
     progress: Progress | None = None,
     camera: Perspective | None = None,
 ) -> PhotoFit:
-    """Find everyone in a photo, and fit a body to each; the mesh stages run side by side.
+    """Find everyone in a photo, and fit a body to each; the mesh stages run side by side, of those who overlap as one.
 
     Args:
         photo: RGB, shape (H, W, 3), uint8, of ``read_photo``; or its file.
@@ -133,7 +134,7 @@ def fit_photo(
             if guessed:
                 camera = result.camera  # type: ignore[assignment]  # a guess is of perspective
         results.append(replace(result, camera_guessed=guessed, warnings=(*warnings, *result.warnings)))
-    fits = refine_meshes(results, model, options=options.mesh, progress=progress)
+    fits = refine_people(results, model, options=options.mesh, progress=progress)
     return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners, sources)
 
 
