@@ -7,6 +7,7 @@ prior prefers the likelier. ``scripts/learn_pose_prior.py`` learns ``assets/pose
 
 from __future__ import annotations
 
+from functools import lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -146,6 +147,13 @@ class PosePrior(torch.nn.Module):
         if tuple(values.shape[1:]) != shape or values.ndim != len(shape) + 1:
             expected = ", ".join(["B", *(str(size) for size in shape)])
             raise ValueError(f"{name}: shape {tuple(values.shape)}; expected ({expected})")
+
+
+@lru_cache(maxsize=8)
+def packaged_prior(device: str) -> PosePrior:
+    """The packaged prior on a device, kept: to read it takes a while, and graphs that are kept read its memory."""
+    with torch.inference_mode(False):
+        return PosePrior().to(device)
 
 
 # Shapes in the file; K pairs of components, N exemplars. Float32; float16 for the exemplars.

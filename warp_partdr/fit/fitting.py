@@ -11,7 +11,7 @@ import torch
 
 from ..body.lens import turn_to_rays
 from ..body.parameters import BodyParameters
-from ..body.pose_prior import PosePrior
+from ..body.pose_prior import PosePrior, packaged_prior
 from ..body.template import NUM_PARTS
 from ..cameras import Crop, Perspective, check_square
 from ..errors import check_type
@@ -98,7 +98,7 @@ def fit_evidence(
     From ``body``, in the crop of ``crop_evidence``, instead of the network's, of which only its uncertainty is used.
     """
     _check_camera(camera)
-    prior, parts = PosePrior().to(device), readings[0].picture
+    prior, parts = packaged_prior(str(device)), readings[0].picture
 
     def start(evidence: Evidence, options: FitOptions, progress: Progress | None = None) -> _Fit:
         trust = options.trust_background

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, overload
 
 import numpy as np
@@ -16,7 +15,7 @@ import torch
 
 from ..body.lens import turn_to_rays
 from ..body.parameters import BodyParameters
-from ..body.pose_prior import PosePrior
+from ..body.pose_prior import packaged_prior
 from ..errors import check_each, check_type
 from ..interop.gradient_mode import with_gradients
 from ..interop.torch_threads import one_torch_thread
@@ -149,7 +148,7 @@ def fit_together(people: Sequence[CutPerson], options: FitOptions, network: Labe
 
 def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) -> BatchFits:
     first, seen = people.seen[0], people.seen
-    prior = _prior(str(first.points.device))
+    prior = packaged_prior(str(first.points.device))
     predicted = ask_network(seen, network, mirror=options.mirror, half=options.half)
     said = predicted.uncertainty
     assert said is not None
@@ -193,12 +192,6 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
         uncertainty=said,
         before_outline=before_outline,
     )
-
-
-@lru_cache(maxsize=8)
-def _prior(device: str) -> PosePrior:
-    """Kept, for graphs that are kept read it."""
-    return PosePrior().to(device)
 
 
 def _complaints(bodies: BodyParameters, people: Batch, energy: Energy) -> dict[int, list[str]]:

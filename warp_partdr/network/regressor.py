@@ -114,8 +114,15 @@ class _Layer(nn.Module):
         self.dropout = nn.Dropout(config.dropout)
 
     def forward(self, values: torch.Tensor, iteration: int) -> torch.Tensor:
-        activated: torch.Tensor = self.dropout(torch.relu(self.norms[iteration](self.linear(values))))
+        activated: torch.Tensor = self.dropout(torch.relu(self.norms[iteration](self._multiplied(values))))
         return activated
+
+    def _multiplied(self, values: torch.Tensor) -> torch.Tensor:
+        if (
+            len(values) == 2 and not self.training
+        ):  # a person and the mirror image: this order takes half the time on CPUs
+            return (self.linear.weight @ values.T).T
+        return self.linear(values)
 
 
 @torch.compiler.disable  # type: ignore[untyped-decorator]  # kernels pose bodies faster than what is traced
