@@ -194,7 +194,8 @@ def small_disk(folder: Path) -> Iterator[Disk]:
         yield disk
     finally:
         if disk.mounted:
-            subprocess.run(["umount", str(folder)], check=True)
+            # Lazily: readers' threads may close their files a moment later.
+            subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
 def shards(out: Path) -> Iterator[tuple[str, int]]:
