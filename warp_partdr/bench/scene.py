@@ -9,7 +9,7 @@ import torch
 
 from ..body.labels import label_set
 from ..body.parameters import BodyParameters
-from ..body.pose_prior import PosePrior
+from ..body.pose_prior import packaged_prior
 from ..body.posing import LandmarkGather, Posed
 from ..body.skeletons import skeleton
 from ..cameras import WeakPerspective
@@ -69,7 +69,7 @@ class BenchScene:
         names = skeleton("coco17").landmarks
         seen = Observation(names, self.points[0], torch.ones_like(self.points[0, :, 0]), self.targets[0], LABELS)
         first = Energy(
-            seen, size=self.size, prior=PosePrior().to(self.points.device), renderer=RendererEllipsoids(gradient)
+            seen, size=self.size, prior=packaged_prior(str(self.points.device)), renderer=RendererEllipsoids(gradient)
         )
         rest = zip(self.points[1:], self.targets[1:], strict=True)
         return [first, *(replace(first, observation=replace(seen, points=p, labels=t)) for p, t in rest)]

@@ -1,4 +1,4 @@
-"""What the mesh stage knows of B people before it begins, and the numbers that it looks for."""
+"""Starts of the mesh stage, what is known of B people before it begins, and the numbers that it looks for."""
 
 from __future__ import annotations
 

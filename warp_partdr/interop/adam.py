@@ -37,9 +37,8 @@ class Adam:
         """
         for tensors, means, squares, counts, rate in self._groups:
             grads = [torch.zeros_like(tensor) if tensor.grad is None else tensor.grad for tensor in tensors]
-            on_cuda = counts[
-                0
-            ].is_cuda  # there one kernel takes the place of fifteen, which matters in a captured graph
+            # There one kernel takes the place of fifteen, which matters in a captured graph.
+            on_cuda = counts[0].is_cuda
             adam(
                 tensors, grads, means, squares, [], counts, capturable=on_cuda, fused=on_cuda, foreach=False,
                 lr=share * rate, amsgrad=False, beta1=0.9, beta2=0.999, weight_decay=0, eps=1e-8, maximize=False,

@@ -15,7 +15,7 @@ import torch
 from torch import nn
 
 from ..body.parameters import BodyParameters
-from ..body.pose_prior import FREE_PARTS, PosePrior
+from ..body.pose_prior import FREE_PARTS, packaged_prior
 from ..body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d
 from ..body.template import LENGTH_NAMES, LOCKED_PARTS, THICKNESS_NAMES, template
 from .landmarks import LANDMARKS
@@ -118,9 +118,8 @@ class _Layer(nn.Module):
         return activated
 
     def _multiplied(self, values: torch.Tensor) -> torch.Tensor:
-        if (
-            len(values) == 2 and not self.training
-        ):  # a person and the mirror image: this order takes half the time on CPUs
+        # A person and the mirror image, whom fits ask about alone: this order takes half the time on CPUs.
+        if len(values) == 2 and not self.training:
             return (self.linear.weight @ values.T).T
         return self.linear(values)
 
@@ -142,5 +141,5 @@ def misfits(bodies: Predicted, keypoints: torch.Tensor) -> torch.Tensor:
 def _mean_estimate() -> torch.Tensor:
     """The mean adult in the mean pose, facing the camera, in the order of the heads; sizes as logarithms of factors."""
     mean = BodyParameters.mean(1)
-    turns = rotation_to_6d(rotation_from_axis_angle(PosePrior().mean_pose[list(FREE_PARTS)]))
+    turns = rotation_to_6d(rotation_from_axis_angle(packaged_prior("cpu").mean_pose[list(FREE_PARTS)]))
     return torch.cat([mean.orientation[0], turns.flatten(), torch.zeros(_NUM_SIZES + 3)])

@@ -126,7 +126,7 @@ def fit_scene(
     started = time.perf_counter()
     if looks is None:
         tell("network", 0, 1)
-    looks = look_at(scene, where) if looks is None else list(looks)
+        looks = look_at(scene, where)
     label_set = next((look.seen.label_set for look in looks if look.seen.label_set is not None), None)
     one, clusters = mesh_energy(model, options.mesh, label_set), find_clusters(looks, scene.num_people)
     if one.mesh is not None and label_set is not None:

@@ -1,4 +1,4 @@
-"""What the label network sees in each sight of a scene."""
+"""Looks of the label network at the sights of a scene."""
 
 from __future__ import annotations
 

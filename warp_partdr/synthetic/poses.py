@@ -9,7 +9,7 @@ from importlib import resources
 import numpy as np
 import torch
 
-from ..body.pose_prior import FREE_PARTS, PosePrior, mirror_features
+from ..body.pose_prior import FREE_PARTS, PosePrior, mirror_features, packaged_prior
 from ..body.posing import Posed, pose
 from ..body.rotations import rotation_from_axis_angle
 from ..body.template import NUM_PARTS, PARENTS, PART_NAMES, template
@@ -103,7 +103,7 @@ class PriorSampler:
 
     def __init__(self, device: torch.device) -> None:
         prior, mixture = _pose_mixture()
-        self._prior = PosePrior().to(device)
+        self._prior = packaged_prior(str(device))
         self.lower, self.upper = (limits.float().to(device) for limits in (prior.lower_limits, prior.upper_limits))
         self._weights, self._means, self._factors = (
             torch.from_numpy(values).float().to(device)

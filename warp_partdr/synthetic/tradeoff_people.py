@@ -9,7 +9,7 @@ import torch
 
 from ..body.labels import label_set
 from ..body.parameters import BodyParameters
-from ..body.pose_prior import PosePrior
+from ..body.pose_prior import packaged_prior
 from ..body.posing import LandmarkGather
 from ..body.rotations import rotation_from_axis_angle, rotation_to_6d
 from ..body.skeletons import MPJPE_HIPS, MPJPE_JOINTS, skeleton
@@ -134,7 +134,7 @@ def _draw_anny(person: Person, crop: Crop) -> torch.Tensor:
 
 def _lift(persons: list[Person], crops: list[Crop], points: torch.Tensor, joints: torch.Tensor) -> BodyParameters:
     """EllipBodies with joints and keypoints as near as can be, from several orientations, the best of each person."""
-    prior = PosePrior()
+    prior = packaged_prior("cpu")
     weak = [_weak_camera(person, crop) for person, crop in zip(persons, crops, strict=True)]
     scale = torch.cat([camera.scale for camera in weak]) / (TRUTH_SIZE / 2)
     shift = torch.cat([camera.translation for camera in weak]) / (TRUTH_SIZE / 2) - 1

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from ...body.parameters import BodyParameters
-from ...body.pose_prior import PosePrior
+from ...body.pose_prior import packaged_prior
 from ...body.posing import LandmarkGather
 from ...body.skeletons import MPJPE_JOINTS
 from ...body.template import NUM_PARTS
@@ -68,7 +68,7 @@ def refine_all(
     Returns:
         The bodies, and the seconds that an iteration took for one of them.
     """
-    prior = PosePrior().to(start.shift.device)
+    prior = packaged_prior(str(start.shift.device))
     if isinstance(setting.renderer, RendererMesh):
         # Each term of the energy broadcasts: with all points and labels as one observation, it is that of each body.
         run = _refinement(setting, setting.energy(people.observation(), prior, weights), len(people))
@@ -88,7 +88,7 @@ def time_iteration(setting: Setting, people: People, start: BodyParameters, devi
     Runs are short, so that some of them are disturbed by nothing else on the machine.
     """
     setting = replace(setting, iterations=_TIMED_ITERATIONS)
-    prior = PosePrior().to(start.shift.device)
+    prior = packaged_prior(str(start.shift.device))
     bodies = one_by_one(start)[:_TIMED_PEOPLE]
     fastest = []
     for person, body in enumerate(bodies):

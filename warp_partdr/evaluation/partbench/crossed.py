@@ -12,7 +12,7 @@ import torch
 
 from ...body.labels import label_set
 from ...body.parameters import BodyParameters
-from ...body.pose_prior import PosePrior
+from ...body.pose_prior import PosePrior, packaged_prior
 from ...body.posing import LandmarkGather
 from ...body.rotations import rotation_to_6d
 from ...body.skeletons import MPJPE_JOINTS, skeleton
@@ -107,7 +107,7 @@ def crossed_samples(count: int = CASES) -> list[CrossedSample]:
     Raises:
         ValueError: If the count is not positive.
     """
-    prior = PosePrior()
+    prior = packaged_prior("cpu")
     return [make_crossed(index, prior) for index in range(check_whole("count", count, 1))]
 
 
