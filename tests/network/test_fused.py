@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from dataclasses import replace
 
 import pytest
 import torch
+from scenes.bodies import seen_by, walker
 
+from warp_partdr.inputs.observation import observe
 from warp_partdr.network.checkpoint import packaged_network
 from warp_partdr.network.fused import fused_network, fuses
 from warp_partdr.network.label_network import EVEN_CHANNELS, NUM_CHANNELS, LabelNetwork, lens_rays
 from warp_partdr.network.landmarks import LANDMARKS
+from warp_partdr.network.predict import ask_network
 
 Inputs = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 
@@ -53,6 +57,22 @@ def test_it_is_kept_until_weights_change() -> None:
     assert second is not first
     with torch.no_grad(), torch.autocast("cpu", torch.bfloat16):
         assert not torch.equal(first.features(*inputs("cpu")), second.features(*inputs("cpu")))
+
+
+def test_bodies_are_the_same_when_asked_again(device: str) -> None:
+    """On CUDA the second time by a captured graph; what an answer holds is nobody else's."""
+    network = packaged_network(device)
+    seen = [observe(*seen_by(walker()), device=device)[0]] * 2
+    other = [replace(each, points=each.points + 0.05) for each in seen]
+
+    def joints() -> list[torch.Tensor]:
+        return [ask_network(each, network, half=True).posed().joints for each in (seen, other)]
+
+    first = joints()
+    for _ in range(3):
+        for found, expected in zip(joints(), first, strict=True):
+            torch.testing.assert_close(found, expected, rtol=0, atol=1e-4)
+    assert (first[0] - first[1]).abs().max() > 1e-3
 
 
 def test_a_gpu_fuses(device: str) -> None:

@@ -1,6 +1,7 @@
 """The label network in bfloat16 for CUDA: a convolution, its normalisation, a sum and what is cut off in one launch.
 
-Torch alone makes a launch of each, which passes through memory as often.
+Torch alone makes a launch of each, which passes through memory as often. Of few people, launches take three times as
+long as what they launch: these are captured.
 """
 
 from __future__ import annotations
@@ -14,10 +15,49 @@ import torch.nn.functional as F
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_weights
 
+from ..interop.captured_step import CapturedStep
+from ..interop.graph_cache import graphs
 from .label_network import EVEN_CHANNELS, LabelNetwork, ResidualBlock
+from .predicted import Predicted
 
+_MOST_CAPTURED = 1024  # people; of more, launches are short beside their work, and graphs would hold much memory
+_Inputs = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 _Known = tuple[list[int], LabelNetwork]
 _fused: WeakKeyDictionary[LabelNetwork, _Known] = WeakKeyDictionary()
+
+
+def ask_fused(network: LabelNetwork, shares: torch.Tensor, keypoints: torch.Tensor, rays: torch.Tensor) -> Predicted:
+    """Bodies on CUDA, of features in bfloat16; of few people by a captured graph. Inputs as of ``forward``.
+
+    Bodies are made of features in float32 all the same: three corrections in bfloat16 would add up their rounding.
+    """
+    fused, inputs = fused_network(network), (shares, keypoints, rays)
+    if len(shares) <= _MOST_CAPTURED:
+        key = _Captured, fused, tuple([(each.shape, each.dtype) for each in inputs])
+        captured = graphs.find(key, shares.device, 0, lambda: _Captured(network, fused, inputs))
+        if captured is not None:
+            return captured(inputs)
+    return _ask(network, fused, inputs)
+
+
+def _ask(network: LabelNetwork, fused: LabelNetwork, inputs: _Inputs) -> Predicted:
+    with torch.autocast(inputs[0].device.type, torch.bfloat16):
+        features = fused.features(*inputs)
+    return network.bodies(features.float(), inputs[1])
+
+
+class _Captured:
+    """Both, of inputs in fixed buffers."""
+
+    def __init__(self, network: LabelNetwork, fused: LabelNetwork, inputs: _Inputs) -> None:
+        self._inputs = shares, keypoints, rays = tuple([each.clone() for each in inputs])
+        self._step = CapturedStep(lambda: _ask(network, fused, (shares, keypoints, rays)), shares.device)
+
+    def __call__(self, inputs: _Inputs) -> Predicted:
+        """Copies of the results, for the next call fills the buffers again."""
+        torch._foreach_copy_(self._inputs, inputs)
+        self._step.replay()
+        return self._step.result.select(torch.arange(len(inputs[0]), device=inputs[0].device))
 
 
 def fused_network(network: LabelNetwork) -> LabelNetwork:

@@ -53,8 +53,7 @@ def format_keypoints(
     names: tuple[str, ...], visible: np.ndarray, points: torch.Tensor, confidence: torch.Tensor
 ) -> torch.Tensor:
     """The same of N people with J keypoints of one format, of which some are ``visible``, shape (N, J)."""
-    patterns, which = np.unique(visible, axis=0, return_inverse=True)
-    rows = np.stack([_visible_rows(names, each.tobytes()) for each in patterns])[which.reshape(-1)]
+    rows = np.stack([_visible_rows(names, each.tobytes()) for each in visible])
     starts = np.arange(len(rows))[:, None] * len(names)
     known = torch.cat([points, confidence[..., None]], dim=2).flatten(0, 1)
     return _taken(known, np.where(rows < 0, len(known), rows + starts))

@@ -13,7 +13,7 @@ from ..errors import check_each, check_type
 from ..inputs.observation import Observation, resize_nearest
 from ..inputs.stacked import StackedObservations
 from ..interop.torch_threads import one_torch_thread
-from .fused import fused_network
+from .fused import ask_fused
 from .label_network import (
     EVEN_CHANNELS,
     NUM_CHANNELS,
@@ -160,8 +160,7 @@ def ask_network(
     """Bodies as of ``predict_bodies``, and how sure they are: halfway between a picture's and its mirror image's.
 
     Those who lean are turned upright before (``leans``). Without ``mirror``, of the picture alone, in half the time.
-    With ``half``, features are made in bfloat16; bodies are made of them in float32 all the same, for three corrections
-    in bfloat16 would add up their rounding.
+    With ``half``, features are made in bfloat16.
     """
     *inputs, angles = upright_inputs(observations, network.config.size, half=half)
     shares, keypoints, rays = inputs
@@ -169,10 +168,12 @@ def ask_network(
         both = zip(inputs, mirror_inputs(shares, keypoints, rays), strict=True)
         shares, keypoints, rays = map(torch.cat, both)
     shares = shares.contiguous(memory_format=torch.channels_last)
-    with torch.autocast(shares.device.type, torch.bfloat16, enabled=half):
-        asked = fused_network(network) if half and shares.is_cuda else network
-        features = asked.features(shares, keypoints, rays)
-    predicted = network.bodies(features.float(), keypoints)
+    if half and shares.is_cuda:
+        predicted = ask_fused(network, shares, keypoints, rays)
+    else:
+        with torch.autocast(shares.device.type, torch.bfloat16, enabled=half):
+            features = network.features(shares, keypoints, rays)
+        predicted = network.bodies(features.float(), keypoints)
     if mirror:
         own, images = slice(len(observations)), slice(len(observations), None)
         predicted = mean_bodies(predicted.select(own), mirror_bodies(predicted.select(images)))

@@ -16,7 +16,7 @@ from ..clothing.anny import anny
 from ..clothing.model import Detailed, detailed_mesh
 from ..render.part_mesh import PartMesh
 from .skin import ARM, LEG, anny_skin, normals, smooth
-from .skirt_tubes import LEVELS, tube, tube_faces
+from .skirt_tubes import LEVELS, leg_joints, leg_radii, ring_levels, tube, tube_faces, tube_labels
 
 _TRUNK = ("hip", "abdomen", "chest", "shoulder")
 
@@ -95,16 +95,24 @@ def dress(body: Detailed, shape: torch.Tensor, outfit: tuple[Worn, ...]) -> tupl
     """
     skin = body.vertices[0].numpy()
     cloth = skin + offsets(outfit)[:, None] * normals(skin)
+    hem, room = around_legs(outfit)
+    legs = leg_joints(body).double()
+    levels = ring_levels(legs, legs.new_tensor([hem]))
+    around, of_left = tube(legs, levels, torch.from_numpy(leg_radii(shape, levels[0].numpy()) + room)[None])
+    mesh, labels = _faces(), tube_labels(of_left[0].numpy())
+    kept = mesh.face_labels[: -len(labels)]
+    mesh = replace(mesh, face_labels=torch.cat([kept, torch.from_numpy(labels)]))
+    return np.concatenate([skin, cloth, around[0].numpy()]).astype(np.float32), mesh
+
+
+def around_legs(outfit: tuple[Worn, ...]) -> tuple[float, np.ndarray]:
+    """Hem of the tube around both legs, 0 for none, and its distance from the legs at each of ``LEVELS``, (25,) [m]."""
     tubes = [worn for worn in outfit if GARMENTS[worn.name].flare is not None]
     hem = max((worn.hem for worn in tubes), default=0.0)
     room = np.zeros(len(LEVELS))
     for worn in tubes:
         room = np.maximum(room, (worn.thickness + worn.flare * np.minimum(LEVELS, hem)) * (worn.hem >= LEVELS))
-    around, labels = tube(body, shape, hem, room)
-    mesh = _faces()
-    kept = mesh.face_labels[: -len(labels)]
-    mesh = replace(mesh, face_labels=torch.cat([kept, torch.from_numpy(labels)]))
-    return np.concatenate([skin, cloth, around]).astype(np.float32), mesh
+    return hem, room
 
 
 def offsets(outfit: tuple[Worn, ...]) -> np.ndarray:

@@ -51,13 +51,13 @@ def anny_skin() -> Skin:
     shares = {without_side(name): np.zeros(len(points)) for name in PART_NAMES}
     for column, name in zip(counts.T, PART_NAMES, strict=True):
         shares[without_side(name)] += column
-    return Skin(points, shares, {limb: along(points, *joints(rest, limb))[0] for limb in JOINTS})
+    return Skin(points, shares, {limb: along(points, *joints(rest, limb)[0].numpy())[0] for limb in JOINTS})
 
 
-def joints(body: Detailed, limb: Limb, side: str = "L") -> np.ndarray:
-    """Three joints of a limb of the first body, shape (3, 3) [m]; ``side`` is "L" or "R"."""
+def joints(body: Detailed, limb: Limb, side: str = "L") -> torch.Tensor:
+    """Three joints of a limb, shape (B, 3, 3) [m]; ``side`` is "L" or "R"."""
     names = anny().joint_names
-    return body.joints[0, [names.index(name[:-1] + side) for name in JOINTS[limb]]].numpy()
+    return body.joints[:, [names.index(name[:-1] + side) for name in JOINTS[limb]]]
 
 
 def along(points: np.ndarray, start: np.ndarray, middle: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

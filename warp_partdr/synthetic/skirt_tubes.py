@@ -26,49 +26,64 @@ def tube_faces() -> np.ndarray:
     return np.concatenate([np.column_stack([one, other, across]), np.column_stack([one, across, below])])
 
 
-def tube(body: Detailed, shape: torch.Tensor, hem: float, room: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rings, each the hull of a disc about either leg, and the labels of the faces between them.
+def leg_joints(body: Detailed) -> torch.Tensor:
+    """Hip, knee and ankle of the left leg and of the right one, shape (B, 2, 3, 3) [m]."""
+    return torch.stack([joints(body, LEG, side) for side in "LR"], dim=1)
+
+
+def ring_levels(legs: torch.Tensor, hem: torch.Tensor) -> torch.Tensor:
+    """Levels along the legs that a tube's rings lie at, shape (B, 25).
+
+    Of ``leg_joints`` and hems (B,), where tubes end with straight legs; with knees bent by 90 degrees they end at the
+    knees. Rings beyond lie there, too, so that a tube of 0 has no area.
+    """
+    straight = 1.0 + (hem - 1.0).clamp(min=0.0) * _straightness(legs).amin(1)
+    return torch.minimum(legs.new_tensor(LEVELS), torch.minimum(hem, straight)[:, None])
+
+
+def tube(
+    legs: torch.Tensor, levels: torch.Tensor, radii: torch.Tensor, shares: tuple[float, float] = (0.0, 1.0)
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Rings, each the hull of a disc about either leg.
 
     Args:
-        body: Anny, B = 1, any frame [m].
-        shape: Its shape values, shape (1, 20).
-        hem: Level where the tube ends with straight legs, with knees bent by 90 degrees at the knees. Rings beyond lie
-            there, too, so that a tube of 0 has no area.
-        room: Distance from the legs at each of ``LEVELS`` [m], shape (25,).
+        legs: Of ``leg_joints``.
+        levels: Of ``ring_levels``.
+        radii: Of the discs where they are widest [m], shape (B, 25).
+        shares: Of the left leg, least and largest: 0.5 to 1 is the hull of its disc and of one between the legs.
 
     Returns:
-        Vertices, shape (25 * 48, 3) [m], and labels of ``tube_faces``: the leg that is nearer, upper or lower.
+        Vertices, shape (B, 25 * 48, 3) [m], and the left leg's share of each, shape (B, 25, 48).
     """
-    sides = [joints(body, LEG, side) for side in "LR"]
-    levels = np.minimum(LEVELS, min(hem, 1.0 + max(hem - 1.0, 0.0) * min(map(_straightness, sides))))[:, None]
-    radii = (_leg_radii(shape, levels[:, 0]) + room)[:, None] * (_TOP + (1.0 - _TOP) * np.minimum(levels / _WIDE, 1.0))
-    knees_on = np.clip(levels - 1.0, 0.0, 1.0)
-    legs, down = [], np.zeros((len(levels), 3))
-    for hip, knee, ankle in sides:
-        legs.append(hip + np.minimum(levels, 1.0) * (knee - hip) + knees_on * (ankle - knee))
-        down += (1.0 - knees_on) * (knee - hip) + knees_on * (ankle - knee)
-    down /= np.linalg.norm(down, axis=1, keepdims=True).clip(1e-6)
-    left = legs[0][:1] - legs[1][:1]
-    left = left - (left * down).sum(1, keepdims=True) * down
-    left /= np.linalg.norm(left, axis=1, keepdims=True).clip(1e-6)
-    angles = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
-    outward = np.cos(angles)[:, None] * left[:, None] + np.sin(angles)[:, None] * np.cross(down, left)[:, None]
+    levels = levels[..., None]
+    radii = radii[..., None] * (_TOP + (1.0 - _TOP) * (levels / _WIDE).clamp(max=1.0))
+    knees_on = (levels - 1.0).clamp(0.0, 1.0)
+    middles, down = [], torch.zeros_like(levels)
+    for leg in legs.unbind(1):
+        hip, knee, ankle = leg[:, :, None].unbind(1)
+        middles.append(hip + levels.clamp(max=1.0) * (knee - hip) + knees_on * (ankle - knee))
+        down = down + (1.0 - knees_on) * (knee - hip) + knees_on * (ankle - knee)
+    down = torch.nn.functional.normalize(down, dim=-1, eps=1e-6)
+    left = middles[0][:, :1] - middles[1][:, :1]
+    left = torch.nn.functional.normalize(left - (left * down).sum(-1, keepdim=True) * down, dim=-1, eps=1e-6)
+    angles = legs.new_tensor(2.0 * np.pi * np.arange(CORNERS) / CORNERS)[:, None]
+    outward = angles.cos() * left[:, :, None] + angles.sin() * torch.linalg.cross(down, left)[:, :, None]
     # In a direction, the hull reaches as far as the disc that is farther there; where both do, it lies between them.
-    apart = (legs[0] - legs[1])[:, None]
-    turned = (apart * outward).sum(-1, keepdims=True) / np.linalg.norm(apart, axis=-1, keepdims=True).clip(1e-6)
-    of_left = np.clip(0.5 + 0.5 * turned / _TURN, 0.0, 1.0)
-    vertices = legs[1][:, None] + of_left * apart + radii[..., None] * outward
-    return vertices.reshape(-1, 3), _labels(of_left[..., 0])
+    apart = (middles[0] - middles[1])[:, :, None]
+    turned = (apart * outward).sum(-1, keepdim=True) / apart.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+    of_left = (0.5 + 0.5 * turned / _TURN).clamp(*shares)
+    vertices = middles[1][:, :, None] + of_left * apart + radii[..., None] * outward
+    return vertices.flatten(1, 2), of_left[..., 0]
 
 
-def _straightness(leg: np.ndarray) -> float:
-    """Cosine of a knee's bend, 0 beyond 90 degrees; joints (3, 3)."""
-    thigh, shank = np.diff(leg, axis=0)
-    return max(float(thigh @ shank / (np.linalg.norm(thigh) * np.linalg.norm(shank))), 0.0)
+def _straightness(legs: torch.Tensor) -> torch.Tensor:
+    """Cosine of each knee's bend, 0 beyond 90 degrees; joints (B, 2, 3, 3) to (B, 2)."""
+    thighs, shanks = legs.diff(dim=2).unbind(2)
+    return torch.nn.functional.cosine_similarity(thighs, shanks, dim=-1).clamp(min=0.0)
 
 
-def _labels(of_left: np.ndarray) -> np.ndarray:
-    """Part labels of ``tube_faces`` whose vertices belong to the left leg by these shares, (25, 48), uint8."""
+def tube_labels(of_left: np.ndarray) -> np.ndarray:
+    """Part labels of ``tube_faces``, uint8: the leg that is nearer, upper or lower; shares of the left one (25, 48)."""
     lower = np.repeat(LEVELS[:-1] >= 1.0, CORNERS)
     beside = of_left + np.roll(of_left, -1, axis=1)
     right = (beside[:-1] + beside[1:] < 2.0).ravel()  # both triangles of four vertices have one label
@@ -77,10 +92,10 @@ def _labels(of_left: np.ndarray) -> np.ndarray:
     return np.tile(parts[2 * lower + right], 2)
 
 
-def _leg_radii(shape: torch.Tensor, levels: np.ndarray) -> np.ndarray:
+def leg_radii(shape: torch.Tensor, levels: np.ndarray) -> np.ndarray:
     """Radii of the legs of a person of these shape values, at rest, like ``levels`` [m]."""
     rest, shares = anny().rest(shape), anny_skin().shares
     points = rest.vertices[0].numpy()
     leg = points[(shares["upper_leg"] + shares["lower_leg"] > 0.5) & (points[:, 0] > 0)]
-    places, distances = along(leg, *joints(rest, LEG))
+    places, distances = along(leg, *joints(rest, LEG)[0].numpy())
     return np.array([np.quantile(distances[np.abs(places - level) < _WINDOW], _WITHIN) for level in levels])

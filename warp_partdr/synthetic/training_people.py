@@ -17,10 +17,13 @@ from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE
 from ..cameras import ScreenCamera
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
 from ..clothing.measuring import statures
+from ..clothing.model import Detailed
+from ..clothing.pose import pose_from_ellipbody
 from ..inputs.observation import CROP_MARGIN
 from ..network.heads import cell_centres
 from ..network.landmarks import LANDMARKS
-from ..render.mesh import draw_mesh
+from ..render.mesh import PartImage, draw_mesh
+from ..render.part_mesh import PartMesh
 from . import people
 from .cut_masks import cut_mask
 from .keypoint_noise import KeypointNoise
@@ -31,6 +34,7 @@ from .partbench_people import NUM_PEOPLE, draw_phenotypes
 from .pose_sampler import PoseBank, PoseSampler
 from .poses import mean_body
 from .rng import TorchRng, exact_float32
+from .wardrobe import wardrobe
 
 # Training leaves to PartBench the bodies in a cell with one of its people, of a grid over phenotypes.
 CELL_LEVELS = 4  # of each phenotype value
@@ -54,6 +58,7 @@ _BORDER = 0.7  # chance of each other side of the picture to be near, at most:
 _NEAR = 0.35  # of the person's longer extent
 _OPEN = 100.0  # [m], where a side isn't near
 
+_DRESSED = 0.5  # share of people who wear clothes, which labels show
 _COCO = 0.5  # share of people whose keypoints are as COCO's annotators place them
 _CUT_MASKS = 0.08  # share whose labels are a mask cut by bones, and of these whose overlapping limbs are unknown
 _UNSURE = 0.7
@@ -159,6 +164,7 @@ class PeopleMaker:
     ) -> None:
         self.size, self.device = size, torch.device(device)
         self.model, self.mesh = anny(self.device), people.anny_mesh(self.device)
+        self._wardrobe = wardrobe(self.device)
         # Seeds lie so far apart because each pool of poses takes one of its own, from this one upward.
         self._poses = PoseSampler(poses, device=device, seed=seed << 20, pool=pool)
         self._rng = TorchRng(seed << 20, self.device)
@@ -209,28 +215,36 @@ class PeopleMaker:
         orientation = self.orientations(ups)
         shape = anny_shape(self.phenotypes(count))
         posed = mean_body(rotation_from_axis_angle(vectors), orientation)
-        body, stature = people.pose_anny(self.model, shape, posed), statures(self.model, shape)
+        stance = pose_from_ellipbody(self.model, posed, shape)
+        body, stature = self.model.pose(shape, *stance), statures(self.model, shape)
         known = self._landmark_weights @ torch.cat([body.vertices, body.joints], dim=1)
         plain, coco, joints = known.split(self._landmark_counts, dim=1)
         noted = torch.where(rng.chance(_COCO, count, 1, 1), coco, plain)
 
         view = self._view(joints[:, :1])
-        vertices, noted, plain = (view(points) for points in (body.vertices, noted, plain))
+        outlines = self._outlines(body, shape, *stance)
+        vertices, outlines, noted, plain = (view(points) for points in (body.vertices, outlines, noted, plain))
         strength, label_sets = draw_strengths(count, rng), self._labels.label_sets(count)
         cut = round(_CUT_MASKS * count)  # as many in every batch, so that nothing waits for the device
         label_sets[:cut] = list(TRAINING_LABEL_SETS).index(_EVERY_PART)
         no_labels, no_keypoints = draw_absent(count, rng)
         detected = self._detectors.detected(count) & ~no_keypoints[:, None]
-        crop = self._crop(vertices[..., :2], noted[..., :2], detected, ~no_labels)
+        crop = self._crop(outlines[..., :2], noted[..., :2], detected, ~no_labels)
 
-        screen = (crop(vertices[..., :2]) + 1) * (self.size / 2)
-        on_screen, camera = torch.cat([screen, vertices[..., 2:]], dim=-1), ScreenCamera(perspective=True)
-        picture = draw_mesh(on_screen, self.mesh, camera, size, validate=False)
+        def draw(points: torch.Tensor, mesh: PartMesh) -> PartImage:
+            return draw_mesh(points, mesh, ScreenCamera(perspective=True), size, validate=False)
+
+        screen, cloth = (
+            torch.cat([(crop(points[..., :2]) + 1) * (self.size / 2), points[..., 2:]], dim=-1)
+            for points in (vertices, outlines)
+        )
+        picture, dressed = draw(screen, self.mesh), round(_DRESSED * count)
+        shown = torch.cat([draw(cloth[:dressed], self._wardrobe.mesh).labels, picture.labels[dressed:]])
         unseen = crop.unseen(self.size)
         parts = picture.labels.masked_fill(unseen, IGNORE)
 
         some = rng.integers(vertices.shape[1], count, 6)
-        places = screen.gather(1, some[..., None].expand(-1, -1, 2)) * (2 / self.size) - 1
+        places = screen[..., :2].gather(1, some[..., None].expand(-1, -1, 2)) * (2 / self.size) - 1
         occluders = draw_occluders(rng, parts, self._labels.tables(label_sets), places, strength)
         points = crop(noted[..., :2])
         pixels = people.pixel_indices((points + 1) * (self.size / 2), size)
@@ -240,8 +254,8 @@ class PeopleMaker:
         keypoints = self._detectors.keypoints(points, hidden, detected, stature / crop.half, strength)
         keypoints = keypoints * _inside(keypoints[..., :2], crop.low, crop.high)[..., None]
 
-        masks, places = picture.labels[:cut] > 0, crop(view(joints)[..., :2])[:cut]
-        shown = torch.cat([self._cut(masks, places, stature / crop.half, strength), picture.labels[cut:]])
+        masks, places = shown[:cut] > 0, crop(view(joints)[..., :2])[:cut]
+        shown = torch.cat([self._cut(masks, places, stature / crop.half, strength), shown[cut:]])
         groups = self._labels.groups(shown, label_sets, strength)
         groups = torch.where(occluders.mask, occluders.groups, groups)
         along = view.turns().mT
@@ -264,6 +278,17 @@ class PeopleMaker:
             turns=along.mT,
             distances=view.distance[:, 0],
         )
+
+    def _outlines(
+        self, body: Detailed, shape: torch.Tensor, rotations: torch.Tensor, translation: torch.Tensor
+    ) -> torch.Tensor:
+        """Vertices of the wardrobe's mesh, of the first people, who are dressed, and as many points of the others."""
+        worn = self._rng.integers(self._wardrobe.size, round(_DRESSED * len(shape)))
+        first = slice(len(worn))  # as many in every batch, so that nothing waits for the device
+        offsets = self._wardrobe.offsets(worn)
+        clothed = self.model.pose(shape[first], rotations[first], translation[first], offsets=offsets)
+        dressed, bare = self._wardrobe.vertices(clothed, worn), body.vertices[len(worn) :]
+        return torch.cat([dressed, torch.cat([bare, bare[:, : dressed.shape[1] - bare.shape[1]]], dim=1)])
 
     def _cut(
         self, masks: torch.Tensor, joints: torch.Tensor, stature: torch.Tensor, strength: torch.Tensor
