@@ -38,8 +38,8 @@ def chain(rng: np.random.Generator, size: int, stride: int, zeros: tuple[int, in
 )
 def test_a_chain_is_that_of_float32(rng, device, size, stride, zeros):
     graph = chain(rng, size, stride, zeros).to(device)
-    pictures = torch.from_numpy(rng.normal(size=(20, 3, 12, 11)).astype(np.float32)).to(device)
-    for some in (pictures[:3], pictures):  # few are captured on CUDA
+    pictures = torch.from_numpy(rng.normal(size=(300, 3, 12, 11)).astype(np.float32)).to(device)
+    for some in (pictures[:3], pictures[:70], pictures):  # few are captured on CUDA
         expected, found = graph(some), HalfGraph(graph)(some)
         for name in ("map", "numbers"):
             assert found[name].dtype == torch.float32

@@ -14,8 +14,6 @@ from torch import nn
 from ..interop.captured_step import CapturedStep
 from ..interop.precision import exact_convolutions
 
-_MOST_CAPTURED = 16  # pictures; of more, launches are short beside their work, and graphs would hold much memory
-
 
 @dataclass(frozen=True)
 class Node:
@@ -152,12 +150,17 @@ class OperatorGraph(nn.Module):
             for place, node in enumerate(self.nodes)
         ]
 
+    def most_captured(self, device: torch.device) -> int:
+        """Number of pictures above which launches are short beside their work, and graphs would hold much memory."""
+        return 16
+
     def forward(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
         """Outputs by name, for pictures of shape (B, 3, size, size)."""
         if not pictures.is_cuda:
             return self._run(pictures)  # several threads at a time, which must not change torch's settings
         with exact_convolutions():
-            return self._replayed(pictures) if 0 < len(pictures) <= _MOST_CAPTURED else self._run(pictures)
+            few = 0 < len(pictures) <= self.most_captured(pictures.device)
+            return self._replayed(pictures) if few else self._run(pictures)
 
     def _replayed(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
         """The same by a captured graph: of few pictures, launches would take longer than their work."""

@@ -13,6 +13,7 @@ from ..interop.streams import on_torch_stream
 from ..kernels import depthwise
 from .graph import KINDS, Node, OperatorGraph, convolve
 
+_A_PICTURE = 2**28  # [bytes] of a device's memory for each picture of a graph, which takes some hundredths of it
 _NUMBERS = ("rows", "concatenate", "sigmoid")  # operators that only rearrange what a convolution has said, or nearly
 _LARGEST = torch.finfo(torch.float16).max
 _LIMITS = {"none": (-_LARGEST, _LARGEST), "relu": (0.0, _LARGEST), "relu6": (0.0, 6.0)}
@@ -47,6 +48,10 @@ class HalfGraph(OperatorGraph):
             and node.output not in by_channel | self._exact | set(self.outputs.values())
             and all(other.output in by_channel for other in self.nodes if node.output in other.inputs)
         }
+
+    def most_captured(self, device: torch.device) -> int:
+        """As in float32, of a network that computes for half as long as a host takes to launch it."""
+        return min(torch.cuda.get_device_properties(device).total_memory // _A_PICTURE, 256)
 
     def _weight(self, node: Node) -> torch.Tensor:
         return getattr(self, f"{node.output}_weight") if node.kind == "convolution" else torch.empty(0)

@@ -15,6 +15,9 @@ from torch import nn
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.template import NUM_PARTS
+from ..interop.arrays import warp_array
+from ..interop.streams import launch_bodies_on
+from ..kernels import label_rows
 from .heads import cell_centres
 from .landmark_attention import NUM_SAID, LandmarkAttention
 from .landmarks import LANDMARKS
@@ -70,8 +73,16 @@ def label_shares(groups: torch.Tensor, tables: torch.Tensor, which: torch.Tensor
     Returns:
         Shape (B, 22, S, S), channels last in memory, the dtype of ``tables``.
     """
-    rows = groups.int() + which.int()[:, None, None] * 256
-    return tables.flatten(0, 1)[rows].permute(0, 3, 1, 2)
+    found = tables.new_empty(*groups.shape, tables.shape[2])
+    given = groups.flatten(1).contiguous(), tables.contiguous().view(torch.int64), which.contiguous()
+    words = found.flatten(1).view(torch.int64)
+
+    def launch(part: slice) -> None:
+        labels, rows = warp_array(given[0][part]), warp_array(given[1])
+        label_rows.launch_rows(labels, rows, warp_array(given[2][part]), warp_array(words[part]))
+
+    launch_bodies_on(groups.device, launch, len(groups), [label_rows])
+    return found.permute(0, 3, 1, 2)
 
 
 def map_shares(maps: torch.Tensor, known: torch.Tensor, table: torch.Tensor) -> torch.Tensor:

@@ -12,6 +12,7 @@ from dataclasses import replace
 import torch
 
 from ..body.landmarks import mirror_name
+from .heads import cell_centres
 from .landmarks import LANDMARKS
 from .predicted import Predicted
 
@@ -54,8 +55,10 @@ def turn_inputs(
         if len(rows) == 0:
             return pictures, keypoints, rays
     some = pictures[rows]
-    back = torch.nn.functional.pad(_turns(angles[rows]).mT, (0, 1))  # from places after the turn to those before it
-    places = torch.nn.functional.affine_grid(back, list(some.shape), align_corners=False)
+    across = cell_centres(some.shape[-1], some.device)
+    # From places after the turn to those before it; torch's own products of matrices take a GPU longer.
+    right, down = _turns(angles[rows])[:, None, None].unbind(3)
+    places = right * across[:, None] + down * across[:, None, None]
     pictures = pictures.clone()
     pictures[rows] = torch.nn.functional.grid_sample(
         some, places, mode="nearest", padding_mode="border", align_corners=False
@@ -82,7 +85,8 @@ def _turns(angles: torch.Tensor) -> torch.Tensor:
 
 def _middle(keypoints: torch.Tensor, name: str) -> tuple[torch.Tensor, torch.Tensor]:
     """Middle of a landmark and its mirror image, of those that are seen, (B, 2), and if there is any, (B, 1)."""
-    pair = keypoints[:, [LANDMARKS.index(name), LANDMARKS.index(mirror_name(name))]]
+    # No list of indices, which a GPU would be sent, and wait for.
+    pair = torch.stack([keypoints[:, LANDMARKS.index(each)] for each in (name, mirror_name(name))], dim=1)
     seen = (pair[..., 2:] > 0).to(pair.dtype)
     count = seen.sum(1)
     return (pair[..., :2] * seen).sum(1) / count.clamp_min(1.0), count > 0
