@@ -61,7 +61,7 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
     turned[:, 0] = to_world @ turned[:, 0]
 
     seen = torch.zeros(count, dtype=torch.bool, device=like.device).index_fill(0, rows, True)
-    log_scale, shift, smooth = body.log_scale, body.shift, None
+    log_scale, shift, smooth, rate = body.log_scale, body.shift, None, None
     lenses = torch.stack([look.seen.lens for look in looks if look.seen.lens is not None])
     at = torch.tensor(homes, device=like.device)
     if num_frames > 1 and energy.options.smoothing > 0:
@@ -72,6 +72,8 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         there = rotations[first], translations[first], lenses[at]
         log_scale, shift = _smooth_places(shares, body, *there)
         smooth = time_shares(seen.new_ones(1, num_frames), width).to(like)[0]
+        if energy.options.sliding > 0 and width >= 1:  # else a foot may have gone and stood again between two frames
+            rate = like.new_tensor(scene.frame_rate)
 
     places, points, votes = gather_keypoints(one.model, [look.seen for look in looks])
     depth_spreads, turn_spreads = gather_spreads(one, [look.uncertainty for look in looks], like)
@@ -115,6 +117,7 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         depth_weights=table(1 / depth_spreads.square()),
         shown=shown,
         smooth=smooth,
+        rate=rate,
         together=together,
         alone=alone,
     )
