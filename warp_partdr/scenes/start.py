@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -168,10 +169,17 @@ def _smooth_places(
 
 
 def _homes(looks: Sequence[Looked], rows: Sequence[int], scene: Scene) -> list[int]:
-    """Sight in whose crop each body is placed: the surest one; where nobody sees a person, of the nearest frame."""
+    """Sight in whose crop each body is placed: of the view that sees the person surest in all frames, of those there.
+
+    Smooth moves are smooth in one view alone. Where nobody sees a person, the sight is of the nearest frame.
+    """
+    sure: Counter[tuple[int, int]] = Counter()
+    for look in looks:
+        sure[look.sight.person, look.sight.view] += float(look.evidence.keypoints.confidence.sum())
     best: dict[int, int] = {}
     for place, (look, row) in enumerate(zip(looks, rows, strict=True)):
-        if row not in best or _sure(look) > _sure(looks[best[row]]):
+        person = look.sight.person
+        if row not in best or sure[person, look.sight.view] > sure[person, looks[best[row]].sight.view]:
             best[row] = place
     homes: list[int] = []
     for person in range(scene.num_people):
@@ -180,10 +188,6 @@ def _homes(looks: Sequence[Looked], rows: Sequence[int], scene: Scene) -> list[i
         for row in range(first, first + scene.num_frames):
             homes.append(best[int(seen[np.abs(seen - row).argmin()])])
     return homes
-
-
-def _sure(look: Looked) -> float:
-    return float(look.evidence.keypoints.confidence.sum())
 
 
 def _joined(
