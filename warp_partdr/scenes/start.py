@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -173,7 +173,7 @@ def _homes(looks: Sequence[Looked], rows: Sequence[int], scene: Scene) -> list[i
 
     Smooth moves are smooth in one view alone. Where nobody sees a person, the sight is of the nearest frame.
     """
-    sure: Counter[tuple[int, int]] = Counter()
+    sure: defaultdict[tuple[int, int], float] = defaultdict(float)
     for look in looks:
         sure[look.sight.person, look.sight.view] += float(look.evidence.keypoints.confidence.sum())
     best: dict[int, int] = {}
