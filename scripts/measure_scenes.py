@@ -11,12 +11,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from warp_partdr.evaluation.evaluate import evaluate, one_thread, tables
 from warp_partdr.evaluation.partbench.report import compare_methods
 from warp_partdr.evaluation.partbench.samples import SCENES
 from warp_partdr.evaluation.partbench.scenes import SCENE_METHODS, partbench_scenes
+from warp_partdr.evaluation.scene_scoring import sliding_speed
 
 
 def main() -> None:
@@ -36,6 +38,10 @@ def main() -> None:
     report = evaluate(samples, methods, device=options.device, jobs=options.jobs)
     for table in tables(report):
         Console(width=170).print(table)
+    moving = [each for each in samples if each.scene.num_frames > 1]
+    if moving:
+        speeds = [sliding_speed(each.joints, each.joints, each.scene.frame_rate) for each in moving]
+        print(f"Feet that stand slide by {1000 * np.nanmean(speeds):.0f} mm/s in the truth.")
     for finding in compare_methods(report):
         print(finding)
     for failure in report.failures:

@@ -28,6 +28,7 @@ from warp_partdr.evaluation.scene_scoring import (
     depth_between_error,
     order_share,
     score_scene,
+    sliding_speed,
 )
 from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.scenes.looks import look_at
@@ -118,6 +119,24 @@ def test_acceleration_is_of_the_second_differences() -> None:
     assert acceleration_error(points, truth) == pytest.approx(2.0)
     assert acceleration_error(truth + time[None, :, None, None], truth) == pytest.approx(0.0)
     assert np.isnan(acceleration_error(truth[:, :2], truth[:, :2]))
+
+
+def test_feet_slide_that_move_while_the_true_ones_stand() -> None:
+    truth = np.zeros((1, 4, 14, 3))
+    left, right = (MPJPE_JOINTS.index(f"{side}_ankle") for side in ("left", "right"))
+    truth[:, :, right, 0] = 0.1 * np.arange(4)  # goes, at 3 m/s
+    found = truth + 0.02 * np.arange(4)[:, None, None] * np.array([0.0, 0.0, 1.0])
+    assert sliding_speed(found, truth, 30.0) == pytest.approx(0.6)
+    found[:, :, right] += 5 * np.arange(4)[:, None]
+    assert sliding_speed(found, truth, 30.0) == pytest.approx(0.6)
+    assert sliding_speed(truth, truth, 30.0) == 0
+    truth[:, 2:, left, 1] = -0.002  # still slow
+    assert sliding_speed(found, truth, 30.0) == pytest.approx(0.6)
+    truth[:, 3:, left, 1] = -0.06  # in the air, y down
+    assert sliding_speed(found, truth, 30.0) == pytest.approx(0.6)
+    truth[:, :, left, 1] = -0.06  # while the other one is on the ground
+    assert np.isnan(sliding_speed(found, truth, 30.0))
+    assert np.isnan(sliding_speed(found[:, :1], truth[:, :1], 30.0))
 
 
 def test_smoothing_takes_jitter_away() -> None:
@@ -231,3 +250,11 @@ def test_a_clip_goes_where_its_person_goes() -> None:
     assert 0.28 < np.linalg.norm(gone) < 0.34  # 0.3 m of the mean body, and who is taller goes farther
     assert abs(gone[0]) > 0.99 * np.linalg.norm(gone)
     assert sample.vertices.shape == (1, 8, anny().num_vertices, 3)
+
+
+def test_who_has_longer_legs_goes_farther() -> None:
+    """Feet that stand would slide, were the pelvis to go farther than legs reach."""
+    clip = standing(8)
+    giant = replace(clip, positions=2 * clip.positions)
+    one, same = (make_clip(3, each, 30.0, "clean") for each in (clip, giant))
+    np.testing.assert_allclose(one.joints, same.joints, atol=1e-5)

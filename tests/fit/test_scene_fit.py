@@ -124,6 +124,23 @@ def test_frames_in_which_nobody_is_seen_are_bridged():
     assert (fit.joints[0, 2] - fit.joints[0, 0]).norm(dim=-1).max() < 0.05
 
 
+def test_a_person_s_frames_are_placed_in_one_camera():
+    """Moves that are smooth in one camera's picture are not if frames change between two."""
+    sample = make_views(11, 2)
+
+    def seen(view: int, frame: int, share: float) -> Sight:
+        sight = sample.scene.sights[view]
+        keypoints = replace(sight.keypoints, confidence=np.float32(share) * sight.keypoints.confidence)
+        return replace(sight, keypoints=keypoints, frame=frame)
+
+    sure = [(1.0, 0.2), (0.6, 0.7), (1.0, 0.2), (0.6, 0.7)]
+    sights = [seen(view, frame, share) for frame, both in enumerate(sure) for view, share in enumerate(both)]
+    _, people = prepared(replace(sample.scene, sights=[*sights, seen(1, 4, 0.9)]), "cpu")
+    first, second = (view.rotation for view in sample.scene.views)
+    for rotation, expected in zip(people.first_rotations, [first] * 4 + [second], strict=True):
+        assert torch.equal(rotation, expected)
+
+
 def test_shares_of_frames():
     seen = torch.tensor([[True, True, True, False, False, False]])
     shares = time_shares(seen, 1.0)[0]

@@ -237,6 +237,7 @@ _COLUMNS = {  # figure: its heading, a factor, and digits
     "depth_between_mm": ("depth between\noff [mm]", 1, 0),
     "stature_off_mm": ("stature\noff [mm]", 1, 0),
     "acceleration_mm": ("acceleration\noff [mm/frame²]", 1, 1),
+    "sliding_mm_s": ("feet slide\n[mm/s]", 1, 0),
     "order_right": ("depth\norder [%]", 100, 0),
     "depth_within_spread": ("depth in\n68 % [%]", 100, 0),
     "shared_volume_cm3": ("shared\n[cm³]", 1, 0),

@@ -24,7 +24,10 @@ from ..synthetic.scene_people import LABELS, SceneSample, depths_of
 from .scoring import Pixels, Score, scoring_classes
 from .volumes import shared_volume
 
-_HIPS = [MPJPE_JOINTS.index(name) for name in ("left_hip", "right_hip")]
+_HIPS, _ANKLES = ([MPJPE_JOINTS.index(f"{side}_{joint}") for side in ("left", "right")] for joint in ("hip", "ankle"))
+# Most of the true ankle of a foot that stands: speed [m/s], for motion capture on other bones slides a little, too, and
+# height over the clip's lowest [m].
+_STANDS, _LOW = 0.3, 0.05
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,7 @@ def score_scene(sample: SceneSample, method: str, bodies: SceneBodies, seconds: 
         depth_between=1000 * depth_between_error(sample, joints),
         stature=1000 * float(np.abs(bodies.statures - sample.statures).mean()),
         acceleration=1000 * acceleration_error(joints, truth),
+        sliding=1000 * sliding_speed(joints, truth, sample.scene.frame_rate),
         order=order_share(sample, joints),
         shared_volume=_shared(bodies.vertices.numpy()),
     )
@@ -87,6 +91,23 @@ def acceleration_error(points: np.ndarray, truth: np.ndarray) -> float:
     if points.shape[1] < 3:
         return math.nan
     return float(np.linalg.norm(np.diff(points - truth, 2, axis=1), axis=-1).mean())
+
+
+def sliding_speed(points: np.ndarray, truth: np.ndarray, rate: float) -> float:
+    """Mean speed of ankles while the true ones stand [m/s], of ``MPJPE_JOINTS`` in a world with y down; NaN if none do.
+
+    True ankles stand between two frames where they are slow, and near the lowest of the clip's.
+
+    Args:
+        points: Found joints [m], shape (P, T, 14, 3).
+        truth: The true ones, the same.
+        rate: Frames a second.
+    """
+    found, true = points[:, :, _ANKLES], truth[:, :, _ANKLES]
+    speeds, true_speeds = (rate * np.linalg.norm(np.diff(each, axis=1), axis=-1) for each in (found, true))
+    low = true[..., 1] > true[..., 1].max((1, 2), keepdims=True) - _LOW
+    stands = (true_speeds < _STANDS) & low[:, 1:] & low[:, :-1]
+    return float(speeds[stands].mean()) if stands.any() else math.nan
 
 
 def order_share(sample: SceneSample, joints: np.ndarray) -> float:

@@ -31,6 +31,7 @@ _MEANS = (  # figure, field of ``Score``, and digits
     ("depth_between_mm", "depth_between", 1),
     ("stature_off_mm", "stature", 1),
     ("acceleration_mm", "acceleration", 2),
+    ("sliding_mm_s", "sliding", 1),
     ("order_right", "order", 3),
     ("depth_within_spread", "depth_within", 3),
     ("shared_volume_cm3", "shared_volume", 1),
@@ -66,6 +67,7 @@ class Score:
     depth_between: float = math.nan  # [mm], error of how far two people are from each other in depth; NaN with one
     stature: float = math.nan  # [mm], error of a person's; NaN but for scenes
     acceleration: float = math.nan  # [mm/frame²], how far joints' are from the true ones; NaN but for motion
+    sliding: float = math.nan  # [mm/s], speed of ankles while the true ones stand; NaN but for motion where some do
     order: float = math.nan  # share of pairs of people, or of a limb (``Sample.mirrored``), in the right order in depth
     depth_within: float = math.nan  # share of joints whose depth lies in the interval of 68 % that the network stated
     shared_volume: float = math.nan  # [cm³], of people who stand in one another, a frame; NaN but for several people

@@ -21,10 +21,11 @@ from ..fit.steps import Tensors
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh
 from .clusters import Clusters
+from .feet import FEET, POINTS, slides
 from .options import SceneOptions
 from .pictures import PictureViews, pelvises_in_world, place_people
 
-FEET = ("left_heel", "left_big_toe", "left_small_toe", "right_heel", "right_big_toe", "right_small_toe")
+_STILL = 0.1  # [m/s], speed of a foot that costs 1
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,7 @@ class SceneStarts(Tensors):
         depth_weights: Of their squares, 0 where somebody is not seen [1/m^2], shape (N, V, 20).
         shown: Who is seen in each view, shape (N, V), bool.
         smooth: Share of each frame in each frame's moves, shape (T, T); None: frames move for themselves.
+        rate: Frames a second, shape (); None: nothing is known of feet between frames.
         ground: Normal and offset [m] of the ground in the world, shape (4,); None: no feet are held to any.
         standing: How surely each body stands on it, shape (N,).
         together: Pictures of people who overlap; None: without labels, or nobody does.
@@ -104,6 +106,7 @@ class SceneStarts(Tensors):
     depth_weights: torch.Tensor
     shown: torch.Tensor
     smooth: torch.Tensor | None
+    rate: torch.Tensor | None
     together: Sheet | None
     alone: Sheet | None
     ground: torch.Tensor | None = None
@@ -131,7 +134,8 @@ class SceneEnergy:
     def factors(self, people: SceneStarts) -> dict[str, float]:
         """Weights of all costs, by name."""
         apart = self.options.apart if len(people.shape) > 1 else self.options.mesh.apart
-        return self.options.mesh.factors(apart, self.options.mesh.size) | {"ground": self.options.ground}
+        feet = {"ground": self.options.ground, "sliding": self.options.sliding}
+        return self.options.mesh.factors(apart, self.options.mesh.size) | feet
 
     def __call__(self, people: SceneStarts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
         """Costs by name, of any shape each."""
@@ -143,8 +147,9 @@ class SceneEnergy:
         points = sum_points(one.weights, marked, posed.joints) + pelvises[:, None]
         aims = (people.places, people.points, people.votes, people.depths, people.depth_weights)
         places, at, votes, depths, weights = (each.flatten(0, 1) for each in aims)
+        seen_points = self._seen(people, points)
         seen, deep = landmark_costs(
-            self._seen(people, points).flatten(0, 1),
+            seen_points.flatten(0, 1),
             Perspective(people.focals.flatten(0, 1), people.centres.flatten(0, 1)),
             LandmarkAims(places, at, votes, one.ends, depths, weights),
         )
@@ -162,6 +167,9 @@ class SceneEnergy:
         if people.ground is not None and people.standing is not None:
             lowest = self.lowest_feet(points, people.ground)
             costs["ground"] = people.standing * (100 * lowest).square()
+        if people.rate is not None:
+            by_frame = [each.unflatten(0, (len(people.shape), -1)) for each in (self._feet(seen_points), people.shown)]
+            costs["sliding"] = slides(by_frame[0], by_frame[1], people.rate) / (POINTS * _STILL**2)
         seg = [
             self._label_loss(people, sheet, mesh, drawn, pelvises)
             for sheet, mesh in ((people.together, self.mesh), (people.alone, one.mesh))
@@ -201,9 +209,12 @@ class SceneEnergy:
 
     def lowest_feet(self, points: torch.Tensor, ground: torch.Tensor) -> torch.Tensor:
         """Heights of the lowest of each body's feet over the ground [m], of landmarks (N, L, 3), shape (N,)."""
+        return (self._feet(points) @ ground[:3]).amin(1) - ground[3]
+
+    def _feet(self, points: torch.Tensor) -> torch.Tensor:
+        """Points ``FEET`` of landmarks (..., L, 3), shape (..., 6, 3)."""
         names = self.one.model.landmark_names
-        feet = torch.stack([points[:, names.index(name)] for name in FEET], dim=1)
-        return (feet @ ground[:3]).amin(1) - ground[3]
+        return torch.stack([points[..., names.index(name), :] for name in FEET], dim=-2)
 
     def at_rest(self, people: SceneStarts) -> Unknowns:
         """Numbers where the fit starts."""

@@ -16,7 +16,8 @@ import numpy as np
 from ..clothing.model import DetailedModel
 from ..inputs.keypoints import Keypoints2D
 from .depth_order import grown
-from .energy import FEET, SceneEnergy, SceneStarts
+from .energy import SceneEnergy, SceneStarts
+from .feet import FEET
 from .looks import Looked
 from .scene import Ground, Scene
 from .start import gather_scene

@@ -21,6 +21,8 @@ class SceneOptions:
         apart: ``MeshOptions.apart`` of scenes of several people, who stand in one another as little as their parts do.
         ground: Weight of the squared heights of standing feet [1/cm^2] over one ground, on which several people before
             one camera start, too; 0 leaves it out.
+        sliding: Weight of the squared speeds of feet that stand [1/(0.1 m/s)^2], where moves are smooth in time; 0
+            leaves it out.
         one_size: Give everybody whom one camera sees in many frames the most probable size for all of them; else sizes
             are the mean of frames, which lies nearer to the mean person.
         exchanges: Exchange people of a picture in depth where labels ask for it; else the order is the start's, but
@@ -35,6 +37,7 @@ class SceneOptions:
     smoothing: float = 0.15
     apart: float = 0.1
     ground: float = 0.1
+    sliding: float = 0.3
     one_size: bool = True
     exchanges: bool = True
     together: int = 256
@@ -45,7 +48,7 @@ class SceneOptions:
     def __post_init__(self) -> None:
         if not 0 <= self.smoothing < math.inf:
             raise ValueError(f"smoothing: {self.smoothing}; expected seconds, 0 or more")
-        for name in ("apart", "ground"):
+        for name in ("apart", "ground", "sliding"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: {getattr(self, name)}; expected 0 or a positive number")
         check_whole("together", self.together, 1, math.isqrt(MAX_PICTURE) - 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -61,7 +62,7 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
     turned[:, 0] = to_world @ turned[:, 0]
 
     seen = torch.zeros(count, dtype=torch.bool, device=like.device).index_fill(0, rows, True)
-    log_scale, shift, smooth = body.log_scale, body.shift, None
+    log_scale, shift, smooth, rate = body.log_scale, body.shift, None, None
     lenses = torch.stack([look.seen.lens for look in looks if look.seen.lens is not None])
     at = torch.tensor(homes, device=like.device)
     if num_frames > 1 and energy.options.smoothing > 0:
@@ -72,6 +73,8 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         there = rotations[first], translations[first], lenses[at]
         log_scale, shift = _smooth_places(shares, body, *there)
         smooth = time_shares(seen.new_ones(1, num_frames), width).to(like)[0]
+        if energy.options.sliding > 0 and width >= 1:  # else a foot may have gone and stood again between two frames
+            rate = like.new_tensor(scene.frame_rate)
 
     places, points, votes = gather_keypoints(one.model, [look.seen for look in looks])
     depth_spreads, turn_spreads = gather_spreads(one, [look.uncertainty for look in looks], like)
@@ -115,6 +118,7 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         depth_weights=table(1 / depth_spreads.square()),
         shown=shown,
         smooth=smooth,
+        rate=rate,
         together=together,
         alone=alone,
     )
@@ -165,10 +169,17 @@ def _smooth_places(
 
 
 def _homes(looks: Sequence[Looked], rows: Sequence[int], scene: Scene) -> list[int]:
-    """Sight in whose crop each body is placed: the surest one; where nobody sees a person, of the nearest frame."""
+    """Sight in whose crop each body is placed: of the view that sees the person surest in all frames, of those there.
+
+    Smooth moves are smooth in one view alone. Where nobody sees a person, the sight is of the nearest frame.
+    """
+    sure: defaultdict[tuple[int, int], float] = defaultdict(float)
+    for look in looks:
+        sure[look.sight.person, look.sight.view] += float(look.evidence.keypoints.confidence.sum())
     best: dict[int, int] = {}
     for place, (look, row) in enumerate(zip(looks, rows, strict=True)):
-        if row not in best or _sure(look) > _sure(looks[best[row]]):
+        person = look.sight.person
+        if row not in best or sure[person, look.sight.view] > sure[person, looks[best[row]].sight.view]:
             best[row] = place
     homes: list[int] = []
     for person in range(scene.num_people):
@@ -177,10 +188,6 @@ def _homes(looks: Sequence[Looked], rows: Sequence[int], scene: Scene) -> list[i
         for row in range(first, first + scene.num_frames):
             homes.append(best[int(seen[np.abs(seen - row).argmin()])])
     return homes
-
-
-def _sure(look: Looked) -> float:
-    return float(look.evidence.keypoints.confidence.sum())
 
 
 def _joined(

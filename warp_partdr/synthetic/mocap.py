@@ -30,7 +30,7 @@ class Clip:
     global_orient: np.ndarray  # rotation of the pelvis, shape (F, 3, 3)
     rotations: np.ndarray  # local rotations of the bones, shape (F, 20, 3, 3)
     directions: np.ndarray  # of the mocap's own bones in the world, NaN where it has none, shape (F, 20, 3)
-    positions: np.ndarray | None = None  # of the pelvis in the world [m], shape (F, 3); None: not known
+    positions: np.ndarray | None = None  # of the pelvis over a ground at y = 0 [m], shape (F, 3); None: not known
 
     def __len__(self) -> int:
         """Number of frames."""

@@ -170,9 +170,11 @@ def make_clip(index: int, clip: Clip, frame_rate: float, level: str = "realistic
     bodies = people.pose_anny(anny(), shape.expand(len(world), -1), posed)
     stature = float(statures(anny(), shape))
     if clip.positions is not None:
-        # Files round places to 2 mm, which would be most of the acceleration; who is taller goes farther.
+        # Files round places to 2 mm, which would be most of the acceleration; who has longer legs goes farther, or feet
+        # that stand would slide.
         shares = time_shares(torch.ones(1, len(clip), dtype=torch.bool), _ROUNDING)[0].numpy()
-        smooth = shares @ clip.positions * (stature / MEAN_STATURE)
+        heights = bodies.vertices[..., 1].amax(1).numpy()  # of the pelvis over the lowest point [m]
+        smooth = shares @ clip.positions * (np.median(heights) / np.median(clip.positions[:, 1]))
         bodies = bodies.moved(torch.from_numpy((smooth - smooth.mean(0)) * [1, -1, -1]).float())
     view = _place_view(bodies.vertices.numpy(), rng.uniform(0, 2 * np.pi), rng)
     frames = [bodies.select(slice(frame, frame + 1)) for frame in range(len(world))]

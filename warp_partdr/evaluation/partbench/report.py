@@ -47,6 +47,7 @@ ORDER = (
     ("scene", "scene, no ground"),
     ("scene", "scene, no exchanges"),
     ("scene, z gradient, no exchanges", "scene, no z gradient, no exchanges"),
+    ("scene", "scene, feet slide"),
     *(("scene", name) for name in SMOOTHED),
     ("scene", "first camera alone"),
 )
@@ -54,6 +55,7 @@ _GAINS = (  # figure, field of ``Score``, factor, unit
     ("PA-MPJPE", "pa_mpjpe", 1, "mm"),
     ("world MPJPE", "world_mpjpe", 1, "mm"),
     ("acceleration", "acceleration", 1, "mm/frame²"),
+    ("feet slide", "sliding", 1, "mm/s"),
     ("depth order right", "order", 100, "%"),
     ("depth between people", "depth_between", 1, "mm"),
     ("stature", "stature", 1, "mm"),

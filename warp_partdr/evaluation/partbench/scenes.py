@@ -142,6 +142,9 @@ SCENE_METHODS: dict[str, SceneMethod] = {
     "scene, no size of the clip": SceneMethod(
         partial(fit_all_together, options=replace(SceneOptions.film(), one_size=False)), (CLIP,)
     ),
+    "scene, feet slide": SceneMethod(
+        partial(fit_all_together, options=replace(SceneOptions.film(), sliding=0.0)), (CLIP,)
+    ),
     "frames alone": SceneMethod(partial(fit_all_together, options=_FRAMES_ALONE), (CLIP,)),
     **{
         name: SceneMethod(partial(fit_all_together, options=_FRAMES_ALONE, smoothing=width), (CLIP,))

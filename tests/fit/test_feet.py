@@ -1,0 +1,126 @@
+"""Feet that stand in films: what tells that they do, and what holds them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from warp_partdr.body.skeletons import MPJPE_JOINTS
+from warp_partdr.clothing.anny import anny
+from warp_partdr.evaluation.scene_scoring import sliding_speed
+from warp_partdr.fit.mesh_energy import mesh_energy
+from warp_partdr.fit.mesh_options import MeshOptions
+from warp_partdr.scenes.clusters import find_clusters
+from warp_partdr.scenes.energy import SceneEnergy, SceneStarts
+from warp_partdr.scenes.feet import FEET, slides
+from warp_partdr.scenes.fitting import fit_scene, scene_energy
+from warp_partdr.scenes.looks import look_at
+from warp_partdr.scenes.options import SceneOptions
+from warp_partdr.scenes.scene import Scene
+from warp_partdr.scenes.start import gather_scene
+from warp_partdr.synthetic.mocap import Clip
+from warp_partdr.synthetic.scene_people import LABELS, make_clip, make_pair
+
+QUICK = SceneOptions(mesh=MeshOptions(iterations=30, learning_rate=0.02, size=96, vertices=800), together=128)
+RATE = torch.tensor(30.0)
+STANDS, MOVES = 0.15, 0.75  # [m/s]
+
+
+def prepared(scene: Scene, options: SceneOptions = QUICK) -> tuple[SceneEnergy, SceneStarts]:
+    looks = look_at(scene, "cpu")
+    one, clusters = mesh_energy(anny(), options.mesh, LABELS), find_clusters(looks, scene.num_people)
+    energy = scene_energy(one, options, clusters, LABELS.num_groups)
+    with torch.no_grad():
+        return energy, gather_scene(energy, anny(), scene, looks)
+
+
+def moving(*velocities: tuple[float, float, float]) -> torch.Tensor:
+    """A point that passes (0, 0, 4) between two frames, seen by a view at each velocity [m/s], (1, 2, V, 1, 3)."""
+    half = torch.tensor(velocities, dtype=torch.float64) / RATE / 2
+    middle = torch.tensor([0.0, 0.0, 4.0], dtype=torch.float64)
+    return torch.stack([middle - half, middle + half])[None, :, :, None]
+
+
+def seen_by(views: int) -> torch.Tensor:
+    return torch.ones(1, 2, views, dtype=torch.bool)
+
+
+@pytest.mark.parametrize(("across", "along"), [(0.0, 0.0), (0.0, 2.0), (0.3, 0.5), (0.5, 0.0), (2.0, 0.0)])
+def test_a_point_stands_as_surely_as_its_speed_across_the_view_says(across: float, along: float) -> None:
+    likely = [math.exp(-((across / spread) ** 2) / 2) / spread**2 for spread in (STANDS, MOVES)]
+    expected = likely[0] / sum(likely) * (across**2 + along**2)
+    found = slides(moving((across, 0.0, along)), seen_by(1), RATE)
+    assert found.shape == (1, 1, 1)
+    assert float(found) == pytest.approx(expected, rel=1e-4, abs=1e-9)
+
+
+def test_the_view_that_sees_a_point_fastest_counts_and_who_is_not_seen_does_not_stand() -> None:
+    both = moving((0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+    assert float(slides(both, seen_by(2), RATE)) < 1e-3
+    shown = seen_by(2)
+    shown[0, 0, 1] = False  # by the second view, in one of the frames
+    assert float(slides(both, shown, RATE)) > 0.9
+    shown[0, 1, 0] = False
+    assert float(slides(both, shown, RATE)) == 0
+
+
+def test_nothing_moves_so_as_to_count_less() -> None:
+    """The force is that of a share that does not change."""
+    seen = moving((0.4, 0.0, 0.3)).requires_grad_()
+    cost = slides(seen, seen_by(1), RATE)
+    (force,) = torch.autograd.grad(cost.sum(), seen)
+    velocity = (seen[:, 1] - seen[:, 0]).detach() * RATE
+    share = cost.detach() / velocity.square().sum()
+    torch.testing.assert_close(force[:, 1], 2 * share * RATE * velocity)
+
+
+def test_feet_of_each_person_are_compared_with_their_own_a_frame_before() -> None:
+    sample = make_pair(101, "clean")
+    sights = [replace(each, frame=frame) for each in sample.scene.sights for frame in range(5)]
+    scene = replace(sample.scene, sights=sights)
+    energy, people = prepared(scene)
+    moves = 0.01 * torch.randn(energy.rates(people).shape, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        unknowns = energy.moved(people, moves)
+        cost, points = energy(people, unknowns)["sliding"], energy.landmarks(people, unknowns)
+    names = energy.one.model.landmark_names
+    feet = torch.stack([points[:, names.index(name)] for name in FEET], dim=1).unflatten(0, (2, 5))
+    expected = slides(scene.views[0].to_camera(feet)[:, :, None], torch.ones(2, 5, 1, dtype=torch.bool), RATE)
+    assert cost.shape == (2, 4, 6)
+    assert float(cost.sum()) > 0.1
+    torch.testing.assert_close(cost, expected / (3 * 0.1**2), rtol=1e-2, atol=1e-4)  # three points of a foot, 0.1 m/s
+
+
+def test_only_films_whose_frames_are_near_one_another_have_feet_that_stand() -> None:
+    sight = make_pair(101, "clean").scene.sights[0]
+    views = make_pair(101, "clean").scene.views
+    film = Scene(views, [replace(sight, frame=frame) for frame in range(3)])
+    assert prepared(film)[1].rate == 30
+    for other, options in (
+        (replace(film, sights=[sight]), QUICK),
+        (replace(film, frame_rate=5.0), QUICK),
+        (film, replace(QUICK, smoothing=0.0)),
+        (film, replace(QUICK, sliding=0.0)),
+    ):
+        energy, people = prepared(other, options)
+        assert people.rate is None
+        assert "sliding" not in energy(people, energy.at_rest(people))
+    with pytest.raises(ValueError, match="sliding: -1"):
+        SceneOptions(sliding=-1)
+
+
+def test_somebody_who_stands_slides_less(device: str) -> None:
+    eyes = np.broadcast_to(np.eye(3), (24, 20, 3, 3)).copy()
+    stands = Clip("stands", eyes[:, 0], eyes, np.zeros((24, 20, 3)), np.broadcast_to([0.0, 1.0, 0.0], (24, 3)))
+    sample = make_clip(5, stands, 30.0)
+    speeds = []
+    for weight in (0.0, 0.3):
+        fit = fit_scene(sample.scene, options=replace(QUICK, sliding=weight), device=device)
+        speeds.append(sliding_speed(fit.landmarks(MPJPE_JOINTS).cpu().numpy(), sample.joints, 30.0))
+        assert ("sliding" in fit.energy) == (weight > 0)
+    assert speeds[0] > 0.05  # [m/s]
+    assert speeds[1] < 0.6 * speeds[0]
