@@ -65,10 +65,11 @@ def test_every_id_of_every_set_says_something(name):
     assert (table[labels.num_groups + 1 :, -1] == 1).all()
 
 
-def test_shares_take_each_image_by_its_own_set():
+def test_shares_take_each_image_by_its_own_set(device):
     sets = [label_set("body14"), label_set("ellipbody20")]
     groups = torch.randint(0, 15, (3, 8, 8), generator=torch.Generator().manual_seed(0)).to(torch.uint8)
-    shares = label_shares(groups, torch.stack([*map(label_table, sets)]), torch.tensor([1, 0, 1]))
+    tables, which = torch.stack([*map(label_table, sets)]), torch.tensor([1, 0, 1])
+    shares = label_shares(groups.to(device), tables.to(device), which.to(device)).cpu()
     assert shares.shape == (3, NUM_CHANNELS, 8, 8)
     for i, which in enumerate((1, 0, 1)):
         assert torch.equal(shares[i, :, 2, 5], label_table(sets[which])[int(groups[i, 2, 5])])

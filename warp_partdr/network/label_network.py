@@ -66,7 +66,7 @@ def label_shares(groups: torch.Tensor, tables: torch.Tensor, which: torch.Tensor
     """Look up each pixel's shares of the parts, background and unknown.
 
     Args:
-        groups: Group ids, shape (B, S, S), uint8.
+        groups: Group ids, shape (B, S, S), of any number type.
         tables: Of N label sets, shape (N, 256, 22).
         which: The set of each image, shape (B,), int64.
 
@@ -74,7 +74,7 @@ def label_shares(groups: torch.Tensor, tables: torch.Tensor, which: torch.Tensor
         Shape (B, 22, S, S), channels last in memory, the dtype of ``tables``.
     """
     found = tables.new_empty(*groups.shape, tables.shape[2])
-    given = groups.flatten(1).contiguous(), tables.contiguous().view(torch.int64), which.contiguous()
+    given = groups.byte().flatten(1).contiguous(), tables.contiguous().view(torch.int64), which.contiguous()
     words = found.flatten(1).view(torch.int64)
 
     def launch(part: slice) -> None:
