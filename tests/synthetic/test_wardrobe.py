@@ -12,6 +12,7 @@ from warp_partdr.clothing.anny import anny
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.synthetic import wardrobe as module
 from warp_partdr.synthetic.garments import GARMENTS, draw_outfit, dress
+from warp_partdr.synthetic.people import anny_mesh
 from warp_partdr.synthetic.training_people import PeopleMaker
 from warp_partdr.synthetic.wardrobe import wardrobe
 
@@ -40,7 +41,7 @@ def test_many_look_as_one_does(device: str) -> None:
     front = torch.tensor([1.0, -1.0, -1.0])
     found = draw_mesh(clothes.vertices(bodies, worn).cpu() * front, clothes.mesh.to("cpu"), camera, SIZE).labels
     bare = anny().pose(shape[:1].cpu(), turns[:1].cpu(), place[:1].cpu())
-    plain = draw_mesh(bare.vertices * front, module.detailed_mesh(anny()), camera, SIZE).labels[0]
+    plain = draw_mesh(bare.vertices * front, anny_mesh(), camera, SIZE).labels[0]
     worn_tubes = 0
     for index in range(OUTFITS):
         outfit = draw_outfit(np.random.default_rng([module._SEED, index]))

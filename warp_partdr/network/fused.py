@@ -27,31 +27,33 @@ _fused: WeakKeyDictionary[LabelNetwork, _Known] = WeakKeyDictionary()
 
 
 def ask_fused(network: LabelNetwork, shares: torch.Tensor, keypoints: torch.Tensor, rays: torch.Tensor) -> Predicted:
-    """Bodies on CUDA, of features in bfloat16; of few people by a captured graph. Inputs as of ``forward``.
-
-    Bodies are made of features in float32 all the same: three corrections in bfloat16 would add up their rounding.
-    """
+    """Bodies on CUDA, of features in bfloat16; of few people by a captured graph. Inputs as of ``forward``."""
     fused, inputs = fused_network(network), (shares, keypoints, rays)
     if len(shares) <= _MOST_CAPTURED:
         key = _Captured, fused, tuple([(each.shape, each.dtype) for each in inputs])
         captured = graphs.find(key, shares.device, 0, lambda: _Captured(network, fused, inputs))
         if captured is not None:
             return captured(inputs)
-    return _ask(network, fused, inputs)
+    return ask_with(network, fused, inputs, half=True)
 
 
-def _ask(network: LabelNetwork, fused: LabelNetwork, inputs: _Inputs) -> Predicted:
-    with torch.autocast(inputs[0].device.type, torch.bfloat16):
-        features = fused.features(*inputs)
+def ask_with(network: LabelNetwork, encoder: LabelNetwork, inputs: _Inputs, *, half: bool) -> Predicted:
+    """Bodies of inputs as of ``forward``, from an encoder's ``features``, with ``half`` in bfloat16.
+
+    Bodies are made of features in float32 all the same: three corrections in bfloat16 would add up their rounding.
+    """
+    with torch.autocast(inputs[0].device.type, torch.bfloat16, enabled=half):
+        features = encoder.features(*inputs)
     return network.bodies(features.float(), inputs[1])
 
 
 class _Captured:
-    """Both, of inputs in fixed buffers."""
+    """``ask_with``, of inputs in fixed buffers."""
 
     def __init__(self, network: LabelNetwork, fused: LabelNetwork, inputs: _Inputs) -> None:
         self._inputs = shares, keypoints, rays = tuple([each.clone() for each in inputs])
-        self._step = CapturedStep(lambda: _ask(network, fused, (shares, keypoints, rays)), shares.device)
+        held = shares, keypoints, rays
+        self._step = CapturedStep(lambda: ask_with(network, fused, held, half=True), shares.device)
 
     def __call__(self, inputs: _Inputs) -> Predicted:
         """Copies of the results, for the next call fills the buffers again."""

@@ -13,7 +13,7 @@ from ..errors import check_each, check_type
 from ..inputs.observation import Observation, resize_nearest
 from ..inputs.stacked import StackedObservations
 from ..interop.torch_threads import one_torch_thread
-from .fused import ask_fused
+from .fused import ask_fused, ask_with
 from .label_network import (
     EVEN_CHANNELS,
     NUM_CHANNELS,
@@ -171,9 +171,7 @@ def ask_network(
     if half and shares.is_cuda:
         predicted = ask_fused(network, shares, keypoints, rays)
     else:
-        with torch.autocast(shares.device.type, torch.bfloat16, enabled=half):
-            features = network.features(shares, keypoints, rays)
-        predicted = network.bodies(features.float(), keypoints)
+        predicted = ask_with(network, network, (shares, keypoints, rays), half=half)
     if mirror:
         own, images = slice(len(observations)), slice(len(observations), None)
         predicted = mean_bodies(predicted.select(own), mirror_bodies(predicted.select(images)))

@@ -222,10 +222,10 @@ class PeopleMaker:
         noted = torch.where(rng.chance(_COCO, count, 1, 1), coco, plain)
 
         view = self._view(joints[:, :1])
-        outlines = self._outlines(body, shape, *stance)
+        dressed, cut = round(_DRESSED * count), round(_CUT_MASKS * count)  # as many in every batch: nothing waits
+        outlines = self._outlines(body, shape, *stance, dressed)
         vertices, outlines, noted, plain = (view(points) for points in (body.vertices, outlines, noted, plain))
         strength, label_sets = draw_strengths(count, rng), self._labels.label_sets(count)
-        cut = round(_CUT_MASKS * count)  # as many in every batch, so that nothing waits for the device
         label_sets[:cut] = list(TRAINING_LABEL_SETS).index(_EVERY_PART)
         no_labels, no_keypoints = draw_absent(count, rng)
         detected = self._detectors.detected(count) & ~no_keypoints[:, None]
@@ -238,7 +238,7 @@ class PeopleMaker:
             torch.cat([(crop(points[..., :2]) + 1) * (self.size / 2), points[..., 2:]], dim=-1)
             for points in (vertices, outlines)
         )
-        picture, dressed = draw(screen, self.mesh), round(_DRESSED * count)
+        picture = draw(screen, self.mesh)
         shown = torch.cat([draw(cloth[:dressed], self._wardrobe.mesh).labels, picture.labels[dressed:]])
         unseen = crop.unseen(self.size)
         parts = picture.labels.masked_fill(unseen, IGNORE)
@@ -280,14 +280,13 @@ class PeopleMaker:
         )
 
     def _outlines(
-        self, body: Detailed, shape: torch.Tensor, rotations: torch.Tensor, translation: torch.Tensor
+        self, body: Detailed, shape: torch.Tensor, rotations: torch.Tensor, translation: torch.Tensor, count: int
     ) -> torch.Tensor:
-        """Vertices of the wardrobe's mesh, of the first people, who are dressed, and as many points of the others."""
-        worn = self._rng.integers(self._wardrobe.size, round(_DRESSED * len(shape)))
-        first = slice(len(worn))  # as many in every batch, so that nothing waits for the device
+        """Vertices of the wardrobe's mesh, of the first ``count``, who are dressed, and points of the others."""
+        worn, first = self._rng.integers(self._wardrobe.size, count), slice(count)
         offsets = self._wardrobe.offsets(worn)
         clothed = self.model.pose(shape[first], rotations[first], translation[first], offsets=offsets)
-        dressed, bare = self._wardrobe.vertices(clothed, worn), body.vertices[len(worn) :]
+        dressed, bare = self._wardrobe.vertices(clothed, worn), body.vertices[count:]
         return torch.cat([dressed, torch.cat([bare, bare[:, : dressed.shape[1] - bare.shape[1]]], dim=1)])
 
     def _cut(

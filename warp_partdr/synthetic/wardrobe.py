@@ -48,7 +48,7 @@ class Wardrobe:
         self.mesh = PartMesh.from_faces(np.concatenate(faces), np.concatenate(labels), device=device)
 
     def offsets(self, worn: torch.Tensor) -> torch.Tensor:
-        """What outfits ``worn`` (B,) add to the vertices of Anny at rest, shape (B, V, 3) [m]."""
+        """Changes of the vertices of Anny at rest by outfits ``worn`` (B,), shape (B, V, 3) [m]."""
         return self._distances[worn, :, None] * self._outward
 
     def vertices(self, body: Detailed, worn: torch.Tensor) -> torch.Tensor:
