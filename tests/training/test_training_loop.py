@@ -64,21 +64,24 @@ def tell(monkeypatch, step: int, number: int) -> None:
     monkeypatch.setattr(TinyTask, "batch", told)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_stopped_and_resumed_is_bit_for_bit_uninterrupted(tmp_path, monkeypatch, device, number):
-    whole = run_training(config(tmp_path / "whole", accumulation=2, warm_up=2), device=device)
+@pytest.mark.parametrize(("number", "optimizer"), [(signal.SIGTERM, "adamw"), (signal.SIGINT, "muon")])
+def test_stopped_and_resumed_is_bit_for_bit_uninterrupted(tmp_path, monkeypatch, device, number, optimizer):
+    if optimizer == "muon" and not hasattr(torch.optim, "Muon"):
+        pytest.skip("torch before 2.9 has no Muon")
+    numbers = {"accumulation": 2, "warm_up": 2, "optimizer": optimizer}
+    whole = run_training(config(tmp_path / "whole", **numbers), device=device)
     assert (whole.step, whole.stopped) == (6, None)
 
     handler = signal.getsignal(number)
     with monkeypatch.context() as patch:
         tell(patch, 5, number)  # within step 3 of two batches each; the losses of three steps wait for the log
-        part = run_training(config(tmp_path / "parts", accumulation=2, warm_up=2), device=device)
+        part = run_training(config(tmp_path / "parts", **numbers), device=device)
     assert (part.step, part.stopped) == (3, number)
     assert signal.getsignal(number) == handler
     assert not (tmp_path / "parts/model.safetensors").exists()
 
     torch.rand(7)
-    rest = run_training(config(tmp_path / "parts", accumulation=2, warm_up=2), resume=True, device=device)
+    rest = run_training(config(tmp_path / "parts", **numbers), resume=True, device=device)
     assert (rest.step, rest.stopped, rest.report["resumed_at"]) == (6, None, 3)
     assert same(flat(tmp_path / "parts"), flat(tmp_path / "whole"))
     for name in ("loss", "validation"):

@@ -28,6 +28,7 @@ from .config import Phase, TrainingConfig, find_task
 from .guards import FiniteWatch, memory_errors, signals
 from .joint_norm import normalise_jointly
 from .logs import RunLog
+from .optimizers import make_optimizer
 from .running_mean import RunningMean
 from .task import Task
 
@@ -121,12 +122,7 @@ class _Run:
             normalise_jointly(self.bare)
         self.names = {parameter: name for name, parameter in self.bare.named_parameters()}
         _check_frozen(config, self.names.values())
-        self.optimizer = torch.optim.AdamW(
-            _groups(self.bare, config.weight_decay),
-            lr=config.learning_rate,
-            betas=config.betas,
-            fused=self.device.type == "cuda",
-        )
+        self.optimizer = make_optimizer(config, self.bare, self.device)
         if config.compile:
             self.bare.compile()
         self.model = accelerator.prepare(self.bare)
@@ -349,14 +345,6 @@ def _count_steps(config: TrainingConfig, epoch: int | None, processes: int) -> i
     if epoch is None:
         raise InputError(f"epochs: {config.epochs}; expected steps: this task's samples never end")
     return max(1, round(config.epochs * epoch / (config.batch_size * config.accumulation * processes)))
-
-
-def _groups(model: torch.nn.Module, decay: float) -> list[dict[str, Any]]:
-    """Weights that decay, and biases and normalisation, which don't."""
-    weights = [parameter for parameter in model.parameters() if parameter.ndim > 1]
-    others = [parameter for parameter in model.parameters() if parameter.ndim <= 1]
-    groups = [{"params": weights, "weight_decay": decay}, {"params": others, "weight_decay": 0.0}]
-    return [group for group in groups if group["params"]]
 
 
 def _check_frozen(config: TrainingConfig, names: Collection[str]) -> None:
