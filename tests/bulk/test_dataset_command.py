@@ -175,13 +175,15 @@ def test_an_ended_run_goes_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None
         return fit_people(self, some)
 
     monkeypatch.setattr(people.PeopleFitter, "bodies", counted)
+    monkeypatch.setattr(people.PeopleFitter, "workers", 1)  # the shards' people in their order
     code, _, complaint = run(f"{COCO} --out out")
     assert code == 130
     assert "out has 1 of 3 shards, the same command goes on" in complaint
     assert parts("out") == ["part-00000-of-00003.parquet"]
     first = Path("out", parts("out")[0]).stat()
+    before = len(fitted)  # people of the third shard may have been in work
     code, said, complaint = run(f"{COCO} --out out")
-    assert (code, fitted) == (0, [2, 2, 2, 1])
+    assert (code, fitted[before:]) == (0, [2, 1])
     assert "1 of 3 shards are there; going on" in complaint
     assert "3 people in 3 pictures" in said
     assert Path("out", parts("out")[0]).stat().st_mtime_ns == first.st_mtime_ns

@@ -65,25 +65,26 @@ class PeopleFitter:
     min_score: float = MIN_SCORE
     cutter: Cutter = field(default_factory=Cutter)
 
-    def rows(self, pictures: Iterable[Held | Cut], tell: Callable[[str], None] | None = None) -> PeopleRows:
-        """Rows of pictures, in their order; the same whatever was fitted before.
+    def begin(
+        self, pool: ThreadPoolExecutor, pictures: Iterable[Held | Cut], tell: Callable[[str], None] | None = None
+    ) -> Callable[[], PeopleRows]:
+        """Take pictures; their rows, in their order, are what is returned gives, once all are fitted.
+
+        Rows are the same whatever is fitted beside them.
 
         Args:
+            pool: Of so many ``workers``, which find and fit people.
             pictures: Names, and pictures, or why they can't be read; or people cut out of some.
             tell: Called with each picture's name.
         """
-        with ThreadPoolExecutor(self.workers, thread_name_prefix="people") as pool:
-            taken = _Taken(self, pool)
-            try:
-                for given in pictures:
-                    taken.add(given)
-                    for name in given.pictures if isinstance(given, Cut) else given[:1]:
-                        if tell is not None:
-                            tell(name)
-                return taken.finish()
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
+        taken = _Taken(self, pool)
+        for given in pictures:
+            taken.add(given)
+            for name in given.pictures if isinstance(given, Cut) else given[:1]:
+                if tell is not None:
+                    tell(name)
+        taken.end()
+        return taken.finish
 
     @property
     def workers(self) -> int:
@@ -147,11 +148,14 @@ class _Taken:
         if len(there) >= _PICTURES[kind] or sum(there) >= _PIXELS[kind]:
             self._cut()
 
-    def finish(self) -> PeopleRows:
-        """Wait for all, and give the rows in order."""
+    def end(self) -> None:
+        """Give the last ones to the threads, too."""
         self._cut()
         self._collect_cut(0)
         self._fit(1)
+
+    def finish(self) -> PeopleRows:
+        """Wait for all, and give the rows in order."""
         self._collect_fitted(0)
         return self.rows
 

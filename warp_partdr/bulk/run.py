@@ -1,4 +1,4 @@
-"""A run over a data set: pictures are decoded ahead, people fitted, and shards written while the next one is made."""
+"""A run over a data set: while a shard's last people are fitted, the next one's pictures are read, and rows written."""
 
 from __future__ import annotations
 
@@ -54,8 +54,11 @@ def make_dataset(
     """
     tally = Tally()
     pool = ThreadPoolExecutor(threads, thread_name_prefix="decode")
+    workers = ThreadPoolExecutor(fitter.workers, thread_name_prefix="people")
     writer = ThreadPoolExecutor(1, thread_name_prefix="write")
+    fitting: deque[tuple[int, Callable[[], PeopleRows]]] = deque()
     writing: deque[tuple[int, Future[pa.Table]]] = deque()
+    began = time.perf_counter()
 
     def settle() -> None:
         """Wait for the shard that is being written."""
@@ -65,6 +68,16 @@ def make_dataset(
             if written is not None:
                 written(index, tally)
 
+    def collect(ahead: int) -> None:
+        """Write shards, but for so many that may still be fitted."""
+        nonlocal began
+        while len(fitting) > ahead:
+            index, finish = fitting.popleft()
+            rows, before, began = finish(), began, time.perf_counter()
+            about = shards.describe(index) | {"seconds": round(began - before, 3)}
+            settle()
+            writing.append((index, writer.submit(_write, shards, index, rows, columns, about)))
+
     try:
         if processes:
             taken = read_in_processes(source, fitter.cutter, [shards.pictures(index) for index in todo], processes)
@@ -72,15 +85,13 @@ def make_dataset(
             pictures = _read_ahead(source, (name for index in todo for name in shards.pictures(index)), pool, threads)
             taken = (islice(pictures, len(shards.pictures(index))) for index in todo)
         for index, each in zip(todo, taken, strict=True):
-            started = time.perf_counter()
-            rows = fitter.rows(each, told)
-            about = shards.describe(index) | {"seconds": round(time.perf_counter() - started, 3)}
-            settle()
-            writing.append((index, writer.submit(_write, shards, index, rows, columns, about)))
+            fitting.append((index, fitter.begin(workers, each, told)))
+            collect(1)
+        collect(0)
         settle()
     finally:
-        pool.shutdown(cancel_futures=True)
-        writer.shutdown(cancel_futures=True)
+        for threads_of in (pool, workers, writer):
+            threads_of.shutdown(cancel_futures=True)
     return tally
 
 
