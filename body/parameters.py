@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import torch
@@ -103,6 +103,11 @@ class BodyParameters(Movable):
     def camera(self, size: int) -> WeakPerspective:
         """Cameras for a crop of ``size`` pixels a side."""
         return crop_camera(self.log_scale, self.shift, size)
+
+    def resized(self, shares: torch.Tensor) -> BodyParameters:
+        """Bodies so many times as large (B,), as much farther away: cameras see the same."""
+        lengths, thicknesses = (each * shares[:, None] for each in (self.lengths, self.thicknesses))
+        return replace(self, lengths=lengths, thicknesses=thicknesses, log_scale=self.log_scale - shares.log())
 
     def select(self, index: torch.Tensor | slice) -> BodyParameters:
         """Select some of the bodies."""

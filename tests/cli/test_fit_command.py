@@ -202,7 +202,7 @@ def test_a_known_camera(run: Run, files: Path) -> None:
     np.testing.assert_allclose(body.translation, pelvis, atol=1e-3)
     assert run("register out/body.npz --parts p.png --labels cdcl14 --photo photo.png --out again")[0] == 0
     first, again = (json.loads(Path(f"{out}/registration.json").read_text()) for out in ("out", "again"))
-    assert abs(first["parts"]["foreground_f1"] - again["parts"]["foreground_f1"]) < 0.05
+    assert abs(first["parts"]["foreground_f1"] - again["parts"]["foreground_f1"]) < 0.06
 
 
 def test_labels_of_all_20_parts(run: Run, files: Path) -> None:

@@ -50,7 +50,7 @@ def explain(
     options = options or FitOptions()
     seen, crop = observe(keypoints, parts, others=others, trust_background=options.trust_background)
     stages = stages_of(options, parts)
-    choices = [_keypoints(keypoints), _camera(camera), _start(options)]
+    choices = [_keypoints(keypoints), _camera(camera), _size(options.stature), _start(options)]
     if parts is None:
         left = {stage.name for stage in stages}
         skipped = [stage.name for stage in options.stages if stage.name not in left]
@@ -117,6 +117,12 @@ def _camera(camera: Perspective | None) -> Choice:
         left_out = "distance; rays beside the axis"
         return Choice("camera", "weak perspective about the body", left_out, "no focal length was given")
     return Choice("camera", f"perspective, focal length {float(camera.focal[0, 0]):.0f} px", "", "it was given")
+
+
+def _size(stature: float | None) -> Choice:
+    if stature is None:
+        return Choice("size", "the label network's guess, from proportions", "the true one", "no stature was given")
+    return Choice("size", f"a person {stature:g} m tall", "the label network's guess", "it was given")
 
 
 def _start(options: FitOptions) -> Choice:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -12,6 +13,7 @@ import torch
 from ..body.lens import turn_to_rays
 from ..body.parameters import BodyParameters
 from ..body.pose_prior import PosePrior, packaged_prior
+from ..body.stature import bone_statures
 from ..body.template import NUM_PARTS
 from ..cameras import Crop, Perspective, check_square
 from ..errors import check_type
@@ -36,6 +38,7 @@ from .stages import OUTLINE, STAGES, Quality, Stage, Start
 from .start_search import LiftEnergy, distinct, hypothesize
 
 Progress = Callable[[str, int, int], None]
+Sized = TypeVar("Sized", BodyParameters, Predicted)
 
 
 @one_torch_thread()
@@ -141,8 +144,15 @@ class _Fit:
         first = self.stages[0]
         bodies, targets, known = hypothesize(self.seen, first.bodies, seed=self.options.seed)
         bodies = replace(bodies, rotations=self.prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
-        bodies = self._turned(bodies)
-        return self._refine(bodies, self.seen, "search", lambda energy: LiftEnergy(energy, targets, known))
+        bodies, seen = self._sized(self._turned(bodies)), self.seen
+        if self.options.stature is not None:
+            seen = replace(seen, lengths=bodies.lengths[0], thicknesses=bodies.thicknesses[0])
+        return self._refine(bodies, seen, "search", lambda energy: LiftEnergy(energy, targets, known))
+
+    def _sized(self, bodies: Sized) -> Sized:
+        """Bodies as tall as the person is known to be; cameras see the same."""
+        stature = self.options.stature
+        return bodies if stature is None else bodies.resized(stature / bone_statures(bodies.lengths))
 
     def _turned(self, bodies: BodyParameters) -> BodyParameters:
         """Starts, which are made as if the camera looked at the person, before the camera that is known."""
@@ -164,13 +174,13 @@ class _Fit:
         return replace(fit, predicted=predicted, seconds=time.perf_counter() - started)
 
     def _ask(self, network: LabelNetwork) -> Predicted:
-        return ask_network([self.seen], network, mirror=self.options.mirror, half=self.options.half)
+        return self._sized(ask_network([self.seen], network, mirror=self.options.mirror, half=self.options.half))
 
     def from_network(self) -> FitResult:
         """Fit from the body of ``looked_at``, whose sizes then are the expected ones."""
         predicted = self.predicted
         assert predicted is not None
-        body = self._turned(predicted.parameters()) if self.body is None else self.body
+        body = self._turned(predicted.parameters()) if self.body is None else self._sized(self.body)
         seconds = {"network": self.seconds}
         seen = replace(self.seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])
         order = None
@@ -237,7 +247,7 @@ class _Fit:
         winner = int(energies.argmin())
         chosen = torch.tensor([winner], device=energies.device)
         return FitResult(
-            parameters=bodies.select(chosen),
+            parameters=self._sized(bodies.select(chosen)),
             crop=self.crop,
             observation=seen,
             stages=self.stages,
@@ -249,7 +259,8 @@ class _Fit:
             start=start,
             evidence=self.evidence,
             camera_guessed=self.camera_guessed,
-            before_outline=None if before_outline is None else before_outline.select(chosen),
+            before_outline=None if before_outline is None else self._sized(before_outline.select(chosen)),
+            stature=self.options.stature,
         )
 
     def complaints(self, found: FitResult) -> list[str]:

@@ -20,9 +20,10 @@ from ..body.rotations import rotation_to_6d, rotation_to_axis_angle
 from ..cameras import Camera
 from ..clothing.anny import anny
 from ..clothing.clothes import bounded
-from ..clothing.measuring import measure_ellipbody
+from ..clothing.measuring import measure_ellipbody, statures
 from ..clothing.model import DetailedModel, detailed_mesh
 from ..clothing.registration import Registered, ungrown
+from ..clothing.resizing import resize_shapes
 from ..errors import InputError, check_type
 from ..inputs.observation import REFERENCE_SIZE
 from ..interop.checks import check_finite
@@ -193,12 +194,16 @@ def _finish(
     found = steps.unknowns
     terms = {name: term.clone() for name, term in steps.terms.items()}
     shape, rotations, translation = energy.whole_pose(model, people, found)
+    log_scale = found.log_scale
+    if any(result.stature is not None for result in results):
+        shape, shares = _resized(model, shape, results)
+        translation, log_scale = translation * shares[:, None], log_scale - shares.log()
     if given is not None:
         rotations = given.whole(rotations[:, energy.turning])
     bodies = ungrown(model, shape, rotations, translation, terms)
     numbers = {name: term.tolist() for name, term in terms.items()}
     energies = [{name: values[place] for name, values in numbers.items()} for place in range(len(results))]
-    where = found.log_scale, found.shift, people.lens
+    where = log_scale, found.shift, people.lens
     try:
         fits = mesh_fits(bodies, where, bounded(found.clothes), results, energies)
     except ValueError as error:
@@ -208,6 +213,17 @@ def _finish(
     for fit in fits:
         fit.ellipbody.stage_seconds["mesh"] = seconds
     return fits
+
+
+def _resized(
+    model: DetailedModel, shape: torch.Tensor, results: Sequence[FitResult]
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Shape values (B, S) of those whose stature is known as tall as they are, and how many times as large (B,)."""
+    wanted = statures(model, shape)
+    for place, result in enumerate(results):
+        if result.stature is not None:
+            wanted[place] = result.stature
+    return resize_shapes(model, shape, wanted)
 
 
 def mesh_fits(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from ..body.labels import LabelSet
 from ..body.pose_prior import PosePrior
+from ..body.stature import check_stature
 from ..inputs.observation import Observation
 from ..inputs.part_labels import PartLabels
 from ..refinement.energy import Energy, Weights
@@ -35,6 +36,8 @@ class FitOptions:
         guess_camera: Where no camera is known and the network sees that it is near, take perspective of the distance
             that it says, 10 m at most, the axis in the picture's middle. Needs labels, for the picture's size.
         guess_within: Distance [m] that is near.
+        stature: The person's height, standing [m], which the body then has; one picture does not tell sizes. None: the
+            network's guess. Of one person (``fit_body``, ``fit_photo``).
         mirror: Ask the network about the mirror image, too; without, it is asked in half the time.
         half: Ask it in bfloat16.
         mesh: Of the mesh stage, which follows in `partdr fit` and ``fit_photo``.
@@ -50,6 +53,7 @@ class FitOptions:
     depth_flips: bool = True
     guess_camera: bool = True
     guess_within: float = 20.0
+    stature: float | None = None
     mirror: bool = True
     half: bool = False
     mesh: MeshOptions = field(default_factory=MeshOptions)
@@ -59,6 +63,7 @@ class FitOptions:
             raise ValueError(f"start: {self.start!r}; expected {', '.join(STAGES)}")
         if not self.guess_within > 0:
             raise ValueError(f"guess_within: {self.guess_within}; expected a positive distance [m]")
+        check_stature(self.stature)
 
     @classmethod
     def at(cls, quality: Quality, start: Start = "network") -> FitOptions:

@@ -45,6 +45,7 @@ class FitResult(Movable):
         uncertainty: How sure the network was of its body, before any stage; None of a search.
         camera_guessed: True if the camera is not known, but guessed of how near the network says that it is.
         before_outline: The body where the outline stage began, nearer in 3D; None without that stage.
+        stature: The person's height that was given [m], which the body has; None: sizes are guessed.
     """
 
     parameters: BodyParameters
@@ -63,6 +64,7 @@ class FitResult(Movable):
     uncertainty: Uncertainty | None = None
     camera_guessed: bool = False
     before_outline: BodyParameters | None = None
+    stature: float | None = None
 
     @property
     def camera(self) -> Camera:

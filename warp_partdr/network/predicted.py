@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import torch
@@ -35,6 +35,13 @@ class Predicted:
     def camera(self, size: int) -> WeakPerspective:
         """Cameras for a crop of ``size`` pixels a side."""
         return crop_camera(self.log_scale, self.shift, size)
+
+    def resized(self, shares: torch.Tensor) -> Predicted:
+        """Bodies so many times as large (B,), as much farther away: cameras see the same."""
+        lengths, thicknesses = (each * shares[:, None] for each in (self.lengths, self.thicknesses))
+        said = None if self.uncertainty is None else self.uncertainty.resized(shares)
+        log_scale = self.log_scale - shares.log()
+        return replace(self, lengths=lengths, thicknesses=thicknesses, log_scale=log_scale, uncertainty=said)
 
     def select(self, index: torch.Tensor | slice) -> Predicted:
         """Some of the bodies."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import nn
@@ -36,6 +36,10 @@ class Uncertainty(Movable):
         """Of the parts' centres, as the mean of both joints' [m], shape (B, 20); the pelvis' own is 0."""
         every = torch.nn.functional.pad(self.depths, (1, 0))
         return (every[:, 1:] + every[:, BONE_STARTS]) / 2
+
+    def resized(self, shares: torch.Tensor) -> Uncertainty:
+        """Those of bodies so many times as large (B,), as much farther away."""
+        return replace(self, depths=self.depths * shares[:, None], nearness=self.nearness / shares)
 
     def select(self, index: torch.Tensor | slice) -> Uncertainty:
         """Some of the bodies'."""

@@ -282,6 +282,8 @@ def describe_body(result: FitResult, mesh: Registered | None = None) -> dict[str
     described = describe_posed(saved, result.posed.joints, result.camera, mesh)
     if result.camera_guessed:
         described["camera"]["guessed"] = True
+    if result.stature is not None:
+        described["stature_given_cm"] = round(100 * result.stature, 1)
     return described
 
 

@@ -102,8 +102,8 @@ def fit_photo(
             is within 5 m, a guess for all (``FitOptions.guess_camera``).
 
     Raises:
-        InputError: If the file can't be read, nobody is found, or not so many people, or a network gives something else
-            than it says.
+        InputError: If the file can't be read, nobody is found, or not so many people, a network gives something else
+            than it says, or ``options.stature`` is of several people.
         TypeError: If a network is of another type.
     """
     check_type("parts_from", parts_from, PartNetwork | None, "of load_part_network")
@@ -119,6 +119,9 @@ def fit_photo(
         found, owners = _everyone(picture, min_score, keypoints_from)
     chosen = range(len(found)) if person is None else [person_place(person, len(found))]
     options = (options or FitOptions.at("balanced")).without_outline()
+    if options.stature is not None and len(chosen) > 1:
+        told = f"stature: {options.stature:g} m, of {len(found)} people"
+        raise InputError(f"{told}; expected one of them, person 0 to {len(found) - 1}")
     options = replace(options, guess_within=min(options.guess_within, _SURE_WITHIN))
     evidence = _PeopleEvidence(found, owners, picture, parts_from, keypoints_from, len(chosen))
     results: list[FitResult] = []

@@ -1,0 +1,37 @@
+"""Stature: the height of a person standing, which an EllipBody has by the lengths of its bones."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import torch
+
+from ..errors import InputError
+from .template import LENGTH_NAMES
+
+# Of the bones between sole and crown, how much of each length counts: learned by scripts/learn_stature.py.
+SHARES = {"abdomen": 0.99, "chest": 1.2, "neck": 1.71, "head": 0.81, "upper leg": 1.02, "lower leg": 0.86}
+_LEAST, _MOST = 0.4, 2.8  # [m]
+
+
+def bone_statures(lengths: torch.Tensor) -> torch.Tensor:
+    """Statures [m] of bodies with ``LENGTH_NAMES`` (B, 12) [m], shape (B,); of Annys 0.2 % off on average."""
+    return lengths @ _shares(lengths.device, lengths.dtype)
+
+
+@lru_cache(maxsize=8)
+def _shares(device: torch.device, dtype: torch.dtype) -> torch.Tensor:
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        return torch.tensor([SHARES.get(name, 0.0) for name in LENGTH_NAMES], device=device, dtype=dtype)
+
+
+def check_stature(stature: float | None) -> None:
+    """Check that a known stature, if there is one, is somebody's.
+
+    Raises:
+        InputError: If it is no number of metres that a person can have.
+    """
+    if stature is None:
+        return
+    if isinstance(stature, bool) or not isinstance(stature, int | float) or not _LEAST <= stature <= _MOST:
+        raise InputError(f"stature: {stature!r}; expected metres, {_LEAST} to {_MOST}")

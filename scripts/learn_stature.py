@@ -1,0 +1,50 @@
+"""Learn and print how tall an EllipBody stands, from the lengths of its bones: ``SHARES`` of ``body/stature.py``.
+
+    python scripts/learn_stature.py [PEOPLE]
+
+Least squares over Anny's bodies, with uniform phenotype values, whose lengths are a bit off, as those of fits are: else
+bones that grow together get shares of either sign. How far off that is, of as many others with exact lengths.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import torch
+
+from warp_partdr.body.stature import SHARES
+from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, SHAPE_INDICES
+from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.clothing.measuring import statures
+from warp_partdr.synthetic import people
+
+_BATCH = 250
+_OFF = 0.03  # share of a length
+
+
+def main(count: str = "4000") -> None:
+    rng = np.random.default_rng(0)
+    model = anny()
+    weights = model.weights_of(JOINT_NAMES)
+    rows: list[np.ndarray] = []
+    for _ in range(-(-2 * int(count) // _BATCH)):
+        phenotypes = rng.uniform(*people.PHENOTYPE_RANGES.T, size=(_BATCH, len(people.PHENOTYPE_RANGES)))
+        shape = anny_shape(torch.from_numpy(phenotypes).float())
+        rest = model.rest(shape)
+        joints = weights @ torch.cat([rest.vertices, rest.joints], dim=1)
+        bones = (joints[:, 1:] - joints[:, BONE_STARTS]).norm(dim=-1)
+        both = [[row[0] == name for row in SHAPE_INDICES] for name in range(len(LENGTH_NAMES))]
+        lengths = torch.stack([bones[:, sides].mean(1) for sides in both], dim=1)
+        rows.append(torch.cat([lengths, statures(model, shape)[:, None]], dim=1).double().numpy())
+    own = [LENGTH_NAMES.index(name) for name in SHARES]
+    learned, others = ((each[:, own], each[:, -1]) for each in np.array_split(np.concatenate(rows), 2))
+    lengths = learned[0] * (1 + _OFF * rng.standard_normal(learned[0].shape))
+    shares = np.linalg.lstsq(lengths, learned[1])[0].round(2)
+    print(dict(zip(SHARES, shares.tolist(), strict=True)))
+    off = others[0] @ shares / others[1] - 1
+    print(f"off by {100 * np.abs(off).mean():.2f} % on average, {100 * np.abs(off).max():.2f} % at most")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

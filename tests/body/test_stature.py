@@ -1,0 +1,29 @@
+"""Statures that bones' lengths say, of people whose true ones are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from warp_partdr.body.stature import bone_statures
+from warp_partdr.body.template import MEAN_STATURE, template
+from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.clothing.measuring import measure_ellipbody, statures
+from warp_partdr.clothing.registration import ungrown
+from warp_partdr.synthetic import people
+
+
+def test_bones_say_how_tall_somebody_stands():
+    model, rng = anny(), np.random.default_rng(5)
+    phenotypes = rng.uniform(*people.PHENOTYPE_RANGES.T, size=(24, len(people.PHENOTYPE_RANGES)))
+    shape = anny_shape(torch.from_numpy(phenotypes).float())
+    at_rest = torch.eye(3).expand(24, model.num_joints, 3, 3)
+    lengths = measure_ellipbody(ungrown(model, shape, at_rest, torch.zeros(24, 3), {}))[3]
+    true = statures(model, shape)
+    assert true.min() < 1.4 < 1.75 < true.max()
+    torch.testing.assert_close(bone_statures(lengths), true, rtol=0.015, atol=0)
+
+
+def test_the_mean_body_is_as_tall_as_the_mean_adult():
+    lengths = torch.from_numpy(template().mean_lengths)[None].float()
+    torch.testing.assert_close(bone_statures(lengths), torch.tensor([MEAN_STATURE]), rtol=5e-3, atol=0)

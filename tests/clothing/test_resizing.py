@@ -1,0 +1,27 @@
+"""Detailed bodies of a given stature keep their proportions."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.clothing.measuring import statures
+from warp_partdr.clothing.resizing import resize_shapes
+from warp_partdr.synthetic import people
+
+
+def test_bodies_are_enlarged_as_they_are(device):
+    model, rng = anny(torch.device(device)), np.random.default_rng(3)
+    phenotypes = rng.uniform(*people.PHENOTYPE_RANGES.T, size=(4, len(people.PHENOTYPE_RANGES)))
+    shape = anny_shape(torch.from_numpy(phenotypes).float()).to(device)
+    shares = torch.tensor([0.93, 1.0, 1.04, 1.1], device=device)
+    wanted = shares * statures(model, shape)
+    resized, found = resize_shapes(model, shape, wanted)
+    torch.testing.assert_close(found, shares)
+    torch.testing.assert_close(statures(model, resized), wanted, rtol=0, atol=1e-4)
+    assert torch.equal(resized[1], shape[1])
+    before, after = (model.rest(each).vertices for each in (shape, resized))
+    off = (before * shares[:, None, None] - after).norm(dim=-1).mean(1)
+    grown = (before * (shares - 1)[:, None, None]).norm(dim=-1).mean(1)
+    assert (off < 0.25 * grown + 1e-6).all(), (off, grown)

@@ -1,0 +1,124 @@
+"""A stature that is known: bodies have it, and cameras see the same as without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from scenes.people import crowd
+
+from warp_partdr import FitOptions, fit_body
+from warp_partdr.body.stature import bone_statures
+from warp_partdr.clothing.anny import anny
+from warp_partdr.clothing.measuring import statures
+from warp_partdr.errors import InputError
+from warp_partdr.evaluation.partbench.samples import NEAR, make_sample
+from warp_partdr.fit.fitting import fit_evidence
+from warp_partdr.fit.mesh_options import MeshOptions
+from warp_partdr.fit.mesh_stage import MeshFit, refine_meshes
+from warp_partdr.fit.result import FitResult
+from warp_partdr.inputs.evidence import weigh_evidence
+from warp_partdr.inputs.sample import Sample
+from warp_partdr.network.checkpoint import packaged_network
+from warp_partdr.network.predict import ask_network
+from warp_partdr.results.save import describe_body, describe_mesh
+from warp_partdr.scenes.photo import fit_photo
+
+FAST = FitOptions.at("fast")
+QUICK = MeshOptions(iterations=20, size=96, vertices=800)
+TALL = 1.93  # [m]
+
+
+def fitted(sample: Sample, stature: float | None, device: str = "cpu", **given) -> FitResult:
+    options = replace(given.pop("options", FAST), stature=stature)
+    return fit_body(sample.keypoints, sample.parts, options=options, others=sample.others, device=device, **given)
+
+
+def standing(found: FitResult) -> float:
+    return bone_statures(found.parameters.lengths).item()
+
+
+def alike(sample: Sample, *found: FitResult | MeshFit) -> float:
+    """Share of the pixels of either that both show as the same."""
+    one, other = (each.draw(sample.target.shape).labels[0].cpu().numpy() for each in found)
+    shown = (one > 0) | (other > 0)
+    return (one == other)[shown].mean()
+
+
+@pytest.mark.parametrize("start", ["network", "search"])
+def test_the_body_has_it_and_is_seen_as_without(device, start):
+    sample = make_sample(3, "clean")
+    options = FAST if start == "network" else replace(FAST, start="search", stages=FAST.search)
+    plain, tall = (fitted(sample, stature, device, options=options) for stature in (None, TALL))
+    assert standing(tall) == pytest.approx(TALL, rel=1e-5)
+    assert abs(standing(plain) - TALL) > 0.1
+    assert alike(sample, plain, tall) > 0.9
+    assert not tall.camera.perspective
+    larger = (tall.landmarks(("neck",)) / plain.landmarks(("neck",)))[0, 1]
+    assert larger == pytest.approx(TALL / standing(plain), rel=0.05)
+
+
+def test_before_a_known_camera_who_is_taller_is_farther_away(device):
+    sample = make_sample(5, NEAR)
+    plain, tall = (fitted(sample, stature, device, camera=sample.camera) for stature in (None, TALL))
+    share = TALL / standing(plain)
+    assert abs(share - 1) > 0.05
+    torch.testing.assert_close(tall.posed.joints, share * plain.posed.joints, rtol=0.02, atol=0.02)
+    assert alike(sample, plain, tall) > 0.9
+
+
+def test_what_the_network_says_of_a_larger_body_is_of_one_farther_away():
+    sample = make_sample(5, NEAR)
+    seen = fitted(sample, None, options=replace(FAST, stages=())).observation
+    said = ask_network([seen], packaged_network("cpu"))
+    larger = said.resized(torch.tensor([1.2]))
+    points = [each.camera(256).project(each.posed().joints)[..., :2] for each in (said, larger)]
+    torch.testing.assert_close(*points, rtol=1e-5, atol=1e-3)
+    torch.testing.assert_close(larger.posed().joints, 1.2 * said.posed().joints)
+    torch.testing.assert_close(larger.uncertainty.depths, 1.2 * said.uncertainty.depths)
+    torch.testing.assert_close(1 / larger.uncertainty.nearness, 1.2 / said.uncertainty.nearness)
+    body = said.parameters()
+    torch.testing.assert_close(body.resized(torch.tensor([1.2])).tensors(), larger.parameters().tensors())
+
+
+def test_the_mesh_has_it_and_others_beside_stay_as_they_are(device):
+    samples = [make_sample(index, "clean") for index in (3, 4)]
+    plain = [fitted(sample, None, device) for sample in samples]
+    tall = fitted(samples[0], TALL, device)
+    model = anny(torch.device(device))
+    one, other = refine_meshes([tall, plain[1]], model, options=QUICK)
+    both = refine_meshes(plain, model, options=QUICK)
+    assert statures(model, one.body.shape).item() == pytest.approx(TALL, abs=1e-4)
+    assert torch.equal(other.body.shape, both[1].body.shape)
+    assert alike(samples[0], one, both[0]) > 0.9
+    (grown,) = refine_meshes([replace(plain[0], stature=TALL)], model, options=QUICK)  # from the guessed size on
+    assert alike(samples[0], grown, both[0]) > 0.9
+    assert statures(model, grown.body.shape).item() == pytest.approx(TALL, abs=1e-4)
+    assert standing(one.ellipbody) == pytest.approx(TALL, rel=0.02)
+    assert describe_body(one.ellipbody)["stature_given_cm"] == 193.0
+    assert describe_mesh(one.body)["stature"] == pytest.approx(193.0, abs=0.1)
+    assert "stature_given_cm" not in describe_body(other.ellipbody)
+
+
+def test_a_body_that_is_given_is_resized():
+    sample = make_sample(4, "clean")
+    first = fitted(sample, None)
+    readings = weigh_evidence(sample.keypoints, sample.parts)
+    options = replace(FAST, stages=(), stature=TALL)
+    again = fit_evidence(readings, options, body=first.parameters)
+    assert standing(again) == pytest.approx(TALL, rel=1e-5)
+
+
+@pytest.mark.parametrize("stature", [178, 0.0, -1.7, float("nan"), True, "1.78"])
+def test_nobodys_is_told(stature):
+    with pytest.raises(InputError, match=r"stature: .*; expected metres, 0\.4 to 2\.8"):
+        FitOptions(stature=stature)
+
+
+def test_of_several_people_it_is_whose():
+    picture, _ = crowd(2)
+    with pytest.raises(InputError, match=r"stature: 1\.8 m, of 2 people; expected one of them, person 0 to 1"):
+        fit_photo(picture, options=FitOptions(stature=1.8))
+    fit = fit_photo(picture, person=0, options=replace(FAST, mesh=QUICK, stature=1.8))
+    assert statures(fit.fits[0].body.model, fit.fits[0].body.shape).item() == pytest.approx(1.8, abs=1e-4)
