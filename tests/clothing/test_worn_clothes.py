@@ -6,7 +6,7 @@ import torch
 
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.clothes import CLOTHED, THICKEST, bounded, clothes_basis, clothes_offsets
+from warp_partdr.clothing.clothes import CLOTHED, THICKEST, bounded, clothes_basis, clothes_costs, clothes_offsets
 from warp_partdr.clothing.registration import ungrown
 from warp_partdr.clothing.surfaces import vertex_parts
 
@@ -39,6 +39,16 @@ def test_hands_and_feet_are_bare(device: str) -> None:
 def test_they_are_never_inward_nor_thicker_than_coats(device: str) -> None:
     thick = torch.tensor([-0.1, 0.02, 1.0], device=device)
     assert bounded(thick).tolist() == [0.0, thick[1].item(), torch.tensor(THICKEST).item()]
+
+
+def test_every_bit_of_thickness_costs_as_much(device: str) -> None:
+    """That of none, too, where a square costs nothing: bare skin stays bare."""
+    thick = torch.tensor([-0.01, 0.0, 0.01, 0.02, 0.04], device=device, requires_grad=True)
+    costs = clothes_costs(thick)
+    torch.testing.assert_close(costs.cpu().detach(), torch.tensor([1.0, 0.0, 1.0, 2.0, 4.0]))
+    (slopes,) = torch.autograd.grad(costs.sum(), thick)
+    assert slopes[2:].unique().tolist() == [100.0]
+    assert slopes[0] == -100.0  # back to where a thickness begins
 
 
 def test_the_body_beneath_stays(device: str) -> None:

@@ -98,6 +98,9 @@ def test_qualities_are_in_order_of_work(start):
         for quality, stages in STAGES[start].items()
     }
     assert 4 * work["fast"] < work["balanced"] < work["accurate"]
+    meshes = [FitOptions.at(quality, start).mesh for quality in STAGES[start]]
+    drawn = [mesh.iterations * mesh.size**2 for mesh in meshes]
+    assert drawn[0] == drawn[1] < drawn[2]
 
 
 def test_starts_are_checked():

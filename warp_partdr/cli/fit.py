@@ -65,9 +65,7 @@ that there is a person, default {MIN_SCORE}), `also=usdz,fbx` (more files; usda,
 
 # Of these, the default stands in the text: typer would give each a line of its own.
 _MODEL_HELP = f"Detailed model: {MODEL_HELP}; none skips it. Default: anny."
-_QUALITY_HELP = (
-    "fast, balanced (default) or accurate: with --model none part F1 0.86, 0.88, 0.89 on PartBench, time 0.5, 1, 1.15."
-)
+_QUALITY_HELP = "fast, balanced (default) or accurate, whose mesh stage takes three times as long (docs/accuracy.md)."
 _START_HELP = "network (default; a search if that ends far off) or search."
 
 
@@ -108,7 +106,7 @@ def fit(
             raise InputError("--explain: without --keypoints; expected them with it")
         score = check_score(_SCORE, values.pop(_SCORE, MIN_SCORE))
         formats = take_formats(values)
-        options = before_mesh(fit_options(quality, start, values), quality, values)
+        options = before_mesh(fit_options(quality, start, values), values)
         chosen = take_whole(values, "threads"), score, options, formats
         fit_everyone(files, photo, out, device, model, view, chosen)
         return
@@ -138,7 +136,7 @@ def fit(
     if OUTLINE in values and person.parts is None:
         raise InputError(f"{OUTLINE}: settings of a stage that needs part labels; expected some")
     if clothed:
-        options = before_mesh(options, quality, values)
+        options = before_mesh(options, values)
     check_folder(out)
     named = (options.network, files.keypoint_format, files.labels, model)
     given = (photo, files.keypoint_file(photo), files.parts, settings.config, *(Path(name) for name in named if name))
@@ -213,23 +211,16 @@ def fit_options(quality: QualityName, start: StartName, values: dict[str, Any]) 
     return options
 
 
-def before_mesh(options: FitOptions, quality: QualityName, values: dict[str, Any]) -> FitOptions:
+def before_mesh(options: FitOptions, values: dict[str, Any]) -> FitOptions:
     """Options of a fit that the mesh stage goes on from: without the outline stage, whose result it would not use.
 
-    An InputError if that stage was changed; a warning if a quality was asked for that differs in it alone.
+    An InputError if that stage was changed.
     """
-    from ..fit.options import FitOptions
     from ..fit.stages import OUTLINE
 
     if OUTLINE in values:
         told = f"{OUTLINE}: settings of a stage that the mesh stage replaces"
         raise InputError(f"{told}; expected --keypoints, --parts and --model none with it")
-    usual = QualityName.balanced
-    stages = [FitOptions.at(each.value, options.start).without_outline().stages for each in (usual, quality)]  # type: ignore[arg-type]
-    if quality is not usual and stages[0] == stages[1]:
-        typer.echo(
-            f"partdr: warning: --quality: {quality} does as {usual} before the mesh stage (--model none)", err=True
-        )
     return options.without_outline()
 
 

@@ -16,7 +16,7 @@ from .normals import vertex_normals
 # none, for there labels draw thickness wherever joints are off.
 CLOTHED: tuple[str, ...] = ("head", "neck", "chest", "abdomen", "upper_arm", "forearm", "upper_leg", "lower_leg")
 THICKEST = 0.05  # [m]; and no less than 0, for labels drawn too small would eat the body
-SPREAD = 0.02  # [m], standard deviation of a thickness
+_MEAN = 0.01  # [m], of thicknesses
 _HAIRLINE = 0.04  # [m], along y or z, over which hair begins
 
 
@@ -38,6 +38,15 @@ def dressed_model(model: DetailedModel, basis: torch.Tensor) -> DetailedModel:
         shape_directions=torch.cat([model.shape_directions, basis]),
         joint_directions=torch.cat([moves, moves.new_zeros(len(basis), *moves.shape[1:])]),
     )
+
+
+def clothes_costs(thicknesses: torch.Tensor) -> torch.Tensor:
+    """Negative logarithms of how likely thicknesses before ``bounded`` [m] are, but for a constant; any shape.
+
+    They are exponential: most parts of most people wear next to nothing, and a thickness that labels hardly ask for
+    is none, for it would make the body thinner.
+    """
+    return thicknesses.abs() / _MEAN
 
 
 def bounded(thicknesses: torch.Tensor) -> torch.Tensor:

@@ -18,7 +18,7 @@ from ..body.pose_prior import FREE_PARTS
 from ..body.template import JOINT_NAMES
 from ..cameras import Camera
 from ..clothing.capsules import Capsules, measure_capsules
-from ..clothing.clothes import SPREAD, bounded, clothes_basis, dressed_model
+from ..clothing.clothes import bounded, clothes_basis, clothes_costs, dressed_model
 from ..clothing.joint_merging import merge_joints
 from ..clothing.joint_turns import turn_joints
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
@@ -94,7 +94,7 @@ class MeshEnergy:
             "shape": (unknowns.shape - people.shape).square(),
         }
         if options.clothes is not None:
-            costs["clothes"] = (unknowns.clothes / SPREAD).square()
+            costs["clothes"] = clothes_costs(unknowns.clothes)
         if self.capsules is not None:
             costs["apart"] = self.capsules.overlap(self.capsules.of(posed, unknowns.shape))
         if people.target is not None and self.mesh is not None:

@@ -12,6 +12,7 @@ from ..inputs.observation import REFERENCE_SIZE
 from ..interop.checks import MAX_PICTURE, check_steps
 from ..render.options import DEFAULT_DEPTH_WEIGHT, MeshGradient, check_mesh_rule
 from ..render.subdivisions import DEFAULT_TOLERANCE
+from .stages import Quality
 
 _SHOWN = 2.0  # [m], about: side of the crop of an adult
 
@@ -31,8 +32,7 @@ class MeshOptions:
         depth: Weight of the squares of joints' moves along the view, in spreads that the network stated.
         turns: Weight of the squares of joints' turns, in such spreads.
         shape: Weight of half the squares of changes of the shape values.
-        clothes: Weight of half the squares of the clothes' thicknesses, in their standard deviations; None: the person
-            wears none.
+        clothes: Weight of the clothes' thicknesses, in their mean; None: the person wears none.
         apart: Weight of the squares of depths [cm] by which parts that are no neighbours stand in one another, beyond
             what flesh gives way; 0 leaves them out. 0.1 changes few people's parts, and no joints on average.
         gradient: Of L_seg, "edges" or "partdr", as ``mesh_label_loss``; "partdr" pulls about thrice as hard.
@@ -66,6 +66,11 @@ class MeshOptions:
             if not (0 <= weight < math.inf if weight is not None else name == "clothes"):
                 raise ValueError(f"{name}: {weight}; expected 0 or a positive number")
 
+    @classmethod
+    def at(cls, quality: Quality) -> MeshOptions:
+        """Options of a quality: "accurate" draws larger and steps on, in thrice the time; the others are alike."""
+        return cls(size=256, iterations=150) if quality == "accurate" else cls()
+
     @property
     def skin_error(self) -> float:
         """Distance of the whole model's skin from the one drawn, 1 % of it aside: half a drawn pixel at most [m]."""
@@ -75,4 +80,4 @@ class MeshOptions:
         """Weights of costs by name, where parts are kept ``apart`` so much and labels drawn in crops of a side [px]."""
         own = {"proj": self.proj, "depth": self.depth, "turns": self.turns, "shape": self.shape / 2}
         seg = self.seg * (REFERENCE_SIZE / size) ** 2
-        return own | {"clothes": (self.clothes or 0.0) / 2, "apart": apart, "seg": seg}
+        return own | {"clothes": self.clothes or 0.0, "apart": apart, "seg": seg}

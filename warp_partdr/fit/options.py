@@ -76,7 +76,8 @@ class FitOptions:
             raise ValueError(f"start: {start!r}; expected {', '.join(STAGES)}")
         if quality not in STAGES[start]:
             raise ValueError(f"quality: {quality!r}; expected {', '.join(STAGES[start])}")
-        return cls(stages=STAGES[start][quality], start=start, search=STAGES["search"][quality])
+        stages, search = STAGES[start][quality], STAGES["search"][quality]
+        return cls(stages=stages, start=start, search=search, mesh=MeshOptions.at(quality))
 
     def drawn_by(self, change: Callable[[Renderer], Renderer]) -> FitOptions:
         """Options whose stages, also of the search, have renderers that ``change`` makes of theirs.

@@ -11,7 +11,7 @@ import torch
 
 from ..cameras import Perspective, ScreenCamera
 from ..clothing.capsules import Capsules
-from ..clothing.clothes import CLOTHED, SPREAD
+from ..clothing.clothes import CLOTHED, clothes_costs
 from ..clothing.model import DetailedModel
 from ..clothing.point_sums import sum_points
 from ..fit.landmark_costs import LandmarkAims, landmark_costs
@@ -160,7 +160,7 @@ class SceneEnergy:
             "shape": (unknowns.shape - people.shape).square(),
         }
         if options.clothes is not None:
-            costs["clothes"] = (unknowns.clothes / SPREAD).square()
+            costs["clothes"] = clothes_costs(unknowns.clothes)
         if self.capsules is not None:
             placed = self.capsules.of(posed, numbers.shape, by=pelvises)
             costs["apart"] = self.capsules.overlap(placed, people=len(people.shape))
