@@ -7,7 +7,7 @@ import torch
 
 from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.measuring import statures
-from warp_partdr.clothing.resizing import resize_shapes
+from warp_partdr.clothing.resizing import resize_before, resize_shapes
 from warp_partdr.synthetic import people
 
 
@@ -25,3 +25,13 @@ def test_bodies_are_enlarged_as_they_are(device):
     off = (before * shares[:, None, None] - after).norm(dim=-1).mean(1)
     grown = (before * (shares - 1)[:, None, None]).norm(dim=-1).mean(1)
     assert (off < 0.25 * grown + 1e-6).all(), (off, grown)
+
+
+def test_who_is_larger_is_as_much_farther_from_the_camera(device):
+    model = anny(torch.device(device))
+    shape = anny_shape(torch.full((2, 6), 0.5)).to(device)
+    eye, roots = torch.tensor([0.4, -1.0, 2.0]), torch.tensor([[0.0, 0.0, 5.0], [1.0, 0.3, -1.0]], device=device)
+    wanted = 1.1 * statures(model, shape)[0].item()
+    resized, positions = resize_before(model, shape, roots, wanted, eye)
+    torch.testing.assert_close(statures(model, resized), torch.full((2,), wanted, device=device), rtol=0, atol=1e-4)
+    torch.testing.assert_close(positions - eye.to(device), 1.1 * (roots - eye.to(device)))

@@ -12,6 +12,7 @@ import torch
 from scenes.files import EXAMPLE
 from scenes.films import write_film
 
+from warp_partdr.clothing.measuring import statures
 from warp_partdr.detection.film_people import FilmPeople, find_film_people, kept_size
 from warp_partdr.errors import InputError
 from warp_partdr.fit.mesh_options import MeshOptions
@@ -129,6 +130,22 @@ def test_a_person_has_one_shape(fit: FilmFit) -> None:
     shape = fit.motions[0].shape
     torch.testing.assert_close(fit.motions[0].bodies(slice(0, 2)).shape, shape.values.expand(2, -1))
     assert (shape.clothes >= 0).all()
+
+
+def test_a_known_stature_holds_in_every_window(people: FilmPeople, fit: FilmFit) -> None:
+    tall = fit_film([SeenFilm.of(people)], options=replace(QUICK, stature=2.0))
+    found, guessed = (
+        statures(each.motions[0].model, each.motions[0].shape.values[None]).item() for each in (tall, fit)
+    )
+    assert found == pytest.approx(2.0, abs=1e-4)
+    farther = tall.motions[0].translation[:, 2] / fit.motions[0].translation[:, 2]
+    torch.testing.assert_close(farther, torch.full_like(farther, 2.0 / guessed), rtol=0.03, atol=0)
+
+
+def test_a_stature_of_several_people_is_whose(people: FilmPeople, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("warp_partdr.scenes.film.match_people", lambda films: [((0, 0),), ((0, 0),)])
+    with pytest.raises(InputError, match=r"stature: 1\.8 m, of 2 people; expected one of them, person 0 to 1"):
+        fit_film([SeenFilm.of(people)], options=replace(QUICK, stature=1.8))
 
 
 def test_faults(people: FilmPeople, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import torch
 from scenes.people import crowd
 
 from warp_partdr import FitOptions, fit_body
+from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.stature import bone_statures
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.measuring import statures
@@ -23,7 +24,10 @@ from warp_partdr.inputs.sample import Sample
 from warp_partdr.network.checkpoint import packaged_network
 from warp_partdr.network.predict import ask_network
 from warp_partdr.results.save import describe_body, describe_mesh
+from warp_partdr.scenes.fitting import fit_scene
+from warp_partdr.scenes.options import SceneOptions
 from warp_partdr.scenes.photo import fit_photo
+from warp_partdr.synthetic.scene_people import make_pair, make_views
 
 FAST = FitOptions.at("fast")
 QUICK = MeshOptions(iterations=20, size=96, vertices=800)
@@ -122,3 +126,32 @@ def test_of_several_people_it_is_whose():
         fit_photo(picture, options=FitOptions(stature=1.8))
     fit = fit_photo(picture, person=0, options=replace(FAST, mesh=QUICK, stature=1.8))
     assert statures(fit.fits[0].body.model, fit.fits[0].body.shape).item() == pytest.approx(1.8, abs=1e-4)
+
+
+def test_a_person_of_a_film_has_it_in_all_frames_and_is_seen_as_without(device):
+    """Before a camera that stands somewhere in the world."""
+    one = make_views(3, 1).scene
+    turn = rotation_from_axis_angle(torch.tensor([0.3, -0.2, 0.1]))
+    view = replace(one.views[0], rotation=turn, translation=torch.tensor([0.5, -0.3, 1.0]))
+    scene = replace(one, views=[view], sights=[replace(one.sights[0], frame=frame) for frame in range(3)])
+    options = SceneOptions(mesh=QUICK)
+    plain, tall = (fit_scene(scene, options=replace(options, stature=each), device=device) for each in (None, TALL))
+    assert tall.statures.tolist() == pytest.approx([TALL], abs=1e-4)
+    assert abs(plain.statures.item() - TALL) > 0.1
+    before, after = (view.to_camera(each.joints[0, 1]).cpu() for each in (plain, tall))
+    pixels = [view.camera.project(each[None])[..., :2] for each in (before, after)]
+    assert (pixels[0] - pixels[1]).abs().max() < 6  # of 400
+    share = TALL / plain.statures.item()
+    torch.testing.assert_close(after.norm(dim=1), share * before.norm(dim=1), rtol=0.02, atol=0)
+
+
+def test_a_film_of_several_people_or_before_several_cameras_is_told():
+    options = SceneOptions(stature=TALL)
+    for scene, told in (
+        (make_pair(101, "clean").scene, "2 people before 1 cameras"),
+        (make_views(3, 2).scene, "1 people before 2 cameras"),
+    ):
+        with pytest.raises(InputError, match=f"stature: 1.93 m, of {told}; expected one person before one camera"):
+            fit_scene(scene, options=options)
+    with pytest.raises(InputError, match=r"stature: 178; expected metres"):
+        SceneOptions(stature=178)

@@ -57,10 +57,10 @@ keypoints alone are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file 
 (for Blender), report.json; detailed.png, detailed.glb, detailed.obj, detailed.ply, detailed.bvh, detailed.npz,
 registration.json; of films overlay.mp4, and a .npz, .glb and .bvh each. Older ones are replaced.
 
-**Settings** (docs/fitting.md): `stature=1.78` (how tall one person stands [m]: no size is guessed then),
-`trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh.apart=0.1`, `threads=4`, `min_score=0.6` (how sure
-that there is a person, default {MIN_SCORE}), `also=usdz,fbx` (more files; usda, too); with --model none `outline=false`
-(nearer joints), `outline=labels-first` (nearer outlines).
+**Settings** (docs/fitting.md): `stature=1.78` (one person's height [m], in films too), `trust_background=true`,
+`weights.prior=5`, `labels.size=256`, `mesh.apart=0.1`, `threads=4`, `min_score=0.6` (how sure that there is a person,
+default {MIN_SCORE}), `also=usdz,fbx` (more files; usda, too); `outline=false` (nearer joints), `outline=labels-first`
+(nearer outlines), both with --model none.
 """
 
 # Of these, the default stands in the text: typer would give each a line of its own.

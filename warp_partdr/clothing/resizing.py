@@ -26,3 +26,15 @@ def resize_shapes(model: DetailedModel, shape: torch.Tensor, wanted: torch.Tenso
         grown = torch.linalg.solve(products, directions @ rest.mT).mT  # (B, S), to be twice as large
         shape = shape + (wanted / statures(model, shape) - 1)[:, None] * grown
     return shape, shares
+
+
+def resize_before(
+    model: DetailedModel, shape: torch.Tensor, positions: torch.Tensor, stature: float, eye: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Shape values (B, S) of bodies of a stature [m], and where their root joints (B, 3) then are, seen as before.
+
+    ``eye``, shape (3,), is the place of the camera that sees them.
+    """
+    shape, shares = resize_shapes(model, shape, torch.full_like(shape[:, 0], stature))
+    eye = eye.to(positions)
+    return shape, eye + shares[:, None] * (positions - eye)

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import torch
 
+from ..body.stature import bone_statures
 from ..clothing.measuring import statures
 from ..clothing.model import DetailedModel
 from ..clothing.registration import shape_from_lengths
@@ -27,14 +28,19 @@ _SHRUNK, _NOISE, _MIDDLE = 0.736, 0.364, 2.62
 _APART = 4 / 30  # [s], from one look to the next
 
 
-def of_one_size(model: DetailedModel, scene: Scene, looks: Sequence[Looked]) -> list[Looked]:
+def of_one_size(
+    model: DetailedModel, scene: Scene, looks: Sequence[Looked], stature: float | None = None
+) -> list[Looked]:
     """Sights in which everybody has one size: the known one, or the most probable where one camera sees many frames.
 
     Args:
         model: Of the known shapes.
         scene: The scene.
         looks: Of ``look_at``.
+        stature: The one person's, where it is known [m].
     """
+    if stature is not None and not scene.shapes:
+        return [grown(look, stature / float(bone_statures(look.body.lengths))) for look in looks]
     if scene.num_frames == 1 or len(scene.views) > 1:
         return list(looks)
     targets = {person: _target(model, scene, person, looks) for person in range(scene.num_people)}

@@ -125,6 +125,4 @@ def _best_exchange(
 
 def grown(look: Looked, factor: float) -> Looked:
     """A sight whose body is so much larger and farther away."""
-    body = look.body
-    sizes = {name: getattr(body, name) * factor for name in ("lengths", "thicknesses")}
-    return replace(look, body=replace(body, log_scale=body.log_scale - math.log(factor), **sizes))
+    return replace(look, body=look.body.resized(torch.full_like(look.body.log_scale, factor)))

@@ -117,7 +117,8 @@ def fit_film(
         pieces: What an earlier run of the same fit has done already, and where this one keeps what it does.
 
     Raises:
-        InputError: If there are not so many people, or films differ in their rates.
+        InputError: If there are not so many people, films differ in their rates, or a stature is of several people or
+            before several cameras.
         TypeError: If an argument is of another type.
     """
     check_each("films", films, SeenFilm, "such as SeenFilm.of(find_film_people('walk.mp4'))")
@@ -125,6 +126,9 @@ def fit_film(
     everyone = dict(enumerate(match_people(films)))
     if person is not None:
         everyone = {person: everyone[person_place(person, len(everyone))]}
+    if options.stature is not None and len(everyone) > 1:
+        told = f"stature: {options.stature:g} m, of {len(everyone)} people"
+        raise InputError(f"{told}; expected one of them, person 0 to {len(everyone) - 1}")
     film = _Films(tuple(films), everyone)
     tell = progress or (lambda name, done, total: None)
     looks = FilmLooks(film.views, film.sights, device)

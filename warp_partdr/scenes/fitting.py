@@ -17,7 +17,8 @@ from ..clothing.clothes import bounded
 from ..clothing.measuring import statures
 from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
-from ..errors import check_type
+from ..clothing.resizing import resize_before
+from ..errors import InputError, check_type
 from ..fit.fitting import Progress
 from ..fit.mesh_energy import MeshEnergy, mesh_energy
 from ..fit.mesh_unknowns import Unknowns
@@ -110,7 +111,8 @@ def fit_scene(
         looks: Of ``look_at`` on the same device, where somebody looked already or starts otherwise.
 
     Raises:
-        InputError: If a sight has no keypoint, or people who overlap have more than 254 labels.
+        InputError: If a sight has no keypoint, people who overlap have more than 254 labels, or a stature is of several
+            people or before several cameras.
         ValueError: If a known shape is of another model, or the ground is known and ``options.ground`` 0.
         TypeError: If an argument is of another type.
     """
@@ -118,6 +120,9 @@ def fit_scene(
     check_type("options", options, SceneOptions | None, "such as SceneOptions()")
     check_type("model", model, DetailedModel | None, "of load_model, or anny()")
     options = options or SceneOptions()
+    if options.stature is not None and (scene.num_people, len(scene.views)) != (1, 1):
+        told = f"{scene.num_people} people before {len(scene.views)} cameras"
+        raise InputError(f"stature: {options.stature:g} m, of {told}; expected one person before one camera")
     if scene.ground is not None and not options.ground:
         raise ValueError("options.ground: 0, of a scene whose ground is known; expected its weight, such as 0.1")
     where = torch.device(choose_device(str(device)))
@@ -133,8 +138,8 @@ def fit_scene(
         check_room(clusters, label_set.num_groups)
     energy = scene_energy(one, options, clusters, label_set.num_groups if label_set else 0)
     with torch.no_grad():
-        if options.one_size:
-            looks = of_one_size(model, scene, looks)
+        if options.one_size or options.stature is not None:
+            looks = of_one_size(model, scene, looks, options.stature)
         looks, grounded = stand_on_ground(energy, model, scene, looks)
         if options.exchanges:
             people, looks = order_people(energy, model, scene, looks)
@@ -156,7 +161,10 @@ def fit_scene(
             break
         best = other
     with torch.no_grad():
-        bodies = ungrown(model, *energy.whole_pose(model, best.people, best.unknowns), {})
+        shape, rotations, positions = energy.whole_pose(model, best.people, best.unknowns)
+        if options.stature is not None:
+            shape, positions = resize_before(model, shape, positions, options.stature, scene.views[0].eye)
+        bodies = ungrown(model, shape, rotations, positions, {})
         clothes = bounded(best.unknowns.clothes)
     seconds = {"network": looked - started, "scene": time.perf_counter() - looked}
     ground = None if grounded is None else grounded.ground

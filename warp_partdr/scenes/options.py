@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from ..body.stature import check_stature
 from ..errors import check_whole
 from ..fit.mesh_options import MeshOptions
 from ..interop.checks import MAX_PICTURE
@@ -25,6 +26,8 @@ class SceneOptions:
             leaves it out.
         one_size: Give everybody whom one camera sees in many frames the most probable size for all of them; else sizes
             are the mean of frames, which lies nearer to the mean person.
+        stature: Height of the one person, standing [m], before one camera, which then guesses no size. Several cameras
+            see how large people are.
         exchanges: Exchange people of a picture in depth where labels ask for it; else the order is the start's, but
             for a z gradient (``mesh.gradient``).
         together: Side of the crop in which people who overlap are drawn together [px].
@@ -39,6 +42,7 @@ class SceneOptions:
     ground: float = 0.1
     sliding: float = 0.3
     one_size: bool = True
+    stature: float | None = None
     exchanges: bool = True
     together: int = 256
     window: int = 64
@@ -51,6 +55,7 @@ class SceneOptions:
         for name in ("apart", "ground", "sliding"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: {getattr(self, name)}; expected 0 or a positive number")
+        check_stature(self.stature)
         check_whole("together", self.together, 1, math.isqrt(MAX_PICTURE) - 1)
         check_whole("window", self.window, 1)
         check_whole("overlap", self.overlap, 0, self.window - 1)

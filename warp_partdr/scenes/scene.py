@@ -52,6 +52,11 @@ class View:
         turn, move = (torch.from_numpy(each).float() for each in (camera.rotation, camera.translation))
         return cls(camera.without_distortion, turn, move)
 
+    @property
+    def eye(self) -> torch.Tensor:
+        """Place of the camera in the world [m], shape (3,)."""
+        return -self.translation @ self.rotation
+
     def to_camera(self, points: torch.Tensor) -> torch.Tensor:
         """Points of the world (..., 3) in the camera's frame [m]."""
         return points @ self.rotation.to(points).mT + self.translation.to(points)
