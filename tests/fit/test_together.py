@@ -82,6 +82,8 @@ def test_what_can_not_be_fitted_so_is_refused(device: str) -> None:
     network = packaged_network(device)
     with pytest.raises(ValueError, match=r"options.start: 'search'; expected 'network'"):
         fit_together([person], FitOptions.at("fast", "search"), network)
+    with pytest.raises(ValueError, match=r"options.stature: 1\.8, of many people; expected none"):
+        fit_together([person], replace(FAST, stature=1.8), network)
     soft = replace(person, observation=replace(person.observation, maps=torch.zeros(1, 4, 4)))
     with pytest.raises(ValueError, match=r"people\[1\]: probabilities"):
         fit_together([person, soft], FAST, network)

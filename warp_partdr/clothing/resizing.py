@@ -19,7 +19,7 @@ def resize_shapes(model: DetailedModel, shape: torch.Tensor, wanted: torch.Tenso
     """
     directions = model.shape_directions.flatten(1)
     products = directions @ directions.mT
-    products += _REGULAR * products.diagonal().mean() * torch.eye(len(products), device=shape.device)
+    products.diagonal().add_(_REGULAR * products.diagonal().mean())
     shares = wanted / statures(model, shape)
     for _ in range(_STEPS):
         rest = model.rest(shape).vertices.flatten(1)

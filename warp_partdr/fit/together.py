@@ -125,13 +125,15 @@ def fit_together(people: Sequence[CutPerson], options: FitOptions, network: Labe
 
     Raises:
         TypeError: If an argument is of another type.
-        ValueError: If the options ask for a search, or somebody's labels are probabilities.
+        ValueError: If the options ask for a search or have a stature, or somebody's labels are probabilities.
     """
     if not isinstance(people, CutPeople):
         check_each("people", people, CutPerson, "of crop_evidence")
     check_type("options", options, FitOptions, "such as FitOptions.at('fast')")
     if options.start != "network":
         raise ValueError(f"options.start: {options.start!r}; expected 'network'")
+    if options.stature is not None:
+        raise ValueError(f"options.stature: {options.stature:g}, of many people; expected none")
     if isinstance(people, CutPeople):
         return _fit_alike(people, options, network)
     for place, person in enumerate(people):
