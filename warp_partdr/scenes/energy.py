@@ -21,7 +21,7 @@ from ..fit.steps import Tensors
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh
 from .clusters import Clusters
-from .feet import FEET, POINTS, slides
+from .feet import POINTS, slides
 from .options import SceneOptions
 from .pictures import PictureViews, pelvises_in_world, place_people
 
@@ -122,6 +122,7 @@ class SceneEnergy:
         clusters: People who are drawn together.
         mesh: Of people who overlap, as many as a cluster has, with their labels; None: without labels, or nobody does.
         capsules: Of each person; None: nothing keeps parts and people apart.
+        feet: Points ``FEET`` among the model's landmarks, shape (6,), int64.
         options: Weights.
     """
 
@@ -129,6 +130,7 @@ class SceneEnergy:
     clusters: Clusters
     mesh: PartMesh | None
     capsules: Capsules | None
+    feet: torch.Tensor
     options: SceneOptions
 
     def factors(self, people: SceneStarts) -> dict[str, float]:
@@ -213,8 +215,7 @@ class SceneEnergy:
 
     def _feet(self, points: torch.Tensor) -> torch.Tensor:
         """Points ``FEET`` of landmarks (..., L, 3), shape (..., 6, 3)."""
-        names = self.one.model.landmark_names
-        return torch.stack([points[..., names.index(name), :] for name in FEET], dim=-2)
+        return points.index_select(-2, self.feet)
 
     def at_rest(self, people: SceneStarts) -> Unknowns:
         """Numbers where the fit starts."""

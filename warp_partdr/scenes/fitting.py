@@ -33,6 +33,7 @@ from .clip_sizes import of_one_size
 from .clusters import Clusters, check_room, find_clusters
 from .depth_order import LEAST_GAIN, exchange, order_people
 from .energy import SceneEnergy, SceneStarts
+from .feet import FEET
 from .ground import Grounded, stand_on_ground
 from .looks import Looked, look_at
 from .options import SceneOptions
@@ -224,4 +225,6 @@ def scene_energy(one: MeshEnergy, options: SceneOptions, clusters: Clusters, gro
     num_people = sum(map(len, clusters))
     several = num_people > 1 and options.apart > 0
     capsules = measure_capsules(one.model) if several else one.capsules if num_people == 1 else None
-    return SceneEnergy(one, clusters, mesh, capsules, options)
+    names = one.model.landmark_names
+    feet = torch.tensor([names.index(name) for name in FEET], device=one.ends.device)
+    return SceneEnergy(one, clusters, mesh, capsules, feet, options)
