@@ -28,6 +28,17 @@ ROW: dict[str, tuple[int, ...]] = {  # shape of one body's parameters, in the or
 LOCKED_BITS = sum(1 << part for part in LOCKED_PARTS)
 
 
+def resized_numbers(
+    lengths: torch.Tensor, thicknesses: torch.Tensor, log_scale: torch.Tensor, shares: torch.Tensor
+) -> dict[str, torch.Tensor]:
+    """Numbers of bodies so many times as large (B,), as much farther away, by name; shapes as of ``BodyParameters``."""
+    return {
+        "lengths": lengths * shares[:, None],
+        "thicknesses": thicknesses * shares[:, None],
+        "log_scale": log_scale - shares.log(),
+    }
+
+
 @dataclass(frozen=True)
 class BodyParameters(Movable):
     """B bodies, each seen by a weak-perspective camera in a square crop of side 2 (coordinates -1 to 1).
@@ -106,8 +117,7 @@ class BodyParameters(Movable):
 
     def resized(self, shares: torch.Tensor) -> BodyParameters:
         """Bodies so many times as large (B,), as much farther away: cameras see the same."""
-        lengths, thicknesses = (each * shares[:, None] for each in (self.lengths, self.thicknesses))
-        return replace(self, lengths=lengths, thicknesses=thicknesses, log_scale=self.log_scale - shares.log())
+        return replace(self, **resized_numbers(self.lengths, self.thicknesses, self.log_scale, shares))
 
     def select(self, index: torch.Tensor | slice) -> BodyParameters:
         """Select some of the bodies."""

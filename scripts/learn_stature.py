@@ -14,9 +14,10 @@ import numpy as np
 import torch
 
 from warp_partdr.body.stature import SHARES
-from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, SHAPE_INDICES
+from warp_partdr.body.template import LENGTH_NAMES
 from warp_partdr.clothing.anny import anny, anny_shape
-from warp_partdr.clothing.measuring import statures
+from warp_partdr.clothing.measuring import measure_ellipbody, statures
+from warp_partdr.clothing.registration import ungrown
 from warp_partdr.synthetic import people
 
 _BATCH = 250
@@ -26,16 +27,12 @@ _OFF = 0.03  # share of a length
 def main(count: str = "4000") -> None:
     rng = np.random.default_rng(0)
     model = anny()
-    weights = model.weights_of(JOINT_NAMES)
+    still = torch.eye(3).expand(_BATCH, model.num_joints, 3, 3)
     rows: list[np.ndarray] = []
     for _ in range(-(-2 * int(count) // _BATCH)):
         phenotypes = rng.uniform(*people.PHENOTYPE_RANGES.T, size=(_BATCH, len(people.PHENOTYPE_RANGES)))
         shape = anny_shape(torch.from_numpy(phenotypes).float())
-        rest = model.rest(shape)
-        joints = weights @ torch.cat([rest.vertices, rest.joints], dim=1)
-        bones = (joints[:, 1:] - joints[:, BONE_STARTS]).norm(dim=-1)
-        both = [[row[0] == name for row in SHAPE_INDICES] for name in range(len(LENGTH_NAMES))]
-        lengths = torch.stack([bones[:, sides].mean(1) for sides in both], dim=1)
+        lengths = measure_ellipbody(ungrown(model, shape, still, torch.zeros(_BATCH, 3), {}))[3]
         rows.append(torch.cat([lengths, statures(model, shape)[:, None]], dim=1).double().numpy())
     own = [LENGTH_NAMES.index(name) for name in SHARES]
     learned, others = ((each[:, own], each[:, -1]) for each in np.array_split(np.concatenate(rows), 2))

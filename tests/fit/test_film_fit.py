@@ -146,6 +146,9 @@ def test_a_stature_of_several_people_is_whose(people: FilmPeople, monkeypatch: p
     monkeypatch.setattr("warp_partdr.scenes.film.match_people", lambda films: [((0, 0),), ((0, 0),)])
     with pytest.raises(InputError, match=r"stature: 1\.8 m, of 2 people; expected one of them, person 0 to 1"):
         fit_film([SeenFilm.of(people)], options=replace(QUICK, stature=1.8))
+    monkeypatch.setattr("warp_partdr.scenes.film.match_people", lambda films: [((0, 0), (1, 0))])
+    with pytest.raises(InputError, match=r"stature: 1\.8 m, of 1 people before 2 cameras"):
+        fit_film([SeenFilm.of(people)] * 2, options=replace(QUICK, stature=1.8))
 
 
 def test_faults(people: FilmPeople, tmp_path: Path) -> None:

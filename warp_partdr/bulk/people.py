@@ -68,7 +68,7 @@ class PeopleFitter:
     def begin(
         self, pool: ThreadPoolExecutor, pictures: Iterable[Held | Cut], tell: Callable[[str], None] | None = None
     ) -> Callable[[], PeopleRows]:
-        """Take pictures; their rows, in their order, are what is returned gives, once all are fitted.
+        """Take pictures, and return what waits until all are fitted and gives their rows, in their order.
 
         Rows are the same whatever is fitted beside them.
 

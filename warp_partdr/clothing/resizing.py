@@ -31,9 +31,9 @@ def resize_shapes(model: DetailedModel, shape: torch.Tensor, wanted: torch.Tenso
 def resize_before(
     model: DetailedModel, shape: torch.Tensor, positions: torch.Tensor, stature: float, eye: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Shape values (B, S) of bodies of a stature [m], and where their root joints (B, 3) then are, seen as before.
+    """Shape values (1, S) of a body of a stature [m], and where its root joints (N, 3) then are, seen as before.
 
-    ``eye``, shape (3,), is the place of the camera that sees them.
+    ``eye``, shape (3,), is the place of the camera that sees it.
     """
     shape, shares = resize_shapes(model, shape, torch.full_like(shape[:, 0], stature))
     eye = eye.to(positions)

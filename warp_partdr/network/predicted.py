@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import torch
 
-from ..body.parameters import BodyParameters, crop_camera
+from ..body.parameters import BodyParameters, crop_camera, resized_numbers
 from ..body.posing import LandmarkGather, Posed, pose
 from ..body.rotations import rotation_to_6d, rotation_to_axis_angle
 from ..cameras import WeakPerspective
@@ -38,10 +38,9 @@ class Predicted:
 
     def resized(self, shares: torch.Tensor) -> Predicted:
         """Bodies so many times as large (B,), as much farther away: cameras see the same."""
-        lengths, thicknesses = (each * shares[:, None] for each in (self.lengths, self.thicknesses))
         said = None if self.uncertainty is None else self.uncertainty.resized(shares)
-        log_scale = self.log_scale - shares.log()
-        return replace(self, lengths=lengths, thicknesses=thicknesses, log_scale=log_scale, uncertainty=said)
+        numbers = resized_numbers(self.lengths, self.thicknesses, self.log_scale, shares)
+        return replace(self, uncertainty=said, **numbers)
 
     def select(self, index: torch.Tensor | slice) -> Predicted:
         """Some of the bodies."""

@@ -27,7 +27,7 @@ from .film_pieces import FilmPieces
 from .fitting import SceneFit, fit_scene
 from .looks import Looked
 from .options import SceneOptions
-from .photo import person_place
+from .photo import check_whose, person_place
 from .same_people import Track, match_people
 from .scene import PersonShape, Scene, Sight, View
 from .seen_film import SeenFilm
@@ -126,9 +126,8 @@ def fit_film(
     everyone = dict(enumerate(match_people(films)))
     if person is not None:
         everyone = {person: everyone[person_place(person, len(everyone))]}
-    if options.stature is not None and len(everyone) > 1:
-        told = f"stature: {options.stature:g} m, of {len(everyone)} people"
-        raise InputError(f"{told}; expected one of them, person 0 to {len(everyone) - 1}")
+    check_whose(options.stature, len(everyone))
+    options.check_sights(len(everyone), len(films))  # before the network looks
     film = _Films(tuple(films), everyone)
     tell = progress or (lambda name, done, total: None)
     looks = FilmLooks(film.views, film.sights, device)

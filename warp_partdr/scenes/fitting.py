@@ -18,7 +18,7 @@ from ..clothing.measuring import statures
 from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
 from ..clothing.resizing import resize_before
-from ..errors import InputError, check_type
+from ..errors import check_type
 from ..fit.fitting import Progress
 from ..fit.mesh_energy import MeshEnergy, mesh_energy
 from ..fit.mesh_unknowns import Unknowns
@@ -121,9 +121,7 @@ def fit_scene(
     check_type("options", options, SceneOptions | None, "such as SceneOptions()")
     check_type("model", model, DetailedModel | None, "of load_model, or anny()")
     options = options or SceneOptions()
-    if options.stature is not None and (scene.num_people, len(scene.views)) != (1, 1):
-        told = f"{scene.num_people} people before {len(scene.views)} cameras"
-        raise InputError(f"stature: {options.stature:g} m, of {told}; expected one person before one camera")
+    options.check_sights(scene.num_people, len(scene.views))
     if scene.ground is not None and not options.ground:
         raise ValueError("options.ground: 0, of a scene whose ground is known; expected its weight, such as 0.1")
     where = torch.device(choose_device(str(device)))
@@ -164,7 +162,8 @@ def fit_scene(
     with torch.no_grad():
         shape, rotations, positions = energy.whole_pose(model, best.people, best.unknowns)
         if options.stature is not None:
-            shape, positions = resize_before(model, shape, positions, options.stature, scene.views[0].eye)
+            first, positions = resize_before(model, shape[:1], positions, options.stature, scene.views[0].eye)
+            shape = first.expand_as(shape)
         bodies = ungrown(model, shape, rotations, positions, {})
         clothes = bounded(best.unknowns.clothes)
     seconds = {"network": looked - started, "scene": time.perf_counter() - looked}

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from ..body.stature import check_stature
-from ..errors import check_whole
+from ..errors import InputError, check_whole
 from ..fit.mesh_options import MeshOptions
 from ..interop.checks import MAX_PICTURE
 
@@ -60,6 +60,16 @@ class SceneOptions:
         check_whole("window", self.window, 1)
         check_whole("overlap", self.overlap, 0, self.window - 1)
         check_whole("shape_frames", self.shape_frames, 1)
+
+    def check_sights(self, people: int, cameras: int) -> None:
+        """Check that a known stature is of one person before one camera, of so many.
+
+        Raises:
+            InputError: If it is not.
+        """
+        if self.stature is not None and (people, cameras) != (1, 1):
+            told = f"stature: {self.stature:g} m, of {people} people before {cameras} cameras"
+            raise InputError(f"{told}; expected one person before one camera")
 
     @classmethod
     def film(cls) -> SceneOptions:

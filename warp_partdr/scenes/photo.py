@@ -119,9 +119,7 @@ def fit_photo(
         found, owners = _everyone(picture, min_score, keypoints_from)
     chosen = range(len(found)) if person is None else [person_place(person, len(found))]
     options = (options or FitOptions.at("balanced")).without_outline()
-    if options.stature is not None and len(chosen) > 1:
-        told = f"stature: {options.stature:g} m, of {len(found)} people"
-        raise InputError(f"{told}; expected one of them, person 0 to {len(found) - 1}")
+    check_whose(options.stature, len(chosen))
     options = replace(options, guess_within=min(options.guess_within, _SURE_WITHIN))
     evidence = _PeopleEvidence(found, owners, picture, parts_from, keypoints_from, len(chosen))
     results: list[FitResult] = []
@@ -254,6 +252,16 @@ def person_evidence(keypoints: Keypoints2D, owners: np.ndarray, index: int) -> E
 def _nearest(side: int, zoom: float) -> np.ndarray:
     """Pixels of a picture's side that lie under those of the same side made smaller."""
     return np.minimum((np.arange(max(round(side * zoom), 1)) + 0.5) / zoom, side - 1).astype(np.int64)
+
+
+def check_whose(stature: float | None, count: int) -> None:
+    """Check that a known stature is of one person, of so many who are found and to be fitted.
+
+    Raises:
+        InputError: If it is of several.
+    """
+    if stature is not None and count > 1:
+        raise InputError(f"stature: {stature:g} m, of {count} people; expected one of them, person 0 to {count - 1}")
 
 
 def person_place(person: int, count: int) -> int:
