@@ -19,12 +19,14 @@ from warp_partdr.clothing.pose import pose_from_ellipbody
 from warp_partdr.clothing.registration import shape_from_lengths
 from warp_partdr.interop.checks import rotation_error
 from warp_partdr.network.landmarks import LANDMARKS
+from warp_partdr.synthetic import training_people
 from warp_partdr.synthetic.cut_masks import cut_mask
 from warp_partdr.synthetic.label_noise import TRAINING_LABEL_SETS
 from warp_partdr.synthetic.people import PHENOTYPE_RANGES
 from warp_partdr.synthetic.training_people import NUM_CELLS, PeopleBatch, PeopleMaker, cell_of, held_out_cells
 
 COUNT, SIZE, POOL = 48, 96, 256
+PHOTOS, CUT, WHOLE = slice(18, 28), slice(18, 20), slice(20, 25)  # of COUNT people, the first 24 being dressed
 
 
 def maker(device: str, **options: object) -> PeopleMaker:
@@ -166,6 +168,7 @@ def test_beyond_the_border_nothing_is_seen(device: str) -> None:
     straight = beyond.all(1)[:, None, :] | beyond.all(2)[:, :, None]
     assert torch.equal(beyond, straight)
     found = made.keypoints[..., 2] > 0
+    found[PHOTOS] = False  # the packaged detector guesses there, too
     pixels = ((made.keypoints[..., :2] + 1) * SIZE / 2).floor().long()
     inside = found & ((pixels >= 0) & (pixels < SIZE)).all(-1)
     where = (pixels[..., 1] * SIZE + pixels[..., 0]).clamp(0, SIZE**2 - 1)
@@ -247,3 +250,33 @@ def test_only_parts_that_are_no_neighbours_hide_each_other(device: str) -> None:
     assert at(0.3, 0.08) != 255  # upper arm and forearm
     assert at(0.3, -0.1) == PART_NAMES.index("left_upper_arm") + 1
     assert at(-0.1, -0.25) == PART_NAMES.index("chest") + 1
+
+
+def test_photos_people_have_the_detectors_landmarks_and_masks(device: str) -> None:
+    made = people(device)
+    names = list(TRAINING_LABEL_SETS)
+    assert [names[index] for index in made.label_sets[CUT].tolist()] == ["ellipbody20"] * 2
+    assert [names[index] for index in made.label_sets[WHOLE].tolist()] == ["full1"] * 5
+    assert (made.label_sets != names.index("full1")).float().mean() > 0.8
+    confidence = made.keypoints[PHOTOS, :, 2]
+    missing = [LANDMARKS.index(name) for name in ("neck", "head_top", "mid_hip")]
+    assert (confidence[:, missing] == 0).all()
+    rest = [place for place in range(len(LANDMARKS)) if place not in missing]
+    assert (confidence[:, rest] > 0).all()  # nothing is left out
+    off = (made.keypoints[PHOTOS, :, :2] - made.points[PHOTOS]).norm(dim=-1)[:, rest]
+    assert 0.01 < off[confidence[:, rest] > 0.9].median() < 0.08  # crops are about 2.4 bodies wide
+
+
+def test_masks_are_cut_at_the_joints_as_the_detector_places_them(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[torch.Tensor] = []
+
+    def watch(mask: torch.Tensor, joints: torch.Tensor, *rest: torch.Tensor) -> torch.Tensor:
+        given.append(joints)
+        return cut_mask(mask, joints, *rest)
+
+    monkeypatch.setattr(training_people, "cut_mask", watch)
+    made = maker(device)(COUNT)
+    (joints,) = given
+    for name in ("left_knee", "right_elbow", "left_hip"):
+        seen = made.keypoints[CUT, LANDMARKS.index(name), :2]
+        torch.testing.assert_close(joints[:, JOINT_NAMES.index(name)], seen, atol=1e-4, rtol=0)

@@ -3,7 +3,9 @@
 * ``people``: phenotypes, Anny in a pose, before a camera, drawn, and what is hidden of it.
 * ``poses``: the mean body, limbs in the way, the pose prior; ``pose_recipes`` (PartBench), ``procedural_poses`` and
   ``pose_sampler`` (training), ``mocap`` and ``mocap_files``.
-* ``noise``: PartBench's; ``keypoint_noise``, ``label_noise`` and ``occluders``: training's, in batches.
-* ``partbench_people``, ``training_people``, ``shaded`` (pictures) and ``tradeoff_people`` put them together.
+* ``noise``: PartBench's; ``keypoint_noise``, ``label_noise`` and ``occluders``: training's, in batches;
+  ``detector_errors``: the packaged detector's.
+* ``shading``: pictures. ``partbench_people``, ``training_people``, ``shaded`` (samples with pictures) and
+  ``tradeoff_people`` put all together.
 * ``rng``: random numbers on a device.
 """

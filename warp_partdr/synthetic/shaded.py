@@ -14,38 +14,25 @@ from ..body.labels import label_set
 from ..body.landmarks import annotated
 from ..body.rotations import rotation_from_axis_angle
 from ..body.skeletons import MPJPE_JOINTS, skeleton
-from ..body.template import PART_NAMES
 from ..cameras import Perspective
 from ..clothing.anny import anny, anny_shape
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
 from ..inputs.sample import Sample
-from ..render.mesh import draw_mesh
 from .people import PHENOTYPE_RANGES, anny_mesh, pose_anny, seen_by_camera
 from .pose_sampler import PoseBank, PoseSampler
 from .poses import mean_body
 from .rng import TorchRng
+from .shading import SAMPLES, shade_people
 
 SIZE = 288  # [px], side of the pictures
-_SAMPLES = 2  # a side of a pixel, for smooth outlines
 _BATCH = 32
 _PRIOR_POSES = 1024  # whose limbs are mixed
 _LARGEST_POOL = 1024
 _FILL = (0.7, 0.9)  # how much of the picture the person takes
 _DISTANCE = (3.0, 8.0)  # [m]
 _PITCH = (-10.0, 25.0)  # [degrees], how far the camera looks down
-_NOISE = ((2, 0.5), (6, 0.25), (24, 0.15), (96, 0.1))  # cells a side, and how much they change a colour
-_BOXES = 4
-_GRAIN = 0.02
 _KEYPOINTS = "body25"
-_CLOTHES = (  # ends of the names of parts: skin, shirt, sleeves, trousers, legs, shoes
-    ("head", "neck", "hand"),
-    ("abdomen", "chest", "shoulder", "upper_arm"),
-    ("forearm",),
-    ("hip", "upper_leg"),
-    ("lower_leg",),
-    ("foot",),
-)
 
 
 def shaded_people(count: int, *, seed: int, device: torch.device | str = "cpu") -> list[Sample]:
@@ -72,28 +59,8 @@ def _shade(rotations: torch.Tensor, ups: torch.Tensor, rng: TorchRng, first: int
     away[:, 0, 2] = rng.uniform(count, low=_DISTANCE[0], high=_DISTANCE[1])
     vertices = body.vertices + away
     camera = _look(vertices, rng)
-
-    side = SIZE * _SAMPLES
-    mesh = anny_mesh(device)
-    fine = Perspective(camera.focal * _SAMPLES, camera.centre * _SAMPLES)
-    drawn = draw_mesh(vertices, mesh, fine, (side, side))
-    corners = vertices[:, mesh.faces.long()]
-    normals = torch.linalg.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
-    light = rng.uniform(count, 3, low=-1) * torch.tensor([1.0, 1.0, 0.5], device=device)
-    light[:, 2] -= 0.7  # from the viewer's side
-    unit = torch.nn.functional.normalize
-    lit = (unit(normals, dim=-1) * unit(light, dim=-1)[:, None]).sum(-1).clamp_min(0)
-    ambient = rng.uniform(count, 1, low=0.3, high=0.6)
-    brightness = (ambient + (1 - ambient) * lit).gather(1, drawn.face_index.clamp_min(0).long().flatten(1))
-    colours = _clothe(rng.uniform(count, len(_CLOTHES), 3)).gather(
-        1, drawn.labels.long().flatten(1)[..., None].expand(-1, -1, 3)
-    )
-    foreground = (colours * brightness[..., None]).unflatten(1, (side, side)).permute(0, 3, 1, 2)
-    background = _background(count, side, rng)
-    image = torch.where(drawn.labels[:, None] > 0, foreground, background)
-    image = torch.nn.functional.avg_pool2d(image, _SAMPLES) + _GRAIN * rng.uniform(count, 3, SIZE, SIZE, low=-1)
-    pictures = (image.clamp(0, 1) * 255).byte().permute(0, 2, 3, 1).cpu().numpy()
-    labels = drawn.labels[:, ::_SAMPLES, ::_SAMPLES].cpu().numpy()
+    pictures, drawn = shade_people(vertices, anny_mesh(device), camera, (SIZE, SIZE), rng)
+    labels = drawn.labels[:, ::SAMPLES, ::SAMPLES].cpu().numpy()
 
     names = annotated(skeleton(_KEYPOINTS).landmarks, model.landmark_names)
     points = camera.project(model.landmarks(body, names) + away)[..., :2].cpu().numpy()
@@ -130,29 +97,3 @@ def _look(vertices: torch.Tensor, rng: TorchRng) -> Perspective:
     free = SIZE - focal * (high - low)
     centre = free * rng.uniform(len(vertices), 2) - focal * low
     return Perspective(focal.expand(-1, 2), centre)
-
-
-def _clothe(colours: torch.Tensor) -> torch.Tensor:
-    """RGB of each part label of people with pieces of clothing (N, 6, 3), shape (N, 21, 3)."""
-    pieces = [[name.endswith(ends) for ends in _CLOTHES].index(True) for name in PART_NAMES]
-    skin = torch.tensor([0.95, 0.75, 0.62], device=colours.device) * (0.35 + 0.65 * colours[:, :1, :1])
-    bare = colours[:, 2:5:2, :1] > 0.5  # sleeves and trousers may be short
-    worn = torch.cat([skin, colours[:, 1:]], dim=1)
-    worn[:, 2:5:2] = torch.where(bare, skin, worn[:, 1:4:2])
-    dark = torch.zeros(len(colours), 1, 3, device=colours.device)
-    return torch.cat([dark, worn[:, pieces]], dim=1)
-
-
-def _background(count: int, side: int, rng: TorchRng) -> torch.Tensor:
-    """Smooth noise on several scales about a random colour, and boxes, shape (N, 3, side, side)."""
-    image = rng.uniform(count, 3, 1, 1).expand(-1, -1, side, side)
-    for cells, strength in _NOISE:
-        noise = rng.uniform(count, 3, cells, cells, low=-strength, high=strength)
-        image = image + torch.nn.functional.interpolate(noise, size=(side, side), mode="bilinear")
-    places = (torch.arange(side, device=image.device) + 0.5) / side
-    for _ in range(_BOXES):
-        middle, half = rng.uniform(count, 2, 1), rng.uniform(count, 2, 1, low=0.02, high=0.25)
-        inside = (places - middle).abs() < half
-        box = (inside[:, 1, :, None] & inside[:, 0, None, :])[:, None]
-        image = torch.where(box, rng.uniform(count, 3, 1, 1), image)
-    return image

@@ -26,9 +26,9 @@ from ..render.mesh import PartImage, draw_mesh
 from ..render.part_mesh import PartMesh
 from . import people
 from .cut_masks import cut_mask
+from .detector_errors import BEYOND, DetectorErrors, move_joints
 from .keypoint_noise import KeypointNoise
 from .label_noise import TRAINING_LABEL_SETS, LabelNoise, draw_absent, draw_strengths
-from .noise import KEYPOINT_NOISE
 from .occluders import draw_occluders
 from .partbench_people import NUM_PEOPLE, draw_phenotypes
 from .pose_sampler import PoseBank, PoseSampler
@@ -60,9 +60,13 @@ _OPEN = 100.0  # [m], where a side isn't near
 
 _DRESSED = 0.5  # share of people who wear clothes, which labels show
 _COCO = 0.5  # share of people whose keypoints are as COCO's annotators place them
-_CUT_MASKS = 0.08  # share whose labels are a mask cut by bones, and of these whose overlapping limbs are unknown
+# Share of people as a photo's are, whom the packaged detector finds, and how many of them are dressed. First come those
+# with a mask cut by bones, of most of whom overlapping limbs are unknown, then those with a whole mask, as `fit_photo`
+# takes it, and those with labels of a part network.
+_PHOTOS, _PHOTOS_DRESSED = 0.2, 0.6
+_CUT_MASKS, _WHOLE_MASKS = 0.05, 0.1
 _UNSURE = 0.7
-_EVERY_PART = "ellipbody20"
+_EVERY_PART, _ONE_PART = (list(TRAINING_LABEL_SETS).index(name) for name in ("ellipbody20", "full1"))
 
 
 @dataclass(frozen=True)
@@ -139,6 +143,16 @@ def _inside(points: torch.Tensor, low: torch.Tensor, high: torch.Tensor) -> torc
     return ((points > low[:, None]) & (points < high[:, None])).all(-1)
 
 
+def _photos(count: int, dressed: int) -> tuple[slice, slice, slice]:
+    """Those of ``count`` people who are as a photo's, and those with cut and with whole masks among them.
+
+    The first ``dressed`` people wear clothes.
+    """
+    first = dressed - round(_PHOTOS_DRESSED * _PHOTOS * count)
+    cut, whole = (first + round(share * count) for share in (_CUT_MASKS, _CUT_MASKS + _WHOLE_MASKS))
+    return slice(first, first + round(_PHOTOS * count)), slice(first, cut), slice(cut, whole)
+
+
 def cell_of(phenotypes: np.ndarray) -> np.ndarray:
     """Cells of phenotype values (..., 6), shape (...); those beyond ``PHENOTYPE_RANGES`` are in the outermost."""
     low, high = people.PHENOTYPE_RANGES.T
@@ -169,6 +183,7 @@ class PeopleMaker:
         self._poses = PoseSampler(poses, device=device, seed=seed << 20, pool=pool)
         self._rng = TorchRng(seed << 20, self.device)
         self._labels, self._detectors = LabelNoise(self._rng), KeypointNoise(self._rng)
+        self._errors = DetectorErrors(self._rng)
         cells = held_out_cells() if held_out else np.setdiff1d(np.arange(NUM_CELLS), held_out_cells())
         levels = np.stack(np.unravel_index(cells, (CELL_LEVELS,) * len(people.PHENOTYPE_RANGES)), axis=1)
         below = np.where(np.array(list(PHENOTYPE_ANCHORS)) == "age", _YOUNGER, _BEYOND)
@@ -220,15 +235,18 @@ class PeopleMaker:
         known = self._landmark_weights @ torch.cat([body.vertices, body.joints], dim=1)
         plain, coco, joints = known.split(self._landmark_counts, dim=1)
         noted = torch.where(rng.chance(_COCO, count, 1, 1), coco, plain)
+        dressed = round(_DRESSED * count)  # as many in every batch, as are photos' people: nothing waits
+        photos, cut, whole = _photos(count, dressed)
+        noted[photos] = plain[photos]
 
         view = self._view(joints[:, :1])
-        dressed, cut = round(_DRESSED * count), round(_CUT_MASKS * count)  # as many in every batch: nothing waits
         outlines = self._outlines(body, shape, *stance, dressed)
         vertices, outlines, noted, plain = (view(points) for points in (body.vertices, outlines, noted, plain))
         strength, label_sets = draw_strengths(count, rng), self._labels.label_sets(count)
-        label_sets[:cut] = list(TRAINING_LABEL_SETS).index(_EVERY_PART)
+        label_sets[cut], label_sets[whole] = _EVERY_PART, _ONE_PART
         no_labels, no_keypoints = draw_absent(count, rng)
         detected = self._detectors.detected(count) & ~no_keypoints[:, None]
+        detected[photos] = self._errors.known
         crop = self._crop(outlines[..., :2], noted[..., :2], detected, ~no_labels)
 
         def draw(points: torch.Tensor, mesh: PartMesh) -> PartImage:
@@ -251,11 +269,13 @@ class PeopleMaker:
         cover = self._cover * (stature / MEAN_STATURE)[:, None]
         hidden = people.behind_something(noted[..., 2], pixels, picture.depth, cover)
         hidden |= occluders.hiding.flatten(1).gather(1, pixels)
-        keypoints = self._detectors.keypoints(points, hidden, detected, stature / crop.half, strength)
+        height = stature / crop.half  # standing, in the crop
+        keypoints = self._detectors.keypoints(points, hidden, detected, height, strength)
         keypoints = keypoints * _inside(keypoints[..., :2], crop.low, crop.high)[..., None]
-
-        masks, places = shown[:cut] > 0, crop(view(joints)[..., :2])[:cut]
-        shown = torch.cat([self._cut(masks, places, stature / crop.half, strength), shown[cut:]])
+        states = torch.where(_inside(points, crop.low, crop.high), hidden.long(), BEYOND)
+        keypoints[photos], errors = self._errors.keypoints(points[photos], states[photos], height[photos])
+        found = move_joints(crop(view(joints)[..., :2])[cut], errors[: cut.stop - cut.start])
+        shown[cut] = cut_mask(shown[cut] > 0, found, height[cut], rng.chance(_UNSURE, len(found)))
         groups = self._labels.groups(shown, label_sets, strength)
         groups = torch.where(occluders.mask, occluders.groups, groups)
         along = view.turns().mT
@@ -288,19 +308,6 @@ class PeopleMaker:
         clothed = self.model.pose(shape[first], rotations[first], translation[first], offsets=offsets)
         dressed, bare = self._wardrobe.vertices(clothed, worn), body.vertices[count:]
         return torch.cat([dressed, torch.cat([bare, bare[:, : dressed.shape[1] - bare.shape[1]]], dim=1)])
-
-    def _cut(
-        self, masks: torch.Tensor, joints: torch.Tensor, stature: torch.Tensor, strength: torch.Tensor
-    ) -> torch.Tensor:
-        """Labels of the first N people's masks (N, S, S), cut by bones between joints as they are found.
-
-        Of true joints (N, 21, 2), and of statures and strengths of all people, in crop coordinates.
-        """
-        count, rng = len(masks), self._rng
-        stature, strength = stature[:count], strength[:count]
-        spread = strength * KEYPOINT_NOISE * stature
-        joints = joints + spread[:, None, None] * rng.normal(*joints.shape)
-        return cut_mask(masks, joints, stature, rng.chance(_UNSURE, count))
 
     def orientations(self, ups: torch.Tensor) -> torch.Tensor:
         """The pelvis in the camera frame, (B, 3, 3): upright as ``ups`` (B, 3) says, looking anywhere, and tilted."""
