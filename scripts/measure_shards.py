@@ -31,7 +31,7 @@ from PIL import Image
 
 from warp_partdr.bulk.cutting import Cut, Cutter, read_picture
 from warp_partdr.bulk.opening import open_source
-from warp_partdr.bulk.people import PeopleFitter, stages_of_quality
+from warp_partdr.bulk.people import PeopleFitter, kept_label_size, stages_of_quality
 from warp_partdr.bulk.picture_files import PictureFiles
 from warp_partdr.bulk.processes import read_in_processes, shared_memory
 from warp_partdr.bulk.rows import PeopleRows, columns, people_table
@@ -130,16 +130,17 @@ def measure_stages(root: Path, quality: str, device: str) -> None:
     """Each stage alone: microseconds a person, and people a second where more than one process works."""
     source = open_source(root / "shards", labels=LABELS)
     assert isinstance(source, PictureFiles)
-    cutter, names = Cutter(skeleton=source.skeleton), source.names[:SOME]
+    model = anny(device) if quality == "mesh" else None
+    how = replace(stages_of_quality(quality), half=multiplies_bfloat16(device))  # type: ignore[arg-type]
+    network, names = packaged_network(device), source.names[:SOME]
+    cutter = Cutter(skeleton=source.skeleton, label_size=kept_label_size(how, network, meshes=model is not None))
     held = clocked("read, one process", SOME, lambda: [(name, read_picture(source, name)) for name in names])
     cut = clocked("cut out, one process", SOME, lambda: cutter.cut(held, {}))
     cores = get_num_threads()
     many = source.names[: min(len(source.names), 1000 * cores)]
     measure_reading(source, cutter, many, cores)
     people = CutPeople.joined([each for _, each in cut.people][:1])
-    model = anny(device) if quality == "mesh" else None
-    how = replace(stages_of_quality(quality), half=multiplies_bfloat16(device))  # type: ignore[arg-type]
-    fitter = PeopleFitter(how, packaged_network(device), model, device, BATCH)
+    fitter = PeopleFitter(how, network, model, device, BATCH)
     clocked("copied to the device", len(people), lambda: people.to(device), device)
     there = people.to(device)
     parts = clocked(f"fitted and described, {len(people)} at a time", len(people), lambda: fitter.bodies(there), device)

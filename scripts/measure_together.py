@@ -20,7 +20,7 @@ from unittest.mock import patch
 import torch
 import warp as wp
 
-from warp_partdr.bulk.people import stages_of_quality
+from warp_partdr.bulk.people import kept_label_size, stages_of_quality
 from warp_partdr.bulk.rows import PeopleRows, columns, describe_bodies, people_table
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.fit import depth_flips, together
@@ -50,8 +50,9 @@ def main(*given: str) -> None:
     wp.config.log_level = wp.LOG_WARNING
     device, *counts = [each for each in given if not each.startswith("--")] or ["cpu"]
     how = {"half": "--half" in given, "mirror": "--alone" not in given}
-    some = [cut(index) for index in range(_DISTINCT)]
     network = packaged_network(device)
+    size = kept_label_size(stages_of_quality("fast"), network, meshes=False)
+    some = [cut(index, size) for index in range(_DISTINCT)]
     for quality in ("network", "fast"):
         options = replace(stages_of_quality(quality), **how)  # type: ignore[arg-type]
         for count in map(int, counts or ("64",)):
@@ -119,11 +120,11 @@ class Steps:
         return clocked
 
 
-def cut(index: int) -> CutPerson:
+def cut(index: int, label_size: int) -> CutPerson:
     """One person as data sets have them."""
     sample = make_sample(index, "realistic")
     evidence = weigh_evidence(sample.keypoints, sample.parts, sample.others)[0]
-    observation, crop = crop_evidence(evidence)
+    observation, crop = crop_evidence(evidence, label_size=label_size)
     return CutPerson(replace(evidence, picture=None, groups=None), observation, crop)
 
 

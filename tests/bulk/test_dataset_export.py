@@ -38,7 +38,7 @@ ALL = " ".join(f"--to {name}" for name in WRITERS if name not in FURTHER)
 
 @pytest.fixture
 def fits(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Fits, as the data set's rows were made of them."""
+    """Fits, as the data set's rows were made of them, in their order: of one thread."""
     seen: list[Any] = []
     describe = people.describe_bodies
 
@@ -47,6 +47,7 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         return describe(some)
 
     monkeypatch.setattr(people, "describe_bodies", noted)
+    monkeypatch.setattr(people.PeopleFitter, "workers", 1)
     return seen
 
 

@@ -15,6 +15,9 @@ from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.body.template import JOINT_NAMES
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.fit.depth_flips import flip_depths, repair_depth_order, repair_depth_orders
+from warp_partdr.inputs.observation import resize_nearest
+from warp_partdr.refinement.batch import Batch
+from warp_partdr.refinement.energy import Energy
 from warp_partdr.results.save import make_report
 from warp_partdr.synthetic.pose_recipes import draw_pose
 
@@ -84,6 +87,22 @@ def test_labels_repair_a_mirrored_arm_and_leave_a_right_one(device):
     stays, order = repair_depth_order(truth, seen, prior)
     assert order.flipped is None
     assert stays is truth
+
+
+def test_of_finer_labels_flips_see_what_fits_keep(device):
+    """So that people whose labels are kept at 128 px end where they would with all of them."""
+    truth, prior = arm_before_trunk(device), PosePrior().to(device)
+    flips, names = flip_depths(truth, prior)
+    wrong = flips.select(torch.tensor([1 + names.index("left arm: upper_arm")], device=device))
+    fine = observation_of(truth, size=640)
+    kept = replace(fine, labels=resize_nearest(fine.labels, 128))
+    (one, order), (other, same) = (repair_depth_order(wrong, seen, prior) for seen in (fine, kept))
+    assert order.flipped == same.flipped == "left arm: upper_arm"
+    assert torch.equal(one.rotations, other.rotations)
+    bodies = BodyParameters.joined([wrong, wrong])
+    energy = Energy(fine, 128, prior=prior)
+    found = [repair_depth_orders(bodies, [seen], prior, Batch.of([seen, seen], energy))[0] for seen in (fine, kept)]
+    assert torch.equal(found[0].rotations, found[1].rotations)
 
 
 def test_people_side_by_side_are_repaired_as_each_alone(device):

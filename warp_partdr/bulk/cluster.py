@@ -150,7 +150,7 @@ class _Maker:
         set_num_threads(cores)
         self.source, self.shards, self.columns = ray.get(given)
         self.fitter = build(self.source)
-        self.readers = source_readers(self.source, self.fitter.device, self.fitter.batch, max(cores, 2))
+        self.readers = source_readers(self.source, self.fitter, max(cores, 2))
 
     def __call__(self, batch: dict[str, np.ndarray]) -> dict[str, list[Any]]:
         """Make one shard, and give the numbers of what was written; of a fault, for all, its one line."""

@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..fit.cut_people import CutPeople, CutPerson, stack_alike
 from ..inputs.evidence import weigh_evidence
 from ..inputs.masked_people import MaskedPerson, cut_masks
-from ..inputs.observation import crop_evidence
+from ..inputs.observation import LABEL_SIZE, crop_evidence
 from ..inputs.person import check_inside
 from .rows import PeopleRows, Row
 from .sources import KnownPerson, PictureSource, SourcePicture
@@ -56,10 +56,12 @@ class Cutter:
     Attributes:
         camera: The camera of a picture by its name and (H, W), if it is known; of all pictures or of none.
         skeleton: Format of keypoints in rows; those of other formats lose what it has not.
+        label_size: Side [px] at which labels are kept, of people without masks of instances.
     """
 
     camera: CameraOf = no_camera
     skeleton: str = SKELETON
+    label_size: int = LABEL_SIZE
 
     def cut(self, held: Sequence[Held], found: Mapping[int, Read]) -> Cut:
         """Cut people out; ``found`` are pictures with the people who were found in them, by their place."""
@@ -90,7 +92,7 @@ class Cutter:
                     if known.parts is None and known.owners is not None:
                         masked.append((len(rows) - 1, MaskedPerson(person.keypoints, known.owners, number + 1, camera)))
                     else:
-                        cut.append((len(rows) - 1, _cut_person(known, number, camera)))
+                        cut.append((len(rows) - 1, self._cut_person(known, number, camera)))
                 except FAULTS as error:
                     rows[-1]["error"] = one_line(error)
         for own, some in attempt(_cut_masked, [person for _, person in masked]):
@@ -108,18 +110,17 @@ class Cutter:
             [(numbers[places], people) for places, people in alike],
         )
 
-
-def _cut_person(known: SourcePicture, number: int, camera: Perspective | None) -> CutPerson:
-    assert known.people is not None
-    keypoints = known.people[number].keypoints
-    if known.parts is not None:
-        others = [each.keypoints for place, each in enumerate(known.people) if place != number]
-        evidence = weigh_evidence(keypoints, known.parts, others)[0]
-    else:
-        evidence = weigh_evidence(keypoints)[0]
-    observation, crop = crop_evidence(evidence, camera=camera)
-    slim = replace(evidence, picture=None, groups=None)  # else each would hold labels of a whole picture
-    return CutPerson(slim, observation, crop)
+    def _cut_person(self, known: SourcePicture, number: int, camera: Perspective | None) -> CutPerson:
+        assert known.people is not None
+        keypoints = known.people[number].keypoints
+        if known.parts is not None:
+            others = [each.keypoints for place, each in enumerate(known.people) if place != number]
+            evidence = weigh_evidence(keypoints, known.parts, others)[0]
+        else:
+            evidence = weigh_evidence(keypoints)[0]
+        observation, crop = crop_evidence(evidence, camera=camera, label_size=self.label_size)
+        slim = replace(evidence, picture=None, groups=None)  # else each would hold labels of a whole picture
+        return CutPerson(slim, observation, crop)
 
 
 def _cut_masked(people: Sequence[MaskedPerson]) -> list[CutPerson]:

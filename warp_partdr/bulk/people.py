@@ -18,9 +18,11 @@ from ..detection import MIN_SCORE
 from ..detection.masks import instance_maps
 from ..detection.people import find_people_in
 from ..fit.cut_people import CutPeople, Kind
+from ..fit.depth_flips import FLIPS
 from ..fit.mesh_stage import refine_meshes
 from ..fit.options import FitOptions
-from ..fit.together import fit_together
+from ..fit.together import JUDGED, fit_together
+from ..inputs.observation import LABEL_SIZE
 from ..interop.torch_threads import one_torch_thread
 from ..kernels.launch import get_num_threads
 from ..network.label_network import LabelNetwork
@@ -41,6 +43,17 @@ def stages_of_quality(quality: BulkQuality) -> FitOptions:
     if quality == "network":
         return replace(FitOptions.at("fast"), stages=())
     return FitOptions.at("fast") if quality == "fast" else FitOptions.at("balanced").without_outline()
+
+
+def kept_label_size(options: FitOptions, network: LabelNetwork, *, meshes: bool) -> int:
+    """Side [px] at which labels of cut out people are kept for ``fit_together``, and for the mesh stage, too.
+
+    ``LABEL_SIZE``; but where all look at one size that these can be thinned to, that one: 128 px take a 25th of the
+    memory.
+    """
+    sizes = {network.config.size, JUDGED, FLIPS, *(stage.size for stage in options.stages)}
+    (least, *more) = sorted(sizes | ({options.mesh.size} if meshes else set()))
+    return LABEL_SIZE if more or LABEL_SIZE % (2 * least) != least else least
 
 
 @dataclass(frozen=True)

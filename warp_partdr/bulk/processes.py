@@ -60,17 +60,29 @@ def read_in_processes(
         batch_size=None,
         num_workers=processes,
         collate_fn=_as_it_is,
-        # A fork would inherit CUDA, Warp's and torch's threads half alive.
-        multiprocessing_context=multiprocessing.get_context("spawn"),
+        multiprocessing_context=_context(),
     )
     read = iter(loader)
     for names in shards:
         yield _each(islice(read, -(-len(names) // _GROUP)))
 
 
-def needed_memory(processes: int, batch: int) -> int:
+def _context() -> multiprocessing.context.BaseContext:
+    """Processes that are forks of one that has read these modules and does nothing else.
+
+    A fork of this one would inherit CUDA, Warp's and torch's threads half alive. Started each for itself, they would
+    read the modules one after the other: each waits for the one before to take the pictures' names.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():  # on Windows
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    return context
+
+
+def needed_memory(processes: int, batch: int, label_size: int = LABEL_SIZE) -> int:
     """Bytes of shared memory that hold people with labels: two groups of each process, and batches that wait."""
-    return (2 * processes * _GROUP + 4 * batch) * LABEL_SIZE**2
+    return (2 * processes * _GROUP + 4 * batch) * label_size**2
 
 
 def shared_memory() -> int:

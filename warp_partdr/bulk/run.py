@@ -103,13 +103,14 @@ def _write(
     return table
 
 
-def source_readers(source: PictureSource, device: str, batch: int, cores: int) -> dict[str, int]:
+def source_readers(source: PictureSource, fitter: PeopleFitter, cores: int) -> dict[str, int]:
     """Threads and processes of ``make_dataset`` on so many cores.
 
     A GPU waits for pictures: where people are known, processes cut them out. Pictures in which they have to be found
     stay in one process, for they are large; all do where little memory may be shared, as in containers by default.
     """
-    apart = device != "cpu" and source.digest is not None and shared_memory() >= needed_memory(cores, batch)
+    needed = needed_memory(cores, fitter.batch, fitter.cutter.label_size)
+    apart = fitter.device != "cpu" and source.digest is not None and shared_memory() >= needed
     return {"threads": cores, "processes": cores if apart else 0}
 
 

@@ -191,18 +191,24 @@ class FitterSetup:
     def __call__(self, source: PictureSource, detailed: DetailedModel | None = None) -> PeopleFitter:
         """Make the fitter, and load its kernels."""
         from ..bulk.cutting import Cutter, no_camera
-        from ..bulk.people import PeopleFitter, stages_of_quality
+        from ..bulk.people import PeopleFitter, kept_label_size, stages_of_quality
         from ..network.checkpoint import load_label_network
 
         detailed = detailed or self.model()
+        options = self.how.fit_options(half=self.half)
+        network = load_label_network(self.how.network, device=self.device)
         fitter = PeopleFitter(
-            self.how.fit_options(half=self.half),
-            load_label_network(self.how.network, device=self.device),
+            options,
+            network,
             detailed,
             self.device,
             people_at_a_time(self.batch, self.device) if self.device == "cpu" else self.batch or 256,
             self.how.min_score,
-            cutter=Cutter(_Cameras(self.view, source) if self.view.given else no_camera, source.skeleton),
+            cutter=Cutter(
+                _Cameras(self.view, source) if self.view.given else no_camera,
+                source.skeleton,
+                kept_label_size(options, network, meshes=detailed is not None),
+            ),
         )
         load_kernels(self.device, stages_of_quality("mesh"), with_labels=True)
         if detailed is not None:
@@ -307,7 +313,7 @@ class _Work:
                     fitter = setup(source, detailed)
                     started = time.perf_counter()
                     how = {"todo": self.todo, "told": progress, "written": written}
-                    how |= source_readers(source, setup.device, fitter.batch, get_num_threads())
+                    how |= source_readers(source, fitter, get_num_threads())
                     tally = make_dataset(source, shards, fitter, columns(source.skeleton, detailed), **how)
             except KeyboardInterrupt:
                 there = f"{len(shards.done())} of {shards.count} shards"

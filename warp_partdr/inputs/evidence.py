@@ -16,10 +16,10 @@ from .agreement import LIMBS, compare_sides, disagreement, glance
 from .ignored_labels import ignore_stray_labels
 from .keypoints import LARGEST_PLACE, Keypoints2D
 from .part_labels import PartLabels
-from .person import Box, crop_keypoints, crop_nearest, person_labels, reach_boxes, select_person
+from .person import Box, centres, crop_keypoints, crop_nearest, person_labels, reach_boxes, select_person
 
 MOST_DISAGREEMENT = 1.0  # see ``agreement.disagreement``
-WINDOW_SIDE = 768  # [px]: more of a person is not looked at; a fit keeps a crop of it, at 512 px
+WINDOW_SIDE = 768  # [px]: more of a person is not looked at; a fit keeps a crop of it, at ``LABEL_SIZE``
 _MANY = 3  # groups with stray pixels, from which on it is likelier that the ids mean something else
 
 
@@ -56,8 +56,10 @@ class Evidence:
         """Keypoints in pixels of the window."""
         return crop_keypoints(self.keypoints, _box_of(self.window), self.window.size)
 
-    def target(self, size: tuple[int, int], box: Box | None = None) -> np.ndarray:
+    def target(self, size: tuple[int, int], box: Box | None = None, *, step: int = 1) -> np.ndarray:
         """Group ids of the person in a box of the picture (None: all), resampled to (H, W); others' and beyond: 255.
+
+        With a ``step``, every so many-th pixel of that alone, as ``centres`` says.
 
         Raises:
             ValueError: If there are no labels.
@@ -67,12 +69,12 @@ class Evidence:
         height, width = picture.shape
         box = box or (0.0, 0.0, float(width), float(height))
         if self.window == Crop(0.0, 0.0, 1.0, (picture.shape[0], picture.shape[1])):
-            target = np.full(size, IGNORE, dtype=np.uint8)  # nothing of the picture is beyond the window
+            target = np.full([side // step for side in size], IGNORE, dtype=np.uint8)  # all of it is in the window
         else:
-            target = crop_nearest(picture, box, size)
+            target = crop_nearest(picture, box, size, step=step)
             target[target != BACKGROUND] = IGNORE
-        rows, from_rows = self._under_window(0, size[0], box[1], box[3])
-        columns, from_columns = self._under_window(1, size[1], box[0], box[2])
+        rows, from_rows = self._under_window(0, centres(box[1], box[3], size[0], step))
+        columns, from_columns = self._under_window(1, centres(box[0], box[2], size[1], step))
         if rows.size and columns.size:  # each without gaps
             place = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
             # Rows are copied whole, columns pixel by pixel: of as few rows as may be.
@@ -82,9 +84,8 @@ class Evidence:
                 target[place] = self.groups.take(from_rows, axis=0).take(from_columns, axis=1)
         return target
 
-    def _under_window(self, axis: int, count: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-        """Indices of those of ``count`` places that lie in the window, and the window's pixels there."""
-        places = low + (np.arange(count) + 0.5) * ((high - low) / count)
+    def _under_window(self, axis: int, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Indices of those places along an axis that lie in the window, and the window's pixels there."""
         start = (self.window.top, self.window.left)[axis]
         pixels = np.floor((places - start) * self.window.zoom).astype(np.int64)
         inside = np.flatnonzero((pixels >= 0) & (pixels < self.window.size[axis]))

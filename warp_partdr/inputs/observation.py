@@ -19,7 +19,9 @@ from .person import crop_nearest, person_crop
 
 REFERENCE_SIZE = 256  # [px], the paper's image size; losses are stated for it
 CROP_MARGIN = 0.1  # of the person's extent, on each side
-LABEL_SIZE = 512  # [px] side of the crop that labels are kept at, twice what is drawn
+# [px] side of the crop that labels are kept at: twice what is drawn, and an odd multiple of the label network's 128, so
+# that there each pixel is the one at its centre.
+LABEL_SIZE = 640
 
 
 @dataclass(frozen=True)
@@ -85,8 +87,13 @@ def crop_evidence(
     trust_background: bool = False,
     device: torch.device | str = "cpu",
     camera: Perspective | None = None,
+    label_size: int = LABEL_SIZE,
 ) -> tuple[Observation, Crop]:
-    """Cut out a person whose evidence was weighed (``weigh_evidence``); the picture's ``camera`` may be known."""
+    """Cut out a person whose evidence was weighed (``weigh_evidence``); the picture's ``camera`` may be known.
+
+    Labels are kept at ``label_size`` pixels a side, of which ``LABEL_SIZE`` is an odd multiple: what ``resize_nearest``
+    would make of those at ``LABEL_SIZE``, to the bit.
+    """
     window, keypoints = evidence.window, evidence.in_window()
     if evidence.groups is not None and not trust_background:
         evidence = replace(evidence, groups=ignore_missing_limbs(evidence.groups, keypoints))
@@ -104,10 +111,11 @@ def crop_evidence(
     if evidence.picture is not None:
         side = 2 * half / window.zoom
         box, size = (crop.left, crop.top, crop.left + side, crop.top + side), (LABEL_SIZE, LABEL_SIZE)
-        target = evidence.target(size, box)
+        step = LABEL_SIZE // label_size
+        target = evidence.target(size, box, step=step)
         labels = torch.from_numpy(target).to(device)
         if evidence.picture.maps is not None:
-            seen = crop_nearest(evidence.picture.maps, box, size, fill=0.0)
+            seen = crop_nearest(evidence.picture.maps, box, size, step=step, fill=0.0)
             known = torch.from_numpy(np.where(target == IGNORE, 0.0, seen.sum(0)).astype(np.float32)).to(device)
             maps = torch.from_numpy(np.ascontiguousarray(seen[1:])).to(device)
     visible = keypoints.visible

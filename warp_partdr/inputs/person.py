@@ -323,29 +323,39 @@ class _Runs:
         flat = self._flat.ravel()
         edges = np.flatnonzero(flat[1:] != flat[:-1])  # of runs, starts and exclusive ends in turn
         self._starts, self._ends = edges[::2], edges[1::2]
-        self._touching = [
-            (
-                np.searchsorted(self._ends, self._starts + offset, side="left").tolist(),
-                np.searchsorted(self._starts, self._ends + offset, side="right").tolist(),
-            )
-            for offset in (-stride, stride)
-        ]
+        self._roots = self._components(stride)
+
+    def _components(self, stride: int) -> np.ndarray:
+        """One run of each component, the same for all its runs, shape (R,)."""
+        first = np.searchsorted(self._ends, self._starts - stride, side="left")  # of those above that a run touches
+        last = np.searchsorted(self._starts, self._ends - stride, side="right")
+        roots = np.where(last > first, first, np.arange(len(first)))
+        while not np.array_equal(above := roots[roots], roots):
+            roots = above
+        joined: dict[int, int] = {}  # roots that are none any more, for a run touches several: few
+
+        def root(run: int) -> int:
+            while run in joined:
+                run = joined[run]
+            return run
+
+        for run in np.flatnonzero(last - first > 1).tolist():
+            one, *others = {root(each) for each in roots[first[run] : last[run]].tolist()}
+            joined |= dict.fromkeys(others, one)
+        if joined:
+            table = np.arange(len(roots))
+            table[list(joined)] = [root(run) for run in joined]
+            roots = table[roots]
+        return roots
 
     def reached(self, seeds: np.ndarray) -> np.ndarray:
         """Runs that are connected to one of some pixels of the mask, by their ascending numbers in it; (R,), bool."""
         rows, columns = np.divmod(seeds, max(self._shape[1], 1))
         seed_keys = rows * self._flat.shape[1] + columns
-        reached = np.searchsorted(seed_keys, self._ends) > np.searchsorted(seed_keys, self._starts)
-        stack = np.flatnonzero(reached).tolist()
-        flags = reached.tolist()
-        while stack:
-            run = stack.pop()
-            for first, last in self._touching:
-                for other in range(first[run], last[run]):
-                    if not flags[other]:
-                        flags[other] = True
-                        stack.append(other)
-        return np.array(flags, dtype=bool)
+        hit = np.searchsorted(seed_keys, self._ends) > np.searchsorted(seed_keys, self._starts)
+        reached = np.zeros(len(hit), dtype=bool)
+        reached[self._roots[hit]] = True
+        return reached[self._roots]
 
     def pixels(self, chosen: np.ndarray) -> np.ndarray:
         """Pixels of some runs (R,), shape (H, W), bool."""
@@ -372,20 +382,28 @@ def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1)
     return x0, y0, x1, y1
 
 
-def crop_nearest(image: np.ndarray, box: Box, size: tuple[int, int], *, fill: float = IGNORE) -> np.ndarray:
+def crop_nearest(
+    image: np.ndarray, box: Box, size: tuple[int, int], *, step: int = 1, fill: float = IGNORE
+) -> np.ndarray:
     """Cut a box out of labels or maps (..., H, W) and resample it, each pixel from the nearest one: (..., *size).
 
-    ``fill`` is the value of what lies beyond the picture: 255, ignore, for labels; 0 for probability maps.
+    With a ``step``, every so many-th pixel of that alone, as ``centres`` says. ``fill`` is the value of what lies
+    beyond the picture: 255, ignore, for labels; 0 for probability maps.
     """
     x0, y0, x1, y1 = box
-    rows = np.floor(y0 + (np.arange(size[0]) + 0.5) * ((y1 - y0) / size[0])).astype(np.int64)
-    columns = np.floor(x0 + (np.arange(size[1]) + 0.5) * ((x1 - x0) / size[1])).astype(np.int64)
+    rows = np.floor(centres(y0, y1, size[0], step)).astype(np.int64)
+    columns = np.floor(centres(x0, x1, size[1], step)).astype(np.int64)
     height, width = image.shape[-2:]
     # Rows, then columns: pairs of indices, one a pixel, take several times as long.
     cropped = image.take(rows.clip(0, height - 1), axis=-2).take(columns.clip(0, width - 1), axis=-1)
     cropped[..., (rows < 0) | (rows >= height), :] = fill
     cropped[..., (columns < 0) | (columns >= width)] = fill
     return cropped
+
+
+def centres(low: float, high: float, count: int, step: int = 1) -> np.ndarray:
+    """Centres of ``count`` pixels from ``low`` to ``high``; every so many-th of them, which picture ``step`` pixels."""
+    return low + (np.arange(step // 2, count, step) + 0.5) * ((high - low) / count)
 
 
 def crop_keypoints(keypoints: Keypoints2D, box: Box, size: tuple[int, int]) -> Keypoints2D:
