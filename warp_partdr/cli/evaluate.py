@@ -120,8 +120,8 @@ def partbench(
         Option(
             "--level",
             "--levels",
-            help="clean, mild, realistic, hard (default: these), near, far, tilted, turned, clothed, crossed, pairs, "
-            "groups, clip, views; may be given again.",
+            help="clean, mild, realistic, hard (default: these), near, far, tilted, turned, clothed, photo, crossed, "
+            "pairs, groups, clip, views; may be given again.",
             metavar="NAME",
         ),
     ] = None,

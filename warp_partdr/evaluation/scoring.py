@@ -155,9 +155,9 @@ def scoring_classes(labels: LabelSet) -> tuple[tuple[str, ...], np.ndarray, np.n
 
 
 def _pixels(sample: Sample, result: FitResult) -> Pixels | None:
-    if sample.parts is None or sample.target is None:
+    if sample.target_set is None or sample.target is None:
         return None
-    classes, from_groups, from_parts = scoring_classes(sample.parts.label_set)
+    classes, from_groups, from_parts = scoring_classes(sample.target_set)
     drawn = result.draw(sample.target.shape).labels[0].cpu().numpy()
     shown, count = from_parts[drawn], len(classes)
     target = from_groups[sample.target]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..body.labels import LabelSet
 from ..body.skeletons import MPJPE_JOINTS
 from ..cameras import Perspective
 from .keypoints import Keypoints2D
@@ -23,7 +24,7 @@ class Sample:
         keypoints: Input of a fit: the person's 2D keypoints [px].
         parts: Input of a fit: the picture's part labels.
         others: Other people's keypoints in the picture.
-        target: True labels, group ids of ``parts.label_set``, 255 = ignore, (H, W).
+        target: True labels, group ids of ``target_set``, 255 = ignore, (H, W).
         mask: The person's silhouette, where it is annotated apart from the parts, shape (H, W), bool.
         joints: True 3D joints, camera frame [m], shape (J, 3); NaN where unknown. Where the origin is does not matter.
         joint_names: Their landmarks; both hips, which are the pelvis, must be among them.
@@ -31,6 +32,7 @@ class Sample:
         mirrored: Joints with a limb mirrored in depth, which keypoints don't tell from the true ones, as ``joints``.
         picture: File of the picture, or the picture, shape (H, W, 3), uint8.
         camera: The picture's, where it is known, B = 1.
+        label_set: Of ``target``; None: that of ``parts``.
     """
 
     source: str
@@ -46,3 +48,9 @@ class Sample:
     mirrored: np.ndarray | None = None
     picture: Path | np.ndarray | None = None
     camera: Perspective | None = None
+    label_set: LabelSet | None = None
+
+    @property
+    def target_set(self) -> LabelSet | None:
+        """Label set of ``target``; None if nothing says it."""
+        return self.label_set or (None if self.parts is None else self.parts.label_set)

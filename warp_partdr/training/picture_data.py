@@ -129,8 +129,7 @@ def make_example(
     joints = similarity.joints(_joints(sample), MPJPE_JOINTS)
     has_joints = np.isfinite(joints).all(1)
     crop, part_groups = np.full((size, size), IGNORE, dtype=np.uint8), np.zeros(NUM_PARTS + 1, dtype=np.uint8)
-    if sample.target is not None and sample.parts is not None:
-        labels = sample.parts.label_set
+    if sample.target is not None and (labels := sample.target_set) is not None:
         crop, part_groups = similarity.labels(sample.target, labels, box, size), labels.part_groups
     arrays = {
         "pictures": similarity.picture(picture, box, size).transpose(2, 0, 1),

@@ -149,11 +149,12 @@ def worst(report: Report, method: str) -> list[Score]:
 
 def draw_case(sample: Sample, result: FitResult) -> Image.Image:
     """Labels and keypoints as seen, true labels, the fit's labels, and joints from the side, next to one another."""
+    labels = sample.target_set
+    assert labels is not None
     assert sample.parts is not None
     assert sample.target is not None
-    labels = sample.parts.label_set
     colours = group_colours(labels.part_groups)
-    seen = Image.fromarray(colours[sample.parts.groups])
+    seen = Image.fromarray(group_colours(sample.parts.label_set.part_groups)[sample.parts.groups])
     draw_keypoints(seen, sample.keypoints)
     fitted = labels.from_parts(result.draw(sample.target.shape).labels[0].cpu().numpy())
     side = np.asarray(_side_view(sample, result, seen.height))

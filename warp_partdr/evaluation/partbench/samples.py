@@ -18,11 +18,13 @@ from ...inputs.sample import Sample
 from ...synthetic.noise import HIDDEN_CONFIDENCE, LEVELS, noisy_keypoints, noisy_labels
 from ...synthetic.partbench_people import COCO, NUM_PEOPLE, SEED, Person, Setting, make_person
 from . import VERSION
+from .photos import PHOTO, find_in_photo
 
 LABELS = replace(label_set("cdcl14"), at_joints=False)  # of Anny's skin
 # Levels of noise as "realistic", and people of ``make_person(setting=...)``.
 NEAR, FAR, TILTED, CLOTHED = SETTINGS = ("near", "far", "tilted", "clothed")
 TURNED = "turned"  # level of "realistic" people in pictures that are turned
+_SINGLES = (*LEVELS, *SETTINGS, TURNED, PHOTO)
 CROSSED = "crossed"  # level of ``crossed_samples``
 PAIRS, GROUPS, CLIP, VIEWS = SCENES = ("pairs", "groups", "clip", "views")  # levels of ``partbench_scenes``
 _OVERLAP = (0.1, 0.3)  # of the person's width that a stranger stands before
@@ -34,14 +36,14 @@ def source_name(level: str) -> str:
 
 
 def partbench_samples(count: int = NUM_PEOPLE, levels: Sequence[str] = tuple(LEVELS)) -> list[Sample]:
-    """The first ``count`` people at each level: those of noise, ``SETTINGS`` and ``TURNED``.
+    """The first ``count`` people at each level: those of noise, ``SETTINGS``, ``TURNED`` and ``PHOTO``.
 
     Raises:
         InputError: If a level is unknown, or there are not so many people.
     """
     check_people(range(count))
-    if unknown := [level for level in levels if level not in (*LEVELS, *SETTINGS, TURNED)]:
-        known = ", ".join((*LEVELS, *SETTINGS, TURNED, CROSSED, *SCENES))
+    if unknown := [level for level in levels if level not in _SINGLES]:
+        known = ", ".join((*_SINGLES, CROSSED, *SCENES))
         raise InputError(f"level: {', '.join(unknown)}; expected {known}")
     return [make_sample(index, level) for level in levels for index in range(count)]
 
@@ -57,8 +59,11 @@ def make_sample(index: int, name: str) -> Sample:
 
     At "clothed", keypoints and noise are those of "realistic", so that only labels tell of clothes. The true labels
     show clothes, as annotators' do; joints and vertices are those of the body beneath. At "turned", all is that of
-    "realistic", turned by one to three quarters, as photos are whose EXIF data were lost.
+    "realistic", turned by one to three quarters, as photos are whose EXIF data were lost. At "photo", keypoints and
+    mask are what the packaged detector finds in the person's shaded picture.
     """
+    if name == PHOTO:
+        return _in_photo(index)
     if name == TURNED:
         return _turn(make_sample(index, "realistic"), 1 + index % 3)
     setting: Setting = name if name in SETTINGS else "usual"  # type: ignore[assignment]
@@ -84,6 +89,23 @@ def make_sample(index: int, name: str) -> Sample:
         joints=person.joints,
         vertices=person.vertices,
         camera=person.camera if isinstance(person.camera, Perspective) else None,
+    )
+
+
+def _in_photo(index: int) -> Sample:
+    """Person ``index`` as a photo alone shows them."""
+    person, found = make_person(index), find_in_photo(index)[0]
+    return Sample(
+        source=source_name(PHOTO),
+        name=f"{person.name}, {person.kind}",
+        keypoints=found.keypoints,
+        parts=found.parts,
+        target=LABELS.from_parts(person.parts),
+        joints=person.joints,
+        vertices=person.vertices,
+        picture=found.photo,
+        camera=person.camera if isinstance(person.camera, Perspective) else None,
+        label_set=LABELS,
     )
 
 
