@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from warp_partdr.body.labels import IGNORE, label_set
 from warp_partdr.body.skeletons import SKELETONS
 from warp_partdr.errors import InputError
+from warp_partdr.inputs.connected_pixels import connected
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, choose_person, person_height
@@ -24,7 +23,6 @@ from warp_partdr.inputs.person import (
     REACH,
     SEED_RADIUS,
     _Pixels,
-    connected,
     crop_keypoints,
     crop_nearest,
     loose_ends,
@@ -199,22 +197,6 @@ def test_select_person_on_the_shared_photos(name: str, shared: Path) -> None:
     x0, y0, x1, y1 = person_crop(keypoints, selected)
     assert kept[max(y0, 0) : y1, max(x0, 0) : x1].sum() == kept.sum()
     assert 0.9 < (y1 - y0) / person_height(keypoints) < 1.5
-
-
-@given(seed=st.integers(0, 10**6), density=st.floats(0.05, 0.95))
-def test_connected_pixels(seed: int, density: float) -> None:
-    rng = np.random.default_rng(seed)
-    mask, seeds = rng.random((9, 13)) < density, rng.random((9, 13)) < 0.03
-    reached = seeds & mask
-    while True:
-        padded = np.pad(reached, 1)
-        grown = mask & np.any(
-            [padded[1 + dv : 10 + dv, 1 + du : 14 + du] for dv in (-1, 0, 1) for du in (-1, 0, 1)], axis=0
-        )
-        if (grown == reached).all():
-            break
-        reached = grown
-    np.testing.assert_array_equal(connected(mask, seeds), reached)
 
 
 def test_crop_beyond_the_picture_is_ignored() -> None:

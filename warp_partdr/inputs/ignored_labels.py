@@ -14,8 +14,9 @@ import numpy as np
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.template import MEAN_STATURE, PART_NAMES, SHAPE_INDICES, template
 from .agreement import Beyond, coarse, distances_beyond, labels_along, limb_bones
+from .connected_pixels import connected
 from .keypoints import Keypoints2D, person_height
-from .person import connected, lower_near
+from .person import lower_near
 
 STRAY = 0.1  # of the person's height, beyond a part's bones and flesh: nothing of it reaches there, clothes included
 _LEAST = 0.01  # of the person's pixels: less does no harm
