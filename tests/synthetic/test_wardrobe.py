@@ -56,7 +56,7 @@ def test_many_look_as_one_does(device: str) -> None:
 
 
 def test_labels_of_half_of_the_people_show_clothes_which_the_truth_does_not(device: str) -> None:
-    count = 64
+    count = 256
     people = PeopleMaker(bank(), size=96, device=device, seed=3, pool=256, held_out=False)(count)
     groups = label_set("ellipbody20").num_groups
     seen, true = (((ids > 0) & (ids <= groups)).float().mean((1, 2)) for ids in (people.groups, people.parts))
