@@ -40,13 +40,111 @@ def prepared(scene: Scene, options: SceneOptions = QUICK) -> tuple[SceneEnergy, 
 
 def moving(*velocities: tuple[float, float, float]) -> torch.Tensor:
     """A point that passes (0, 0, 4) between two frames, seen by a view at each velocity [m/s], (1, 2, V, 1, 3)."""
-    half = torch.tensor(velocities, dtype=torch.float64) / RATE / 2
-    middle = torch.tensor([0.0, 0.0, 4.0], dtype=torch.float64)
+    half = torch.tensor(velocities) / RATE / 2
+    middle = torch.tensor([0.0, 0.0, 4.0])
     return torch.stack([middle - half, middle + half])[None, :, :, None]
 
 
 def seen_by(views: int) -> torch.Tensor:
     return torch.ones(1, 2, views, dtype=torch.bool)
+
+
+def slow_slides(seen: torch.Tensor, shown: torch.Tensor, rate: torch.Tensor) -> torch.Tensor:
+    velocities = (seen[:, 1:] - seen[:, :-1]) * rate
+    squares = velocities.square().sum(-1)
+    with torch.no_grad():
+        rays = torch.nn.functional.normalize(seen[:, 1:] + seen[:, :-1], dim=-1)
+        across = squares - (velocities * rays).sum(-1).square()
+        both = (shown[:, 1:] & shown[:, :-1])[..., None]
+        odds = 2 * math.log(MOVES / STANDS) - across / 2 * (STANDS**-2 - MOVES**-2)
+        stands = odds.masked_fill(~both, math.inf).amin(2).sigmoid() * both.any(2)
+    return stands * squares[:, :, 0]
+
+
+def walk(people: int, frames: int, views: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Six points of people at 0.05 to 2 m/s, and who is shown: the first in the last frames, the second nowhere."""
+    random = torch.Generator().manual_seed(frames)
+    starts = torch.randn(people, 1, views, 6, 3, generator=random) + torch.tensor([0.0, 0.0, 4.0])
+    speeds = torch.logspace(-1.3, 0.3, 6)[:, None]
+    seen = starts + (speeds / RATE * torch.randn(people, frames, views, 6, 3, generator=random)).cumsum(1)
+    shown = torch.rand(people, frames, views, generator=random) > 0.2
+    shown[:1, -2:], shown[1:2] = True, False
+    return seen, shown
+
+
+def cost_and_gradient(seen: torch.Tensor, shown: torch.Tensor, device: str) -> tuple[torch.Tensor, torch.Tensor]:
+    """By kernels, of costs that weigh 1, 2, ..."""
+    moving = seen.to(device).detach().requires_grad_()
+    cost = slides(moving, shown.to(device), RATE.to(device))
+    weights = torch.arange(1.0, cost.numel() + 1, device=device).reshape(cost.shape)
+    (gradient,) = torch.autograd.grad(cost, moving, weights)
+    return cost.detach().cpu(), gradient.cpu()
+
+
+def slow_cost_and_gradient(seen: torch.Tensor, shown: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """The same by torch in float64."""
+    moving = seen.detach().double().requires_grad_()
+    cost = slow_slides(moving, shown, RATE.double())
+    weights = torch.arange(1.0, cost.numel() + 1, dtype=torch.float64).reshape(cost.shape)
+    (gradient,) = torch.autograd.grad(cost, moving, weights)
+    return cost.detach(), gradient
+
+
+def assert_as_slow(seen: torch.Tensor, shown: torch.Tensor, device: str) -> None:
+    wanted = slow_cost_and_gradient(seen, shown)
+    for _ in range(2):  # launched, then by a captured graph
+        for one, other in zip(cost_and_gradient(seen, shown, device), wanted, strict=True):
+            scale = float(other.abs().amax()) if other.numel() else 0.0
+            torch.testing.assert_close(one.double(), other, rtol=1e-4, atol=1e-6 * scale)
+
+
+@pytest.mark.parametrize(("people", "frames", "views"), [(3, 7, 1), (2, 2, 1), (4, 5, 3), (2, 1, 1), (0, 4, 2)])
+def test_costs_and_gradients_are_torchs(people: int, frames: int, views: int, device: str) -> None:
+    seen, shown = walk(people, frames, views)
+    assert_as_slow(seen, shown, device)
+    assert_as_slow(seen.transpose(2, 3).contiguous().transpose(2, 3), shown, device)  # of other strides
+    cost, gradient = cost_and_gradient(seen, shown, device)
+    assert bool((cost[:1] > 0).any()) == (people > 0 and frames > 1)
+    assert not gradient[:, :, 1:].any()  # the other views tell who stands
+    assert not cost[1:2].any()
+    assert not gradient[1:2].any()
+
+
+def test_costs_and_gradients_are_the_same_every_time(device: str) -> None:
+    seen, shown = walk(8, 64, 2)
+    first = cost_and_gradient(seen, shown, device)
+    for _ in range(4):
+        assert all(map(torch.equal, first, cost_and_gradient(seen, shown, device)))
+
+
+def test_points_anywhere_at_any_speed_have_finite_costs(device: str) -> None:
+    aside = torch.tensor([2.0, -1.0, 4.0])
+    along = torch.nn.functional.normalize(aside, dim=0)
+    pairs = {
+        "at rest": (aside, aside),
+        "at the camera": (torch.zeros(3), torch.zeros(3)),
+        "through the camera": (-0.001 * along, 0.001 * along),
+        "fast along the view": (aside, 10 * aside),
+        "at 1000 km/s": (aside, aside + torch.tensor([3e4, 1e4, 0.0])),
+        "faster than light": (aside, torch.tensor([1e15, 0.0, 1e15])),
+    }
+    seen = torch.stack([torch.stack(pair) for pair in pairs.values()], dim=1)[None, :, None]
+    cost, gradient = cost_and_gradient(seen, seen_by(1), device)
+    assert bool(torch.isfinite(cost).all())
+    assert bool(torch.isfinite(gradient).all())
+    assert not cost[..., :2].any()
+    assert not gradient[..., :2, :].any()
+    assert_as_slow(seen[..., :4, :], seen_by(1), device)
+    assert_as_slow(seen[..., 4:5, :], seen_by(1), device)
+    unseen = cost_and_gradient(seen, ~seen_by(1), device)
+    assert not any(bool(each.any()) for each in unseen)
+
+
+def test_the_gradient_has_no_derivative() -> None:
+    seen = moving((0.4, 0.0, 0.3)).requires_grad_()
+    (force,) = torch.autograd.grad(slides(seen, seen_by(1), RATE).sum(), seen, create_graph=True)
+    with pytest.raises(NotImplementedError, match="slides"):
+        force.sum().backward()
 
 
 @pytest.mark.parametrize(("across", "along"), [(0.0, 0.0), (0.0, 2.0), (0.3, 0.5), (0.5, 0.0), (2.0, 0.0)])

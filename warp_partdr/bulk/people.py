@@ -18,10 +18,10 @@ from ..detection import MIN_SCORE
 from ..detection.masks import instance_maps
 from ..detection.people import find_people_in
 from ..fit.cut_people import CutPeople, Kind
-from ..fit.depth_flips import FLIPS
+from ..fit.depth_flips import FLIP_SIZE
 from ..fit.mesh_stage import refine_meshes
 from ..fit.options import FitOptions
-from ..fit.together import JUDGED, fit_together
+from ..fit.together import JUDGED_SIZE, fit_together
 from ..inputs.observation import LABEL_SIZE
 from ..interop.torch_threads import one_torch_thread
 from ..kernels.launch import get_num_threads
@@ -51,7 +51,7 @@ def kept_label_size(options: FitOptions, network: LabelNetwork, *, meshes: bool)
     ``LABEL_SIZE``; but where all look at one size that these can be thinned to, that one: 128 px take a 25th of the
     memory.
     """
-    sizes = {network.config.size, JUDGED, FLIPS, *(stage.size for stage in options.stages)}
+    sizes = {network.config.size, JUDGED_SIZE, FLIP_SIZE, *(stage.size for stage in options.stages)}
     (least, *more) = sorted(sizes | ({options.mesh.size} if meshes else set()))
     return LABEL_SIZE if more or LABEL_SIZE % (2 * least) != least else least
 

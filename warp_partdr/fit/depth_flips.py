@@ -37,7 +37,7 @@ _FLAT = 0.17  # sine of the angle to the picture's plane below which a bone's mi
 _OVER_LIMITS = 0.1  # [rad^2], by which a flip may exceed joint limits more than the body does
 _PLACES = torch.linspace(-1.0, 1.0, 9)  # on a bone, of its half length
 # Labels lead while flips are compared, or keypoints would hold what they can't see.
-FLIPS = 128  # [px], side of the crop in which flips are compared
+FLIP_SIZE = 128  # [px], side of the crop in which flips are compared
 _ITERATIONS, _RATE = 30, 0.02
 FLIP_WEIGHTS = Weights(seg=0.5, proj=0.05, prior=0.1)
 # Share of its energy that a body must lose by a flip. With labels that are EllipBody's own, right flips save 6 % to
@@ -86,9 +86,9 @@ def repair_depth_orders(
     orders = [DepthOrder(tuple(each), None) for each in tried]
     if not names:
         return bodies, orders
-    energy = Energy(seen[0], FLIPS, FLIP_WEIGHTS, prior, renderer=RendererEllipsoids("edges"))
+    energy = Energy(seen[0], FLIP_SIZE, FLIP_WEIGHTS, prior, renderer=RendererEllipsoids("edges"))
     if everyone is not None:
-        everyone = everyone.drawn_at(FLIPS)
+        everyone = everyone.drawn_at(FLIP_SIZE)
     elif count > 1:
         everyone = Batch.of(seen, energy)
     # Each one's own body comes before its flips.

@@ -32,7 +32,7 @@ from .plausibility import MOST_OFF, MOST_WRONG, describe_misfit, person_pixels
 from .result import FitResult
 from .stages import OUTLINE, Stage
 
-JUDGED = 128  # [px], side of the crop in which bodies are compared with labels in the end
+JUDGED_SIZE = 128  # [px], side of the crop in which bodies are compared with labels in the end
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +180,7 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
         refined = refine_captured(bodies, energy, rule, people=everyone.drawn_at(stage.size or 1))
         bodies, terms = refined.parameters, refined.terms
         history.append(refined.history.T.cpu().numpy())
-    told = _complaints(bodies, everyone.drawn_at(JUDGED), Energy(first, JUDGED, prior=prior))
+    told = _complaints(bodies, everyone.drawn_at(JUDGED_SIZE), Energy(first, JUDGED_SIZE, prior=prior))
     return BatchFits(
         people=people,
         stages=stages,
