@@ -85,13 +85,13 @@ class Photographer:
         posed = mean_body(rotation_from_axis_angle(vectors), orientation)
         stance = pose_from_ellipbody(model, posed, shape)
         body = model.pose(shape, *stance)
-        away = torch.zeros(BATCH, 1, 3)
         near, far = np.log(DISTANCE)
-        away[..., 2] = rng.uniform(BATCH, 1, low=near, high=far).exp()
-        away = away - model.landmarks(body, ("pelvis",))
+        distance = rng.uniform(BATCH, 1, low=near, high=far).exp()  # of the pelvis
+        away = distance[..., None] * torch.tensor([0.0, 0.0, 1.0]) - model.landmarks(body, ("pelvis",))
         vertices, mesh = body.vertices, people.anny_mesh()
         if dressed:
-            worn, clothes = rng.integers(wardrobe(rng.device).size, BATCH), wardrobe(rng.device)
+            clothes = wardrobe(rng.device)
+            worn = rng.integers(clothes.size, BATCH)
             vertices = clothes.vertices(model.pose(shape, *stance, offsets=clothes.offsets(worn)), worn)
             mesh = clothes.mesh
         vertices = vertices + away
@@ -108,12 +108,11 @@ class Photographer:
         hidden = people.behind_something(marks[..., 2], pixels, depth, cover) | boxes.flatten(1).gather(1, pixels)
         inside = ((points > 0) & (points < torch.tensor(size[::-1]))).all(-1)
         states = torch.where(inside, torch.where(hidden, HIDDEN, SEEN), BEYOND)
-        pelvis = model.landmarks(body, ("pelvis",)) + away
         return Shown(
             pictures,
             points.numpy(),
             states.byte().numpy(),
-            (stature * camera.focal[:, 0] / pelvis[:, 0, 2]).numpy(),
+            (stature * camera.focal[:, 0] / distance[:, 0]).numpy(),
             (masks & ~boxes).numpy(),
             (orientation[:, 2, 2] > 0.3).numpy(),
         )

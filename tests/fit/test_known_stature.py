@@ -94,7 +94,8 @@ def test_the_mesh_has_it_and_others_beside_stay_as_they_are(device):
     one, other = refine_meshes([tall, plain[1]], model, options=QUICK)
     both = refine_meshes(plain, model, options=QUICK)
     assert statures(model, one.body.shape).item() == pytest.approx(TALL, abs=1e-4)
-    assert torch.equal(other.body.shape, both[1].body.shape)
+    rounding = 0.0 if device == "cpu" else 1e-3  # CUDA adds a mesh's forces in any order
+    torch.testing.assert_close(other.body.shape, both[1].body.shape, rtol=0, atol=rounding)
     assert alike(samples[0], one, both[0]) > 0.9
     (grown,) = refine_meshes([replace(plain[0], stature=TALL)], model, options=QUICK)  # from the guessed size on
     assert alike(samples[0], grown, both[0]) > 0.9
@@ -130,7 +131,7 @@ def test_of_several_people_it_is_whose():
 
 def test_a_person_of_a_film_has_it_in_all_frames_and_is_seen_as_without(device):
     """Before a camera that stands somewhere in the world."""
-    one = make_views(3, 1).scene
+    one = make_views(1, 1).scene  # the first of whom all limbs are seen: a hidden one may end anywhere
     turn = rotation_from_axis_angle(torch.tensor([0.3, -0.2, 0.1]))
     view = replace(one.views[0], rotation=turn, translation=torch.tensor([0.5, -0.3, 1.0]))
     scene = replace(one, views=[view], sights=[replace(one.sights[0], frame=frame) for frame in range(3)])
@@ -140,7 +141,7 @@ def test_a_person_of_a_film_has_it_in_all_frames_and_is_seen_as_without(device):
     assert abs(plain.statures.item() - TALL) > 0.1
     before, after = (view.to_camera(each.joints[0, 1]).cpu() for each in (plain, tall))
     pixels = [view.camera.project(each[None])[..., :2] for each in (before, after)]
-    assert (pixels[0] - pixels[1]).norm(dim=-1).quantile(0.85) < 6  # of 400; few steps may leave a limb elsewhere
+    assert (pixels[0] - pixels[1]).abs().max() < 6  # of 400
     share = TALL / plain.statures.item()
     torch.testing.assert_close(after.norm(dim=1), share * before.norm(dim=1), rtol=0.02, atol=0)
 

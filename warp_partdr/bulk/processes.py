@@ -11,7 +11,6 @@ from itertools import islice
 from torch.utils.data import DataLoader, Dataset
 
 from ..errors import InputError, cause
-from ..inputs.observation import LABEL_SIZE
 from .cutting import Cut, Cutter, Held, read_picture
 from .sources import PictureSource, SourcePicture
 
@@ -80,7 +79,7 @@ def _context() -> multiprocessing.context.BaseContext:
     return context
 
 
-def needed_memory(processes: int, batch: int, label_size: int = LABEL_SIZE) -> int:
+def needed_memory(processes: int, batch: int, label_size: int) -> int:
     """Bytes of shared memory that hold people with labels: two groups of each process, and batches that wait."""
     return (2 * processes * _GROUP + 4 * batch) * label_size**2
 

@@ -50,6 +50,7 @@ def draw_mesh(
     """Draw a part-labelled mesh; with ``num_maps`` the part maps carry gradients back to vertices and camera.
 
     Gradients are first ones: a second, as under ``create_graph=True``, is an error, and so is ``torch.func``.
+    On CUDA they are added in any order, so two runs differ by rounding; pictures repeat to the bit.
 
     Args:
         vertices: In the camera frame [m], shape (B, V, 3). A face with a vertex at or before the camera's near plane is
