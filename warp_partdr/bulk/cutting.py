@@ -14,6 +14,7 @@ from ..detection.person import SKELETON
 from ..errors import InputError
 from ..fit.cut_people import CutPeople, CutPerson, stack_alike
 from ..inputs.evidence import weigh_evidence
+from ..inputs.keypoints import measure_heights
 from ..inputs.masked_people import MaskedPerson, cut_masks
 from ..inputs.observation import LABEL_SIZE, crop_evidence
 from ..inputs.person import check_inside
@@ -68,8 +69,11 @@ class Cutter:
         rows: list[Row] = []
         cut: list[tuple[int, CutPerson]] = []
         masked: list[tuple[int, MaskedPerson]] = []
-        for place, (name, seen) in enumerate(held):
-            known = found.get(place, seen)
+        sources = [found.get(place, seen) for place, (_, seen) in enumerate(held)]
+        measure_heights(
+            [each.keypoints for known in sources if isinstance(known, SourcePicture) for each in known.people or ()]
+        )
+        for place, ((name, seen), known) in enumerate(zip(held, sources, strict=True)):
             row: Row = {"picture": name}
             if isinstance(seen, SourcePicture):
                 row |= dict(zip(("height", "width"), seen.size, strict=True))

@@ -99,8 +99,8 @@ class PictureFiles:
             if keypoints is None:
                 found = SourcePicture(read_photo(photo))
             else:
-                found = SourcePicture(ScannedPhoto(photo, scan_photo(photo)))
-                found = replace(found, people=tuple(map(_known, _read_keypoints(keypoints))))
+                scanned = ScannedPhoto(photo, scan_photo(photo))
+                found = SourcePicture(scanned, tuple(map(_known, _read_keypoints(keypoints))))
             return replace(found, parts=self._read_labels(name, found.size))
         except InputError as error:  # messages are the same wherever the folder is
             raise InputError(str(error).replace(str(self.folder / (container or name)), container or name)) from error

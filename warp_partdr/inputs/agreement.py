@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from itertools import combinations, compress
 from typing import NamedTuple, TypeVar
@@ -119,7 +119,7 @@ def _limb_parts(names: tuple[str, ...]) -> np.ndarray:
     return np.array([[1 + PART_NAMES.index(name) for name in some] for some in both], dtype=np.int64).reshape(2, -1)
 
 
-def disagreement(compared: Mapping[str, Agreement], glances: Iterable[Beyond]) -> float:
+def disagreement(compared: Mapping[str, Agreement], seen: Beyond) -> float:
     """Measure of disagreement between labels and keypoints, regardless of sides, from ``compare_sides`` and ``glance``.
 
     The share of the limbs' bones that run over other parts' labels, plus four times the share of labels that lie far
@@ -129,9 +129,7 @@ def disagreement(compared: Mapping[str, Agreement], glances: Iterable[Beyond]) -
     sides = compared.values()
     other = sum(each.other for each in sides)
     bones = sum(each.own + each.mirrored + each.other for each in sides)
-    distances = [each.distances for each in glances]
-    known = sum(len(each) for each in distances)
-    far = sum(np.count_nonzero(each > FAR) for each in distances)
+    known, far = len(seen.distances), np.count_nonzero(seen.distances > FAR)
     return (other / bones if bones >= 2 * _FEWEST else 0.0) + 4 * far / max(known, 1)
 
 
@@ -147,7 +145,9 @@ def labels_along(
     columns, rows = places[..., 0], places[..., 1]
     height, width = groups.shape
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    return groups[np.where(inside, rows, 0), np.where(inside, columns, 0)], inside
+    if not inside.all():
+        rows, columns = np.where(inside, rows, 0), np.where(inside, columns, 0)
+    return groups[rows, columns], inside
 
 
 @lru_cache
@@ -168,10 +168,10 @@ class _Flesh(NamedTuple):
 @lru_cache(maxsize=1024)
 def _flesh(
     groups: tuple[tuple[str, tuple[str, ...]], ...], landmarks: tuple[str, ...]
-) -> tuple[list[_Flesh], np.ndarray]:
+) -> tuple[list[_Flesh], np.ndarray, np.ndarray]:
     """Segments of all groups, and of their mirror images, whose keypoints are all known.
 
-    And the rank of each group among them, shape (256,), uint8; 255 of the others.
+    And these groups in that order, and the rank of each among them, shape (256,), uint8; 255 of the others.
     """
     parts, known = dict(groups), frozenset(landmarks)
     alike: dict[int, list[tuple[int, list[Segment]]]] = {}
@@ -188,9 +188,9 @@ def _flesh(
         )
         radii = np.array([[radius for *_, radius in segments] for _, segments in some]).T
         tables.append(_Flesh(tuple(number for number, _ in some), starts, ends, radii))
-    every = [group for table in tables for group in table.groups]
+    every = np.array([group for table in tables for group in table.groups], dtype=np.int64)
     ranks[every] = np.arange(len(every))
-    return tables, ranks
+    return tables, every, ranks
 
 
 def _part_segments(part: str, known: frozenset[str]) -> Iterator[Segment]:
@@ -225,13 +225,18 @@ def segments_of_parts(points: Mapping[str, Place]) -> dict[str, list[tuple[Place
 
 
 class Beyond(NamedTuple):
-    """Distances of a group's N pixels from its bones and their flesh."""
+    """Distances of groups' pixels from their bones and flesh, one group's after the other's."""
 
-    group: int
-    name: str
+    labelled: int  # pixels that were looked at, of any group
+    groups: np.ndarray  # those groups that have some, and whose keypoints are all known
+    sizes: np.ndarray  # numbers of their pixels
     rows: np.ndarray
     columns: np.ndarray
     distances: np.ndarray  # beyond the flesh, negative within, as a share of the person's height
+
+    def farther(self, least: float) -> np.ndarray:
+        """Numbers of each group's pixels that are farther away."""
+        return np.add.reduceat(self.distances > least, np.cumsum(self.sizes) - self.sizes, dtype=np.int64)
 
 
 def coarse(groups: np.ndarray) -> int:
@@ -239,14 +244,14 @@ def coarse(groups: np.ndarray) -> int:
     return max(math.ceil(max(groups.shape) / COARSE), 1)
 
 
-def glance(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> list[Beyond]:
+def glance(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> Beyond:
     """Distances (``distances_beyond``) at the stride of ``coarse``."""
-    return list(distances_beyond(groups, keypoints, labels, stride=coarse(groups)))
+    return distances_beyond(groups, keypoints, labels, stride=coarse(groups))
 
 
 def distances_beyond(
     groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet, *, stride: int = 1, only: int | None = None
-) -> Iterator[Beyond]:
+) -> Beyond:
     """Distances of each visible group whose keypoints are all known; mirror images count as well.
 
     Looks at every so many-th row and column (``stride``), and at all groups or ``only`` one.
@@ -254,14 +259,16 @@ def distances_beyond(
     height, sure = person_height(keypoints), np.flatnonzero(keypoints.confident)
     landmarks = keypoints.format.landmarks
     points = keypoints.points[sure]
-    tables, ranks = _flesh(tuple(labels.groups.items()), tuple([landmarks[place] for place in sure.tolist()]))
-    thin = groups[::stride, ::stride]
-    rows, columns = np.nonzero((thin != BACKGROUND) & (thin != IGNORE) if only is None else thin == only)
-    rank = ranks[thin[rows, columns]]
-    order = np.argsort(rank, kind="stable")  # pixels of one table lie side by side
-    rows, columns = rows[order] * stride, columns[order] * stride
-    counts = np.bincount(rank, minlength=256)
-    found: list[Beyond] = []
+    tables, every, ranks = _flesh(tuple(labels.groups.items()), tuple([landmarks[place] for place in sure.tolist()]))
+    thin = np.ascontiguousarray(groups[::stride, ::stride])
+    keys = np.flatnonzero((thin != BACKGROUND) & (thin != IGNORE) if only is None else thin == only)
+    rank = ranks[thin.ravel()[keys]]
+    counts = np.bincount(rank, minlength=256)[: len(every)]
+    order = np.argsort(rank, kind="stable")[: counts.sum()]  # pixels of one table lie side by side
+    rows, columns = np.divmod(keys[order], thin.shape[1])
+    rows, columns = rows * stride, columns * stride
+    x, y = columns + 0.5, rows + 0.5
+    found = [np.zeros(0)]
     first, begin = 0, 0
     for table in tables:
         own = counts[first : first + len(table.groups)]
@@ -270,16 +277,13 @@ def distances_beyond(
         begin = mine.stop
         if mine.start == mine.stop:
             continue
-        starts, ways = points[table.starts], points[table.ends] - points[table.starts]
-        x, y = columns[mine] + 0.5, rows[mine] + 0.5
-        lines = (starts[..., 0], starts[..., 1], ways[..., 0], ways[..., 1], table.radii)
-        x0, y0, along_x, along_y, radii = (each.repeat(own, axis=1) for each in lines)
-        distances = np.sqrt(squared_distances(x - x0, y - y0, along_x, along_y))
-        beyond = (distances / height - radii).min(axis=0)
-        ends = np.cumsum(own).tolist()
-        for group, start, end in zip(table.groups, [0, *ends], ends, strict=False):
-            if start < end:
-                span = slice(mine.start + start, mine.start + end)
-                name = labels.group_names[group - 1]
-                found.append(Beyond(group, name, rows[span], columns[span], beyond[start:end]))
-    yield from sorted(found, key=lambda each: each.group)
+        x0, y0 = np.moveaxis(points[table.starts], -1, 0)
+        along_x, along_y = np.moveaxis(points[table.ends], -1, 0) - (x0, y0)
+        squares = along_x**2 + along_y**2
+        lines = np.stack([x0, y0, along_x, along_y, squares, table.radii]).repeat(own, axis=2)
+        beyond = squared_distances(x[mine] - lines[0], y[mine] - lines[1], *lines[2:5])
+        np.sqrt(beyond, out=beyond)  # in place, for memory takes most of the time
+        beyond /= height
+        beyond -= lines[5]
+        found.append(beyond.min(axis=0))
+    return Beyond(len(keys), every[counts > 0], counts[counts > 0], rows, columns, np.concatenate(found))

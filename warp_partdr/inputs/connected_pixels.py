@@ -33,7 +33,7 @@ class Runs:
         first = np.searchsorted(self._ends, self._starts - stride, side="left")  # of those above that a run touches
         last = np.searchsorted(self._starts, self._ends - stride, side="right")
         roots = np.where(last > first, first, np.arange(len(first)))
-        while not np.array_equal(above := roots[roots], roots):
+        while ((above := roots[roots]) != roots).any():
             roots = above
         joined: dict[int, int] = {}  # roots that are none any more, for a run touches several: few
 

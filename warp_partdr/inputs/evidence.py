@@ -118,18 +118,18 @@ def weigh_evidence(
     if window != Crop(0.0, 0.0, 1.0, (groups.shape[0], groups.shape[1])):
         groups = crop_nearest(groups, box, window.size)
     groups = select_person(groups, mine, [crop_keypoints(other, box, window.size) for other in others])
-    glances = glance(groups, mine, labels)
-    groups, names = ignore_stray_labels(groups, mine, labels, glances)
+    seen = glance(groups, mine, labels)
+    groups, names = ignore_stray_labels(groups, mine, labels, seen)
     warnings = [stray_warning(names)] if names else []
     if names:
-        glances = glance(groups, mine, labels)
+        seen = glance(groups, mine, labels)
     agreements = compare_sides(groups, mine, labels)
-    if len(names) >= _MANY or disagreement(agreements, glances) > MOST_DISAGREEMENT:
+    if len(names) >= _MANY or disagreement(agreements, seen) > MOST_DISAGREEMENT:
         warnings.append(elsewhere_warning(labels))
-    seen = Evidence(keypoints, parts, window, groups, tuple(warnings))
+    evidence = Evidence(keypoints, parts, window, groups, tuple(warnings))
     if swapped := [limb for limb, agreement in agreements.items() if agreement.swapped]:
-        return list(_either_side(seen, swapped, whole=len(swapped) == len(agreements)))
-    return [seen]
+        return list(_either_side(evidence, swapped, whole=len(swapped) == len(agreements)))
+    return [evidence]
 
 
 def stray_warning(names: Iterable[str]) -> str:

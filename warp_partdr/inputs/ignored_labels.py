@@ -7,13 +7,11 @@ label they have, would pull limbs away, and F1 of the foreground hides it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.template import MEAN_STATURE, PART_NAMES, SHAPE_INDICES, template
-from .agreement import Beyond, coarse, distances_beyond, labels_along, limb_bones
+from .agreement import Beyond, distances_beyond, labels_along, limb_bones
 from .connected_pixels import connected
 from .keypoints import Keypoints2D, person_height
 from .person import lower_near
@@ -28,31 +26,23 @@ _MARGIN = 0.01  # of the person's height: about how far keypoints are off
 
 
 def ignore_stray_labels(
-    groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet, glances: Iterable[Beyond]
+    groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet, seen: Beyond
 ) -> tuple[np.ndarray, set[str]]:
     """Turn blobs of labels far from any bone of their part, or of its mirror image, into 255; names their groups, too.
 
     A whole connected blob is turned, up to the part's flesh. A label whose part has no confident keypoints stays, and
     so does one that is mostly elsewhere than its keypoints. ``groups``, shape (H, W), here and below, hold this
-    person's ids alone (``select_person``); ``glances`` are of them (``glance``).
+    person's ids alone (``select_person``); ``seen`` is of them (``glance``).
     """
     cleaned, names = groups.copy(), set()
-    thin = groups[:: coarse(groups), :: coarse(groups)]
-    known = np.count_nonzero((thin != BACKGROUND) & (thin != IGNORE))
-    seen_groups = list(glances)
-    far, within = (
-        np.array([np.count_nonzero(each.distances > least) for each in seen_groups], dtype=np.int64)
-        for least in (STRAY, 0.0)
-    )
-    sizes = np.array([len(each.distances) for each in seen_groups], dtype=np.int64)
-    for place in np.flatnonzero(are_stray(np.array(known), sizes - within, far)).tolist():
-        seen = seen_groups[place]
-        for each in distances_beyond(groups, keypoints, labels, only=seen.group):
-            blob, seeds = np.zeros((2, *groups.shape), dtype=bool)
-            blob[each.rows, each.columns] = each.distances > 0.0
-            seeds[each.rows, each.columns] = each.distances > STRAY
-            cleaned[connected(blob, seeds)] = IGNORE
-        names.add(seen.name)
+    stray = are_stray(np.array(seen.labelled), seen.sizes - seen.farther(0.0), seen.farther(STRAY))
+    for group in seen.groups[stray].tolist():
+        each = distances_beyond(groups, keypoints, labels, only=group)
+        blob, seeds = np.zeros((2, *groups.shape), dtype=bool)
+        blob[each.rows, each.columns] = each.distances > 0.0
+        seeds[each.rows, each.columns] = each.distances > STRAY
+        cleaned[connected(blob, seeds)] = IGNORE
+        names.add(labels.group_names[group - 1])
     return cleaned, names
 
 

@@ -300,7 +300,8 @@ def _checked(table: np.ndarray, form: Skeleton, places: Sequence[str]) -> tuple[
     """Points (N, J, 2) and confidences (N, J), float32, from N people's numbers (N, J, 2 or 3)."""
 
     def refuse(wrong: np.ndarray, found: Callable[[np.ndarray], str]) -> None:
-        for person, joint in np.argwhere(wrong)[:1].tolist():
+        if wrong.any():
+            person, joint = np.argwhere(wrong)[0].tolist()
             raise InputError(f"{places[person]}: {_named(form, joint)}: {found(table[person, joint])}")
 
     def listed(row: np.ndarray) -> str:
@@ -312,8 +313,9 @@ def _checked(table: np.ndarray, form: Skeleton, places: Sequence[str]) -> tuple[
     refuse(~missing & ~np.isfinite(table).all(axis=-1), lambda row: f"{listed(row)}; expected finite numbers")
     points = np.where(missing[..., None], 0.0, points)
     confidence = np.where(missing, 0.0, confidence)
-    visibility = np.isin(confidence, (0, 1, 2)).all(axis=1) & (confidence == 2).any(axis=1)
-    confidence[visibility] /= 2  # COCO's: 1 = labelled, but hidden.
+    if (confidence == 2).any():
+        visibility = np.isin(confidence, (0, 1, 2)).all(axis=1) & (confidence == 2).any(axis=1)
+        confidence[visibility] /= 2  # COCO's: 1 = labelled, but hidden.
     refuse((confidence < 0) | (confidence > _MAX_CONFIDENCE), lambda row: f"confidence {row[2]:g}; expected 0 to 1")
     refuse(
         (np.abs(points) > LARGEST_PLACE).any(axis=-1),

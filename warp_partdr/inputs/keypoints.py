@@ -66,6 +66,17 @@ class Keypoints2D:
         return confident(self.confidence[None])[0]
 
 
+def measure_heights(people: Sequence[Keypoints2D]) -> None:
+    """Measure ``person_height`` of many people beforehand: together it takes a tenth of the time."""
+    for form in {keypoints.skeleton for keypoints in people}:
+        alike = [keypoints for keypoints in people if keypoints.skeleton == form]
+        heights = person_heights(
+            form, np.stack([each.points for each in alike]), np.stack([each.confidence for each in alike])
+        )
+        for keypoints, height in zip(alike, heights.tolist(), strict=True):
+            keypoints.__dict__["_height"] = height  # as ``cached_property`` keeps it
+
+
 def confident(confidence: np.ndarray) -> np.ndarray:
     """``Keypoints2D.confident`` of several people: confidences (N, J) to flags (N, J)."""
     sure = confidence >= MIN_CONFIDENCE

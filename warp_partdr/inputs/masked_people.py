@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache, partial
-from itertools import compress, pairwise
+from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,6 @@ import torch
 import warp as wp
 
 from ..body.labels import label_set
-from ..body.skeletons import Skeleton, skeleton
 from ..cameras import Crop, Perspective
 from ..interop.arrays import warp_array
 from ..interop.streams import on_torch_stream
@@ -28,7 +27,7 @@ from .body_lines import BodyLines, body_lines
 from .evidence import MOST_DISAGREEMENT, Evidence, check_places, elsewhere_warning, person_windows, stray_warning
 from .ignored_labels import LIMB_SAMPLES, MISSING_SHARE, STRAY, are_stray
 from .keypoints import LARGEST_PLACE, Keypoints2D, confident
-from .observation import CROP_MARGIN, LABEL_SIZE, REFERENCE_SIZE, Observation, crop_lens
+from .observation import CROP_MARGIN, LABEL_SIZE, REFERENCE_SIZE, Observation, crop_lens, visible_names
 from .person import reach_boxes
 
 MASK_LABELS = label_set("full1")
@@ -157,7 +156,7 @@ def _cut_together(people: Sequence[MaskedPerson], windows: _Windows, device: tor
         told += [elsewhere_warning(MASK_LABELS)] if elsewhere[n] else []
         zoom = float(zooms[n]) * REFERENCE_SIZE / (2 * float(halves[n]))
         crop = Crop(float(corners[n, 0]), float(corners[n, 1]), zoom, (REFERENCE_SIZE, REFERENCE_SIZE))
-        names, marks = _names(person.keypoints.skeleton, visible[n].tobytes())
+        names, marks = visible_names(person.keypoints.skeleton, visible[n].tobytes())
         observation = Observation(
             names,
             places[n],
@@ -182,13 +181,6 @@ def _squares(points: np.ndarray, sure: np.ndarray, counts: np.ndarray) -> tuple[
     grow = CROP_MARGIN * np.maximum((high - low).max(axis=1), 1.0)[:, None]
     low, high = np.floor(low - grow), np.ceil(high + grow)
     return (low + high) / 2, (high - low).max(axis=1) / 2
-
-
-@lru_cache(maxsize=1024)
-def _names(form: str | Skeleton, visible: bytes) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Landmarks and marks of the keypoints that are there."""
-    there, known = np.frombuffer(visible, dtype=bool).tolist(), skeleton(form)
-    return tuple(compress(known.landmarks, there)), tuple(compress(known.marks, there))
 
 
 class _Work:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import compress
 
 import numpy as np
 import torch
 
 from ..body.labels import IGNORE, LabelSet
+from ..body.skeletons import Skeleton, skeleton
 from ..cameras import Crop, Perspective
 from ..interop.movable import Movable
 from .evidence import Evidence, weigh_evidence
@@ -120,11 +123,11 @@ def crop_evidence(
             maps = torch.from_numpy(np.ascontiguousarray(seen[1:])).to(device)
     visible = keypoints.visible
     points = (keypoints.points[visible] - (u, v)) / half
-    names, marks = np.array([keypoints.format.landmarks, keypoints.format.marks])[:, visible].tolist()
+    names, marks = visible_names(keypoints.skeleton, visible.tobytes())
     return (
         Observation(
-            landmarks=tuple(names),
-            marks=tuple(marks),
+            landmarks=names,
+            marks=marks,
             points=torch.from_numpy(points.astype(np.float32)).to(device),
             confidence=torch.from_numpy(keypoints.confidence[visible].astype(np.float32)).to(device),
             labels=labels,
@@ -135,6 +138,13 @@ def crop_evidence(
         ),
         crop,
     )
+
+
+@lru_cache(maxsize=1024)
+def visible_names(form: str | Skeleton, visible: bytes) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Landmarks and marks of the keypoints that are there."""
+    there, known = np.frombuffer(visible, dtype=bool).tolist(), skeleton(form)
+    return tuple(compress(known.landmarks, there)), tuple(compress(known.marks, there))
 
 
 def crop_lens(camera: Perspective, crop: Crop) -> torch.Tensor:

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,7 +71,9 @@ class PartLabels:
         if not isinstance(groups, np.ndarray) or groups.ndim != 2 or groups.dtype != np.uint8 or not groups.size:
             found = f"{groups.dtype} {groups.shape}" if isinstance(groups, np.ndarray) else type(groups).__name__
             raise InputError(f"groups: {found}; expected a picture of uint8 group ids (H, W)")
-        if (strange := groups[(groups > count) & (groups != IGNORE)]).size:
+        # In bytes 255 + 1 is 0: one look tells that no id is strange.
+        if (groups + np.uint8(1)).max() > count + 1:
+            strange = groups[(groups > count) & (groups != IGNORE)]
             raise InputError(f"groups: id {strange[0]}; expected 0 to {count} of {self.label_set.name}, or {IGNORE}")
         shape = (count + 1, *groups.shape)
         if self.maps is not None and (not isinstance(self.maps, np.ndarray) or self.maps.shape != shape):
@@ -247,7 +250,7 @@ def _read_png(path: PhotoFile) -> np.ndarray:
     with _opened(path, "a PNG of part labels") as image:
         if image.mode not in ("1", "L", "P", "I", "I;16", "I;16B"):
             raise InputError(f"{path}: {image.mode} picture; expected one channel of label ids (grayscale or palette)")
-        array = np.array(image)
+        array = np.asarray(image)
         return array if array.dtype == np.uint8 else array.astype(np.int32)
 
 
@@ -332,7 +335,7 @@ def parts_from_maps(maps: np.ndarray, labels: LabelSet) -> PartLabels:
 def _check_content(parts: PartLabels, where: str) -> None:
     """Refuse labels that show nobody, or one part only: no more than a silhouette, and likely a mistake."""
     there = parts.groups.tobytes()  # which is looked through in a hundredth of the time of an index
-    shown = [group for group in range(1, parts.label_set.num_groups + 1) if group in there]
+    shown = list(islice((group for group in range(1, parts.label_set.num_groups + 1) if group in there), 2))
     if not shown:
         raise InputError(
             f"{where}: empty, no pixel of a body part; expected a person in the labels of {parts.label_set.name}"

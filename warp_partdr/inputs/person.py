@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ MIN_SEED_RADIUS = 1.5  # [px]
 _BEYOND = 2.0
 _LARGEST = 1e5  # [px] the same where there is no picture; more than any camera has
 
+_SHORTEST = 1e-12  # [px²], of a segment's squared length, not to divide by 0
 _BLOCK = 16  # [px], side of the squares whose pixels are compared with bones at once
 _ALONG = np.linspace(0, 1, 8)[:, None]  # places along a bone, as shares of it
 
@@ -65,6 +67,8 @@ def check_inside(keypoints: Keypoints2D, size: tuple[int, int] | None) -> None:
     reach = _BEYOND * max(width, height)
     sure = np.flatnonzero(keypoints.confident)
     points = keypoints.points[sure]
+    if sure.size and ((points >= 0) & (points <= [width, height])).all():
+        return
     far = np.flatnonzero(((points < -reach) | (points > [width + reach, height + reach])).any(axis=1))
     if far.size:
         name, (x, y) = keypoints.format.landmarks[sure[far[0]]], points[far[0]]
@@ -135,21 +139,23 @@ def _near(
     """
     height, width = labelled.shape
     grid = -(-height // _BLOCK), -(-width // _BLOCK)
-    middles = [start + _BLOCK * np.arange(count) + _BLOCK / 2 for start, count in zip(corner, grid, strict=True)]
-    rows, columns = (each.ravel() for each in np.meshgrid(*middles, indexing="ij"))
-    loose = keypoints.points[loose_ends(keypoints.skeleton, keypoints.confident[None])[0]]
+    rows, columns = (start + _BLOCK * np.arange(count) + _BLOCK / 2 for start, count in zip(corner, grid, strict=True))
+    loose = keypoints.points[_joints_of(keypoints.skeleton, keypoints.confident.tobytes())[1]]
     bones = [_bone_ends(each) for each in (keypoints, *others)]
     largest = max(float(np.abs(each).max(initial=0.0)) for each in (*bones, rows, columns))
     off = _BLOCK / math.sqrt(2) + 1.0 + 1e-5 * largest  # pixels' distances in float32 are a bit off, too
     own, *theirs = (_least_distances(rows, columns, each) for each in bones)
-    ends = _least_distances(rows, columns, np.stack([loose, loose], axis=1))
-    certain = (own + off <= reach) | (ends + off <= loose_reach)
-    possible = (own - off <= reach) | (ends - off <= loose_reach)
+    certain = own + off <= reach
+    possible = own - off <= reach
+    if len(loose):
+        ends = _least_distances(rows, columns, np.stack([loose, loose], axis=1))
+        certain |= ends + off <= loose_reach
+        possible |= ends - off <= loose_reach
     for other in theirs:
         certain &= (other - off > reach) | (own + off < other - off)
         possible &= ~((other + off <= reach) & (other + off < own - off))
-    sure, unsure = (_spread(each.reshape(grid), labelled) for each in (certain, possible & ~certain))
-    keys = np.flatnonzero(unsure)
+    sure, unsure = _spread(certain, labelled), possible & ~certain
+    keys = np.flatnonzero(_spread(unsure, labelled)) if unsure.any() else np.zeros(0, dtype=np.int64)
     if keys.size:
         rows, columns = np.divmod(keys, width)
         pixels = _Pixels(rows + corner[0], columns + corner[1])
@@ -165,25 +171,33 @@ def _near(
 
 def _spread(blocks: np.ndarray, labelled: np.ndarray) -> np.ndarray:
     """Labelled pixels (H, W) of some blocks."""
+    if blocks.all():
+        return labelled
     height, width = labelled.shape
     return labelled & blocks.repeat(_BLOCK, axis=0)[:height].repeat(_BLOCK, axis=1)[:, :width]
 
 
 def _bone_ends(keypoints: Keypoints2D) -> np.ndarray:
     """Both ends (x, y) of bones between confident keypoints, and of keypoints at no bone, shape (N, 2, 2)."""
-    sure = keypoints.confident
-    bones = [edge for edge in keypoints.format.edges if sure[edge[0]] and sure[edge[1]]]
+    return keypoints.points[_joints_of(keypoints.skeleton, keypoints.confident.tobytes())[0]]
+
+
+@lru_cache(maxsize=4096)
+def _joints_of(form: str | Skeleton, confident: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """Joints at both ends of ``_bone_ends``, shape (N, 2), and which joints are ``loose_ends``, shape (J,)."""
+    sure = np.frombuffer(confident, dtype=bool)
+    bones = [edge for edge in skeleton(form).edges if sure[edge[0]] and sure[edge[1]]]
     alone = set(np.flatnonzero(sure).tolist()) - {joint for edge in bones for joint in edge}
     pairs = [*bones, *((joint, joint) for joint in alone)]
-    return keypoints.points[np.array(pairs, dtype=np.int64).reshape(-1, 2)]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2), loose_ends(form, sure[None])[0]
 
 
 def _least_distances(rows: np.ndarray, columns: np.ndarray, bones: np.ndarray) -> np.ndarray:
-    """Distances [px] of places to the nearest of bones (N, 2, 2)."""
+    """Distances [px] of places, in rows (H,) and columns (W,), to the nearest of bones (N, 2, 2), shape (H, W)."""
     (x, y), (along_x, along_y) = (
-        each.T.astype(np.float64)[..., None] for each in (bones[:, 0], bones[:, 1] - bones[:, 0])
+        each.T.astype(np.float64)[..., None, None] for each in (bones[:, 0], bones[:, 1] - bones[:, 0])
     )
-    return np.sqrt(squared_distances(columns - x, rows - y, along_x, along_y).min(axis=0, initial=np.inf))
+    return np.sqrt(squared_distances(columns - x, rows[:, None] - y, along_x, along_y).min(axis=0, initial=np.inf))
 
 
 def _under_bones(mask: np.ndarray, corner: tuple[int, int], keypoints: Keypoints2D, radius: float) -> np.ndarray:
@@ -277,12 +291,16 @@ def lower_near(image: np.ndarray, segment: np.ndarray, reach: float) -> None:
         np.minimum(part, squared, out=part)
 
 
-def squared_distances(u: np.ndarray, v: np.ndarray, along_x: Any, along_y: Any) -> np.ndarray:
+def squared_distances(
+    u: np.ndarray, v: np.ndarray, along_x: Any, along_y: Any, squares: np.ndarray | None = None
+) -> np.ndarray:
     """Squared distances of places (u, v), seen from a line segment's start, to the segment, whose end is ``along``.
 
-    Of several segments with their places, ``along`` are arrays.
+    Of several segments with their places, ``along`` are arrays; their squared lengths may be known.
     """
-    share = (u * along_x + v * along_y) / np.maximum(along_x**2 + along_y**2, 1e-12)
+    if squares is None:
+        squares = along_x**2 + along_y**2
+    share = (u * along_x + v * along_y) / np.maximum(squares, _SHORTEST)
     share = np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share)  # a third of the time of np.clip
     across, down = u - share * along_x, v - np.multiply(share, along_y, out=share)
     return np.add(np.square(across, out=across), np.square(down, out=down), out=across)
