@@ -61,7 +61,7 @@ def test_who_is_near_stands_before_a_guessed_camera_and_is_nearer_to_the_truth()
 def test_nothing_is_guessed_of_others():
     with pytest.raises(ValueError, match=r"guess_within: 0\.0"):
         FitOptions(guess_within=0.0)
-    near, far = make_sample(2, NEAR), make_sample(1, FAR)
+    near, far = make_sample(2, NEAR), make_sample(0, FAR)
     assert not fitted(far).camera.perspective
     assert not fitted(near, camera=near.camera).camera_guessed
     assert not fitted(near, guess_within=0.5).camera.perspective
