@@ -108,6 +108,7 @@ def test_broken_members_are_rows(run: Run) -> None:
     assert "bytes; expected a whole tar file" in found["b.tar#001.jpg"]
     assert found["b.tar"] == "b.tar: unexpected end of data; expected a whole tar file"
     assert found["c.tar"].startswith("c.tar: ")
+    assert not any(" at 0x" in error for error in found.values() if error)  # it would differ from run to run
 
 
 def test_a_damaged_header_is_told() -> None:

@@ -34,8 +34,8 @@ class NamedBytes(BytesIO):
         super().__init__(data)
         self.name = name
 
-    def __str__(self) -> str:
-        """Its name."""
+    def __repr__(self) -> str:
+        """Its name, without the address in memory, so that errors of two runs are equal."""
         return self.name
 
 
