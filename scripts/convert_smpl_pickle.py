@@ -1,11 +1,12 @@
-"""Make an .npz of a legacy SMPL, SMPL-H or SMPL-X pickle, without running what is in it.
+"""Make an .npz of a pickle of SKEL, or a legacy one of SMPL, SMPL-H or SMPL-X, without running what is in it.
 
     python scripts/convert_smpl_pickle.py basicModel_neutral_lbs_10_207_0_v1.0.0.pkl smpl_neutral.npz
+    python scripts/convert_smpl_pickle.py skel_models_v1.1/skel_male.pkl skel_male.npz
 
 Unpickling calls what a file names, so a foreign file can do anything. Here every name stands for an inert class of this
 script: NumPy's arrays, chumpy's and SciPy's sparse matrices are only remembered as what the file says about them, and a
-name that SMPL's files don't need is refused. Seven arrays are then made of it, checked as ``load_model`` checks
-them, and written; nothing else of the file is kept.
+name that SMPL's files don't need is refused. SMPL's seven arrays, or SKEL's eight, are then made of it, checked as
+``load_model`` checks them, and written; nothing else of the file is kept.
 """
 
 from __future__ import annotations
@@ -13,12 +14,14 @@ from __future__ import annotations
 import argparse
 import pickle
 import tempfile
+from collections.abc import Container
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
 from warp_partdr.clothing.load import MAX_BYTES
+from warp_partdr.clothing.skel import SKEL_ARRAYS, check_skel
 from warp_partdr.clothing.smpl import ARRAYS, check_smpl
 
 
@@ -60,12 +63,16 @@ def _bytes(text: object, codec: object = "latin1") -> bytes:
 
 _ALLOWED: dict[tuple[str, str], object] = {
     **{(module, "_reconstruct"): Array for module in ("numpy.core.multiarray", "numpy._core.multiarray")},
+    **{(module, "scalar"): Shell for module in ("numpy.core.multiarray", "numpy._core.multiarray")},
     ("numpy", "ndarray"): Array,
     ("numpy", "dtype"): DType,
     **{(module, "_reconstructor"): _object for module in ("copy_reg", "copyreg")},
     **{(module, name): Shell for module in ("__builtin__", "builtins") for name in ("object", "set")},
     ("_codecs", "encode"): _bytes,
 }
+
+
+_SPARSE = ("csc_matrix", "csr_matrix", "coo_matrix")
 
 
 class InertUnpickler(pickle.Unpickler):
@@ -77,7 +84,7 @@ class InertUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) in _ALLOWED:
             return _ALLOWED[module, name]
-        is_sparse = module.startswith("scipy.sparse.") and name in ("csc_matrix", "csr_matrix")
+        is_sparse = module.startswith("scipy.sparse.") and name in _SPARSE
         if is_sparse or module.split(".")[0] == "chumpy":
             return type(name, (Shell,), {"kind": name if is_sparse else f"{module}.{name}"})
         raise pickle.UnpicklingError(f"names {module}.{name}, which no SMPL file needs")
@@ -98,8 +105,8 @@ def to_array(value: object) -> np.ndarray:
         return to_array(state["x"])
     if value.kind == "chumpy.reordering.Select":
         return to_array(state["a"]).ravel()[to_array(state["idxs"])].reshape(state["preferred_shape"])
-    if value.kind in ("csc_matrix", "csr_matrix"):
-        return _dense(state, value.kind == "csr_matrix")
+    if value.kind in _SPARSE:
+        return _dense(state, value.kind)
     raise ValueError(f"an expression of {value.kind or 'an unknown class'}; expected an array")
 
 
@@ -113,20 +120,25 @@ def _from_bytes(array: Array) -> np.ndarray:
     return numbers.reshape(shape, order="F" if in_fortran_order else "C").astype(numbers.dtype.newbyteorder("="))
 
 
-def _dense(state: dict[str, Any], by_rows: bool) -> np.ndarray:
+def _dense(state: dict[str, Any], kind: str) -> np.ndarray:
     """A sparse matrix, shape (rows, columns)."""
-    data, indices, starts = (to_array(state[name]) for name in ("data", "indices", "indptr"))
+    data = to_array(state["data"])
     rows, columns = state["_shape"] if "_shape" in state else state["shape"]
     if rows * columns * data.itemsize > MAX_BYTES:
         raise ValueError(f"a sparse matrix of shape ({rows}, {columns}); too large")
-    outer = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     dense = np.zeros((rows, columns), dtype=data.dtype)
-    np.add.at(dense, (outer, indices) if by_rows else (indices, outer), data)
+    if kind == "coo_matrix":
+        row, column = state["coords"] if "coords" in state else (state["row"], state["col"])
+        np.add.at(dense, (to_array(row), to_array(column)), data)
+        return dense
+    indices, starts = to_array(state["indices"]), to_array(state["indptr"])
+    outer = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    np.add.at(dense, (outer, indices) if kind == "csr_matrix" else (indices, outer), data)
     return dense
 
 
 def read_pickle(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of ``ARRAYS`` in a pickle.
+    """The arrays of ``ARRAYS``, or ``SKEL_ARRAYS``, in a pickle.
 
     Raises:
         ValueError: If the file is missing, no pickle, names what is not allowed, or an array can't be read.
@@ -137,15 +149,15 @@ def read_pickle(path: Path) -> dict[str, np.ndarray]:
         with path.open("rb") as file:
             content = InertUnpickler(file).load()
     except OSError as error:
-        raise ValueError(f"{path}: {error.strerror or error}; expected a pickle of SMPL") from error
+        raise ValueError(f"{path}: {error.strerror or error}; expected a pickle of SMPL or SKEL") from error
     except ValueError:
         raise
     except Exception as error:  # of any kind: a damaged pickle may do everything wrong
-        raise ValueError(f"{path}: {error}; expected a pickle of SMPL, SMPL-H or SMPL-X") from error
+        raise ValueError(f"{path}: {error}; expected a pickle of SMPL, SMPL-H, SMPL-X or SKEL") from error
     if not isinstance(content, dict):
         raise ValueError(f"{path}: {type(content).__name__}; expected a dictionary of arrays")
     arrays = {}
-    for name in ARRAYS:
+    for name in SKEL_ARRAYS if _is_skel(content) else ARRAYS:
         if name in content:
             try:
                 arrays[name] = to_array(content[name])
@@ -154,20 +166,24 @@ def read_pickle(path: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
+def _is_skel(names: Container[str]) -> bool:
+    return any(name in names for name in set(SKEL_ARRAYS) - set(ARRAYS))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("pickle", type=Path, help="legacy model file, .pkl")
+    parser.add_argument("pickle", type=Path, help="model file, .pkl")
     parser.add_argument("out", type=Path, help="file to write, .npz")
     arguments = parser.parse_args()
     try:
         arrays = read_pickle(arguments.pickle)
-        model = check_smpl(arrays, str(arguments.pickle))
+        model = (check_skel if _is_skel(arrays) else check_smpl)(arrays, str(arguments.pickle))
         with tempfile.TemporaryDirectory(dir=arguments.out.parent) as folder:  # all or nothing
             np.savez_compressed(made := Path(folder) / "model.npz", **arrays)
             made.replace(arguments.out)
     except (OSError, ValueError) as error:
         raise SystemExit(f"error: {error}") from None
-    print(f"{arguments.out}: {model}, {len(arrays['v_template'])} vertices")
+    print(f"{arguments.out}: {model}, {len(arrays['posedirs'])} vertices")
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ rotations and position for the model) and registration.json (terms of the loss; 
 against the labels); of SMPL's models detailed.smplx.npz, too: betas, global_orient, body_pose, ... and transl, as the
 smplx package takes them (use_pca=False, flat_hand_mean=True), and the camera. Older results there are replaced.
 """
-MODEL_HELP = "anny, mhr:FOLDER, soma:FOLDER, or a file of SMPL, SMPL-H or SMPL-X"
+MODEL_HELP = "anny, mhr:PATH, soma:PATH, skel:PATH or an SMPL, SMPL-H or SMPL-X file"
 
 
 @dataclass(frozen=True)

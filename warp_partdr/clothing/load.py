@@ -1,4 +1,4 @@
-"""Body models from files that users bring: SMPL's three as ``.npz`` or ``.safetensors``, and folders of MHR and SOMA.
+"""Body models from files that users bring: SMPL's three and SKEL as arrays, and folders of MHR and SOMA.
 
 A file is not trusted. Only the arrays that are needed are read, nothing is unpickled, and an archive's sizes are
 checked against limits first. ``scripts/convert_smpl_pickle.py`` makes an ``.npz`` of a legacy pickle.
@@ -16,11 +16,12 @@ from ..files.array_files import MAX_BYTES, read_npz
 from .anny import anny
 from .mhr import mhr_model
 from .model import DetailedModel
+from .skel import SKEL_ARRAYS, find_skel, skel_model
 from .smpl import ARRAYS, smpl_model
 from .soma import soma_model
 
-_EXPECTED = "a file of SMPL, SMPL-H or SMPL-X"
-_MHR, _SOMA = "mhr:", "soma:"  # before the folder of their files
+_SMPL_FILE, _SKEL_FILE = "file of SMPL, SMPL-H or SMPL-X", "file of SKEL"
+_MHR, _SOMA, _SKEL = "mhr:", "soma:", "skel:"  # before the folder of their files
 
 
 def load_model(
@@ -34,8 +35,9 @@ def load_model(
 
     Args:
         source: "anny", which comes with the package; "mhr:FOLDER" or "soma:FOLDER" of their files (extra ``bodies``);
-            or an ``.npz`` or ``.safetensors`` file of SMPL, SMPL-H or SMPL-X, with the arrays v_template, shapedirs,
-            posedirs, J_regressor, weights, kintree_table and f.
+            "skel:FILE", or "skel:FOLDER" of one such file, an ``.npz`` or ``.safetensors`` with ``SKEL_ARRAYS``; or
+            such a file of SMPL, SMPL-H or SMPL-X, with the arrays v_template, shapedirs, posedirs, J_regressor,
+            weights, kintree_table and f.
         num_shapes: Number of a file's first shape values to use; by default 10. Anny has all its 20, MHR its 63.
         device: Of the model.
         dtype: Of the model, float32 or float64.
@@ -55,25 +57,33 @@ def load_model(
     if str(source).startswith(_SOMA):
         folder = str(source).removeprefix(_SOMA)
         return soma_model(folder, num_shapes=num_shapes, device=device, dtype=dtype)
+    if str(source).startswith(_SKEL):
+        path = find_skel(Path(str(source).removeprefix(_SKEL)))
+        arrays = _read_arrays(path, SKEL_ARRAYS, _SKEL_FILE)
+        return skel_model(arrays, str(path), num_shapes=num_shapes, device=device, dtype=dtype)
     path = Path(source)
-    if path.suffix in (".pkl", ".pickle"):
-        raise ValueError(f"{path}: pickles can run code; make an .npz of it with scripts/convert_smpl_pickle.py")
-    if path.suffix == ".npz":
-        arrays = read_npz(path, (), tuple(ARRAYS), expected=_EXPECTED, most=MAX_BYTES)
-    elif path.suffix == ".safetensors":
-        arrays = _read_safetensors(path)
-    else:
-        raise ValueError(f"{path}: expected 'anny', or an .npz or .safetensors file of SMPL, SMPL-H or SMPL-X")
+    arrays = _read_arrays(path, tuple(ARRAYS), _SMPL_FILE)
     return smpl_model(arrays, str(path), num_shapes=num_shapes, device=device, dtype=dtype)
 
 
-def _read_safetensors(path: Path) -> dict[str, np.ndarray]:
+def _read_arrays(path: Path, names: tuple[str, ...], kind: str) -> dict[str, np.ndarray]:
+    """Those arrays of a file that are needed, as far as it has them."""
+    if path.suffix in (".pkl", ".pickle"):
+        raise ValueError(f"{path}: pickles can run code; make an .npz of it with scripts/convert_smpl_pickle.py")
+    if path.suffix == ".npz":
+        return read_npz(path, (), names, expected=f"a {kind}", most=MAX_BYTES)
+    if path.suffix == ".safetensors":
+        return _read_safetensors(path, names, f"a {kind}")
+    raise ValueError(f"{path}: expected 'anny', or an .npz or .safetensors {kind}")
+
+
+def _read_safetensors(path: Path, names: tuple[str, ...], expected: str) -> dict[str, np.ndarray]:
     from safetensors import SafetensorError, safe_open
 
     try:
         if (size := path.stat().st_size) > MAX_BYTES:
-            raise InputError(f"{path}: {size / 1e9:.1f} GB; expected {_EXPECTED}, at most {MAX_BYTES / 1e9:.1f} GB")
+            raise InputError(f"{path}: {size / 1e9:.1f} GB; expected {expected}, at most {MAX_BYTES / 1e9:.1f} GB")
         with safe_open(path, framework="numpy") as file:
-            return {name: file.get_tensor(name) for name in ARRAYS if name in file.keys()}  # noqa: SIM118  no mapping
+            return {name: file.get_tensor(name) for name in names if name in file.keys()}  # noqa: SIM118  no mapping
     except (OSError, SafetensorError, TypeError) as error:  # TypeError: a dtype that NumPy lacks
-        raise InputError(f"{path}: {cause(error)}; expected {_EXPECTED}") from error
+        raise InputError(f"{path}: {cause(error)}; expected {expected}") from error

@@ -17,7 +17,8 @@ import torch
 from ..body.template import PART_NAMES
 from ..errors import InputError, cause
 from .model import DetailedModel
-from .smpl import joint_landmarks, parts_of_faces, parts_of_vertices
+from .skin import RiggedSkin, parts_of_vertices, skinned_model
+from .smpl import joint_landmarks
 
 _STEP = 1e-2
 _CARRIES = {"neck": "neck", "head": "head", "collar": "shoulder", "shoulder": "upper_arm", "elbow": "forearm"}
@@ -115,29 +116,12 @@ def rig_model(
         raise InputError(f"{kind.upper()}: vertex {int(sums.argmin())} follows no joint; expected skin weights of all")
     points, ends = zip(*moves, strict=True)
     names = _smpl_names([names_of_smpl.get(name, name) for name in own], parents)
-    parts, part_joints = _parts(names, parents)
-    faces = np.asarray(rig.own.faces)
-    vertex_parts = parts_of_vertices(parts, weights, vertices)
-    landmarks = joint_landmarks(names, vertices, joints, vertex_parts)
-
-    def numbers(values: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(np.ascontiguousarray(values)).to(device, dtype)
-
-    return DetailedModel(
-        name=kind,
-        joint_names=tuple(own),
-        parents=tuple(parents),
-        part_joints=part_joints,
-        landmark_names=tuple(landmarks),
-        faces=torch.from_numpy(faces.astype(np.int32)).to(device),
-        face_parts=torch.from_numpy((parts_of_faces(faces, vertex_parts) + 1).astype(np.uint8)).to(device),
-        rest_vertices=numbers(vertices),
-        shape_directions=numbers(np.stack(points)),
-        rest_joints=numbers(joints),
-        joint_directions=numbers(np.stack(ends)),
-        skin_weights=numbers(weights / sums[:, None]),
-        landmark_weights=numbers(np.stack(list(landmarks.values()))),
+    parts = _parts(names, parents)
+    landmarks = joint_landmarks(names, vertices, joints, parts_of_vertices(parts, weights, vertices))
+    skin = RiggedSkin(
+        own, parents, np.asarray(rig.own.faces), vertices, np.stack(points), joints, np.stack(ends), weights
     )
+    return skinned_model(kind, skin, parts, landmarks, device=device, dtype=dtype)
 
 
 def _smpl_names(names: list[str], parents: list[int]) -> list[str]:
@@ -153,8 +137,8 @@ def _smpl_names(names: list[str], parents: list[int]) -> list[str]:
     return names
 
 
-def _parts(names: list[str], parents: list[int]) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Part of each joint's skin, -1 for the pelvis', and the joint that carries each part."""
+def _parts(names: list[str], parents: list[int]) -> np.ndarray:
+    """Part of each joint's skin, -1 for the pelvis'."""
     spine = [name for name in names if name.startswith("spine")]
     carried = {"pelvis": -1} | {
         name: PART_NAMES.index("abdomen" if 2 * place < len(spine) else "chest") for place, name in enumerate(spine)
@@ -167,4 +151,4 @@ def _parts(names: list[str], parents: list[int]) -> tuple[np.ndarray, tuple[int,
     parts: list[int] = []
     for name, parent in zip(names, parents, strict=True):
         parts.append(carried.get(name, parts[parent] if parent >= 0 else -1))
-    return np.array(parts), tuple(0 if name.endswith("_hip") else parts.index(k) for k, name in enumerate(PART_NAMES))
+    return np.array(parts)

@@ -6,7 +6,7 @@ forward) and they rest in a T-pose, palms down. The models are not free; ``load.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -14,9 +14,11 @@ import torch
 from ..body.template import PART_NAMES
 from ..errors import check_whole
 from .model import DetailedModel
+from .skin import RiggedSkin, parts_of_vertices, skinned_model
 
+Layout = dict[str, tuple[tuple[int | str, ...], str]]
 # Name: its dimensions, of which V, F, J, S and 9 (J - 1) are the model's, and the kind of its numbers.
-ARRAYS: dict[str, tuple[tuple[int | str, ...], str]] = {
+ARRAYS: Layout = {
     "v_template": (("V", 3), "f"),
     "shapedirs": (("V", 3, "S"), "f"),
     "posedirs": (("V", 3, "9 (J - 1)"), "f"),
@@ -38,10 +40,11 @@ _FINGERS = [
     for finger in ("index", "middle", "pinky", "ring", "thumb")
     for knuckle in (1, 2, 3)
 ]
-_MODELS: dict[str, list[str]] = {
-    "smpl": [*_BODY, "left_hand", "right_hand"],
-    "smplh": [*_BODY, *_FINGERS],
-    "smplx": [*_BODY, "jaw", "left_eye", "right_eye", *_FINGERS],
+SMPL_JOINTS = (*_BODY, "left_hand", "right_hand")
+_MODELS: dict[str, tuple[str, ...]] = {
+    "smpl": SMPL_JOINTS,
+    "smplh": (*_BODY, *_FINGERS),
+    "smplx": (*_BODY, "jaw", "left_eye", "right_eye", *_FINGERS),
 }
 
 # Part of the skin that follows a joint, by the joint's name without its side; the first matching beginning wins. The
@@ -62,8 +65,6 @@ _PARTS: tuple[tuple[str, str], ...] = (
     ("*foot", "*foot"),
     ("*", "*hand"),
 )
-# Both are carried by the pelvis; any other part by the first joint that its skin follows.
-_HIPS = ("left_hip", "right_hip")
 
 _MIDDLE_LANDMARKS: dict[str, tuple[str, ...]] = {
     "pelvis": ("pelvis",),
@@ -96,36 +97,57 @@ def check_smpl(arrays: Mapping[str, np.ndarray], where: str) -> str:
     Raises:
         ValueError: If an array is missing, or has a wrong shape, dtype or value; it begins with ``where``.
     """
-    for name, (_, kind) in ARRAYS.items():
-        if name not in arrays:
-            raise ValueError(f"{where}: no array {name!r}; expected {', '.join(ARRAYS)}")
-        if arrays[name].dtype.kind not in kind:
-            numbers = "floating numbers" if kind == "f" else "integers"
-            raise ValueError(f"{where}: {name}: {arrays[name].dtype}; expected {numbers}")
-    shapes = {name: np.atleast_1d(arrays[name]).shape for name in ARRAYS}
-    joints = shapes["kintree_table"][-1]
-    sizes = {"V": shapes["v_template"][0], "F": shapes["f"][0], "S": shapes["shapedirs"][-1]}
-    sizes |= {"J": joints, "9 (J - 1)": 9 * (joints - 1)}
-    for name, (dimensions, kind) in ARRAYS.items():
-        array = arrays[name]
-        expected = tuple(sizes[size] if isinstance(size, str) else size for size in dimensions)
-        if array.shape != expected or 0 in expected:
-            raise ValueError(f"{where}: {name}: shape {array.shape}; expected ({_shape(dimensions, sizes)}), none 0")
-        if kind == "f" and not np.isfinite(array).all():
-            raise ValueError(f"{where}: {name}: holds NaN or infinity; expected finite numbers")
-    faces, (parents, children) = arrays["f"], arrays["kintree_table"]
-    if faces.min() < 0 or faces.max() >= sizes["V"]:
-        raise ValueError(f"{where}: f: vertex {faces.min()} to {faces.max()}; expected 0 to {sizes['V'] - 1}")
-    if (children != np.arange(joints)).any() or (parents[1:] >= children[1:]).any() or (parents[1:] < 0).any():
-        raise ValueError(f"{where}: kintree_table: expected joints 0 to {joints - 1} in order, each after its parent")
-    sums = arrays["weights"].astype(np.float64).sum(1)
-    if np.abs(sums - 1).max() > _WEIGHT_TOLERANCE:
-        raise ValueError(f"{where}: weights: rows sum to {sums.min():.3g} to {sums.max():.3g}; expected 1")
+    check_layout(arrays, where, ARRAYS)
+    joints = len(arrays["J_regressor"])
     known = {len(names): model for model, names in _MODELS.items()}
     if joints not in known:
         described = ", ".join(f"{size} ({model})" for size, model in known.items())
         raise ValueError(f"{where}: kintree_table: {joints} joints; expected {described}")
     return known[joints]
+
+
+def check_layout(
+    arrays: Mapping[str, np.ndarray], where: str, layout: Layout, called: Mapping[str, str] | None = None
+) -> None:
+    """Check arrays of a file against a layout, that of ``ARRAYS`` or more.
+
+    Args:
+        arrays: By the layout's names.
+        where: What messages begin with.
+        layout: Dimensions and kinds of numbers.
+        called: The file's own names, by the layout's, for messages; by default the same.
+
+    Raises:
+        ValueError: If an array is missing, or has a wrong shape, dtype or value.
+    """
+    own = {name: (called or {}).get(name, name) for name in layout}
+    for name, (_, kind) in layout.items():
+        if name not in arrays:
+            raise ValueError(f"{where}: no array {own[name]!r}; expected {', '.join(own.values())}")
+        if arrays[name].dtype.kind not in kind:
+            numbers = "floating numbers" if kind == "f" else "integers"
+            raise ValueError(f"{where}: {own[name]}: {arrays[name].dtype}; expected {numbers}")
+    shapes = {name: np.atleast_1d(arrays[name]).shape for name in layout}
+    joints = shapes["kintree_table"][-1]
+    sizes = {"V": shapes["v_template"][0], "F": shapes["f"][0], "S": shapes["shapedirs"][-1]}
+    sizes |= {"J": joints, "9 (J - 1)": 9 * (joints - 1)}
+    for name, (dimensions, kind) in layout.items():
+        array = arrays[name]
+        expected = tuple(sizes[size] if isinstance(size, str) else size for size in dimensions)
+        if array.shape != expected or 0 in expected:
+            described = _shape(dimensions, sizes)
+            raise ValueError(f"{where}: {own[name]}: shape {array.shape}; expected ({described}), none 0")
+        if kind == "f" and not np.isfinite(array).all():
+            raise ValueError(f"{where}: {own[name]}: holds NaN or infinity; expected finite numbers")
+    faces, (parents, children) = arrays["f"], arrays["kintree_table"]
+    if faces.min() < 0 or faces.max() >= sizes["V"]:
+        raise ValueError(f"{where}: {own['f']}: vertex {faces.min()} to {faces.max()}; expected 0 to {sizes['V'] - 1}")
+    if (children != np.arange(joints)).any() or (parents[1:] >= children[1:]).any() or (parents[1:] < 0).any():
+        tree = own["kintree_table"]
+        raise ValueError(f"{where}: {tree}: expected joints 0 to {joints - 1} in order, each after its parent")
+    sums = arrays["weights"].astype(np.float64).sum(1)
+    if np.abs(sums - 1).max() > _WEIGHT_TOLERANCE:
+        raise ValueError(f"{where}: {own['weights']}: rows sum to {sums.min():.3g} to {sums.max():.3g}; expected 1")
 
 
 def smpl_model(
@@ -143,44 +165,37 @@ def smpl_model(
     """
     name = check_smpl(arrays, where)
     names = _MODELS[name]
-    available = arrays["shapedirs"].shape[2]
-    asked = min(DEFAULT_SHAPES, available) if num_shapes is None else num_shapes
-    num_shapes = check_whole("num_shapes", asked, 0, available)
+    num_shapes = choose_shapes(num_shapes, arrays["shapedirs"].shape[2])
     vertices, weights, regressor = (arrays[key].astype(np.float64) for key in ("v_template", "weights", "J_regressor"))
     directions = np.moveaxis(arrays["shapedirs"][..., :num_shapes].astype(np.float64), 2, 0)
     joints = regressor @ vertices
-    parts = np.array([_part_of(joint) for joint in names])
-    vertex_parts = parts_of_vertices(parts, weights, vertices)
-    face_parts = parts_of_faces(arrays["f"], vertex_parts)
-    landmarks = joint_landmarks(names, vertices, joints, vertex_parts)
+    parents = (-1, *arrays["kintree_table"][0, 1:].tolist())
+    parts = parts_of_joints(names)
+    landmarks = joint_landmarks(names, vertices, joints, parts_of_vertices(parts, weights, vertices))
+    bends = arrays["posedirs"].reshape(3 * len(vertices), -1).T
+    skin = RiggedSkin(names, parents, arrays["f"], vertices, directions, joints, regressor @ directions, weights)
+    return skinned_model(name, skin, parts, landmarks, pose_directions=bends, device=device, dtype=dtype)
 
-    def numbers(values: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(np.ascontiguousarray(values)).to(device, dtype)
 
-    return DetailedModel(
-        name=name,
-        joint_names=tuple(names),
-        parents=(-1, *arrays["kintree_table"][0, 1:].tolist()),
-        part_joints=tuple(0 if part in _HIPS else int((parts == k).argmax()) for k, part in enumerate(PART_NAMES)),
-        landmark_names=tuple(landmarks),
-        faces=torch.from_numpy(arrays["f"].astype(np.int32)).to(device),
-        face_parts=torch.from_numpy((face_parts + 1).astype(np.uint8)).to(device),
-        rest_vertices=numbers(vertices),
-        shape_directions=numbers(directions),
-        rest_joints=numbers(joints),
-        joint_directions=numbers(regressor @ directions),
-        skin_weights=numbers(weights / weights.sum(1, keepdims=True)),
-        landmark_weights=numbers(np.stack(list(landmarks.values()))),
-        pose_directions=numbers(arrays["posedirs"].reshape(3 * len(vertices), -1).T),
-    )
+def choose_shapes(asked: int | None, available: int) -> int:
+    """How many of a file's shape values are used.
+
+    Raises:
+        ValueError: If there are fewer than asked for.
+    """
+    return check_whole("num_shapes", min(DEFAULT_SHAPES, available) if asked is None else asked, 0, available)
 
 
 def _shape(dimensions: tuple[int | str, ...], sizes: dict[str, int]) -> str:
     return ", ".join(f"{size} = {sizes[size]}" if size in sizes else str(size) for size in dimensions)
 
 
+def parts_of_joints(names: Sequence[str]) -> np.ndarray:
+    """Part of the skin that follows each joint, by SMPL's names, -1 for the pelvis', shape (J,)."""
+    return np.array([_part_of(name) for name in names])
+
+
 def _part_of(joint: str) -> int:
-    """Part of the skin that follows a joint, -1 for the pelvis."""
     if joint == "pelvis":
         return -1
     side, _, name = joint.partition("_")
@@ -190,23 +205,8 @@ def _part_of(joint: str) -> int:
     raise AssertionError(joint)
 
 
-def parts_of_vertices(parts: np.ndarray, weights: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Part of each vertex, that of the joint it follows most; where this is the pelvis, -1, the hip of its side."""
-    found = parts[weights.argmax(1)]
-    of_pelvis = found < 0
-    left, right = (PART_NAMES.index(hip) for hip in _HIPS)
-    found[of_pelvis] = np.where(vertices[of_pelvis, 0] > 0, left, right)
-    return found
-
-
-def parts_of_faces(faces: np.ndarray, vertex_parts: np.ndarray) -> np.ndarray:
-    """Part of each face, shape (F,): that of most of its corners."""
-    corners = vertex_parts[faces]
-    return np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
-
-
 def joint_landmarks(
-    names: list[str], vertices: np.ndarray, joints: np.ndarray, vertex_parts: np.ndarray
+    names: Sequence[str], vertices: np.ndarray, joints: np.ndarray, vertex_parts: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Weights of vertices and then joints, shape (V + J,), of each landmark; joints by SMPL's names."""
     count = len(vertices)
