@@ -70,9 +70,8 @@ class Cutter:
         cut: list[tuple[int, CutPerson]] = []
         masked: list[tuple[int, MaskedPerson]] = []
         sources = [found.get(place, seen) for place, (_, seen) in enumerate(held)]
-        measure_heights(
-            [each.keypoints for known in sources if isinstance(known, SourcePicture) for each in known.people or ()]
-        )
+        labelled = [known for known in sources if isinstance(known, SourcePicture) and known.parts is not None]
+        measure_heights([each.keypoints for known in labelled for each in known.people or ()])
         for place, ((name, seen), known) in enumerate(zip(held, sources, strict=True)):
             row: Row = {"picture": name}
             if isinstance(seen, SourcePicture):

@@ -17,7 +17,7 @@ import torch
 from ..body.template import PART_NAMES
 from ..errors import InputError, cause
 from .model import DetailedModel
-from .skin import RiggedSkin, parts_of_vertices, skinned_model
+from .skin import RiggedSkin, skinned_model
 from .smpl import joint_landmarks
 
 _STEP = 1e-2
@@ -116,12 +116,10 @@ def rig_model(
         raise InputError(f"{kind.upper()}: vertex {int(sums.argmin())} follows no joint; expected skin weights of all")
     points, ends = zip(*moves, strict=True)
     names = _smpl_names([names_of_smpl.get(name, name) for name in own], parents)
-    parts = _parts(names, parents)
-    landmarks = joint_landmarks(names, vertices, joints, parts_of_vertices(parts, weights, vertices))
-    skin = RiggedSkin(
-        own, parents, np.asarray(rig.own.faces), vertices, np.stack(points), joints, np.stack(ends), weights
-    )
-    return skinned_model(kind, skin, parts, landmarks, device=device, dtype=dtype)
+    faces, parts = np.asarray(rig.own.faces), _parts(names, parents)
+    skin = RiggedSkin(own, parents, faces, vertices, np.stack(points), joints, np.stack(ends), weights, parts)
+    landmarks = joint_landmarks(names, vertices, joints, skin.vertex_parts)
+    return skinned_model(kind, skin, landmarks, device=device, dtype=dtype)
 
 
 def _smpl_names(names: list[str], parents: list[int]) -> list[str]:

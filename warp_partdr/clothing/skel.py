@@ -16,7 +16,7 @@ import torch
 
 from ..errors import InputError
 from .model import DetailedModel
-from .skin import RiggedSkin, parts_of_vertices, skinned_model
+from .skin import RiggedSkin, skinned_model
 from .smpl import ARRAYS, SMPL_JOINTS, Layout, check_layout, choose_shapes, joint_landmarks, parts_of_joints
 
 # Name in SKEL's files of each of SMPL's arrays, and of SMPL's own regressor, which SKEL keeps.
@@ -46,6 +46,7 @@ def _sided(limb: Mapping[str, str]) -> dict[str, str]:
 
 
 _JOINTS = {"pelvis": "pelvis", **_sided(_LEG), **_SECTIONS, **_sided(_ARM)}
+_HEAD = list(_JOINTS).index("head")
 # Added behind them: SMPL's head joint, at the base of the skull.
 _SKULL = {"skull": "head"}
 
@@ -87,7 +88,7 @@ def skel_model(
     vertices, weights, regressor, of_smpl = (
         own[name].astype(np.float64) for name in ("v_template", "weights", "J_regressor", "smpl_regressor")
     )
-    parents = [-1, *own["kintree_table"][0, 1:].tolist(), list(_JOINTS).index("head")]
+    parents = [-1, *own["kintree_table"][0, 1:].tolist(), _HEAD]
     names = [*_JOINTS.values(), *_SKULL.values()]
 
     def joints_of(points: np.ndarray) -> np.ndarray:
@@ -101,12 +102,12 @@ def skel_model(
     if left <= right or joints[-1, 1] <= joints[0, 1]:
         raise InputError(f"{where}: stands otherwise; expected SMPL's frame: x to the person's left, y up")
     weights = _split_head(weights, vertices, of_smpl @ vertices)
-    parts = parts_of_joints(names)
-    landmarks = _landmarks(names, vertices, joints, of_smpl, parts_of_vertices(parts, weights, vertices))
+    moved, parts = joints_of(directions), parts_of_joints(names)
+    bones = [*_JOINTS, *_SKULL]
+    skin = RiggedSkin(bones, parents, own["f"], vertices, directions, joints, moved, weights, parts)
+    landmarks = _landmarks(names, vertices, joints, of_smpl, skin.vertex_parts)
     bends = _correctives(names, own["posedirs"])
-    joint_names = [*_JOINTS, *_SKULL]
-    skin = RiggedSkin(joint_names, parents, own["f"], vertices, directions, joints, joints_of(directions), weights)
-    return skinned_model("skel", skin, parts, landmarks, pose_directions=bends, device=device, dtype=dtype)
+    return skinned_model("skel", skin, landmarks, pose_directions=bends, device=device, dtype=dtype)
 
 
 def find_skel(source: Path) -> Path:
@@ -151,9 +152,9 @@ def _split_head(weights: np.ndarray, vertices: np.ndarray, of_smpl: np.ndarray) 
     neck, head = (of_smpl[SMPL_JOINTS.index(name)] for name in ("neck", "head"))
     bone = head - neck
     share = np.clip((vertices - neck) @ bone / (bone @ bone), 0, 1)
-    whole = weights[:, list(_JOINTS).index("head")]
+    whole = weights[:, _HEAD]
     split = np.column_stack([weights, share * whole])
-    split[:, list(_JOINTS).index("head")] = (1 - share) * whole
+    split[:, _HEAD] = (1 - share) * whole
     return split
 
 

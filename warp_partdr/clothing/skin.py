@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -28,6 +29,7 @@ class RiggedSkin:
         joints: Of shape 0, shape (J, 3).
         joint_directions: Change of the joints, shape (S, J, 3).
         weights: Skin weights in any sum, shape (V, J).
+        parts: Part 0 to 19 of the skin that follows each joint, -1 for the pelvis, shape (J,).
     """
 
     joint_names: Sequence[str]
@@ -38,12 +40,27 @@ class RiggedSkin:
     joints: np.ndarray
     joint_directions: np.ndarray
     weights: np.ndarray
+    parts: np.ndarray
+
+    @cached_property
+    def vertex_parts(self) -> np.ndarray:
+        """Part of each vertex, that of the joint it follows most; where this is the pelvis, the hip of its side."""
+        found = self.parts[self.weights.argmax(1)]
+        of_pelvis = found < 0
+        left, right = (PART_NAMES.index(hip) for hip in _HIPS)
+        found[of_pelvis] = np.where(self.vertices[of_pelvis, 0] > 0, left, right)
+        return found
+
+    @property
+    def face_parts(self) -> np.ndarray:
+        """Part of each face, shape (F,): that of most of its corners."""
+        corners = self.vertex_parts[self.faces]
+        return np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
 
 
 def skinned_model(
     name: str,
     skin: RiggedSkin,
-    parts: np.ndarray,
     landmarks: Mapping[str, np.ndarray],
     *,
     pose_directions: np.ndarray | None = None,
@@ -55,7 +72,6 @@ def skinned_model(
     Args:
         name: The model's.
         skin: Its mesh and joints.
-        parts: Part 0 to 19 of the skin that follows each joint, -1 for the pelvis, shape (J,).
         landmarks: Weights of vertices and then joints, shape (V + J,), by name.
         pose_directions: As ``DetailedModel`` has them, shape (9 (J - 1), 3 V).
         device: Of the model.
@@ -65,15 +81,15 @@ def skinned_model(
     def numbers(values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(values)).to(device, dtype)
 
-    vertex_parts = parts_of_vertices(parts, skin.weights, skin.vertices)
+    carried = skin.parts.tolist()
     return DetailedModel(
         name=name,
         joint_names=tuple(skin.joint_names),
         parents=tuple(skin.parents),
-        part_joints=tuple(0 if part in _HIPS else int((parts == k).argmax()) for k, part in enumerate(PART_NAMES)),
+        part_joints=tuple(0 if part in _HIPS else carried.index(k) for k, part in enumerate(PART_NAMES)),
         landmark_names=tuple(landmarks),
         faces=torch.from_numpy(skin.faces.astype(np.int32)).to(device),
-        face_parts=torch.from_numpy((_parts_of_faces(skin.faces, vertex_parts) + 1).astype(np.uint8)).to(device),
+        face_parts=torch.from_numpy((skin.face_parts + 1).astype(np.uint8)).to(device),
         rest_vertices=numbers(skin.vertices),
         shape_directions=numbers(skin.directions),
         rest_joints=numbers(skin.joints),
@@ -82,18 +98,3 @@ def skinned_model(
         landmark_weights=numbers(np.stack(list(landmarks.values()))),
         pose_directions=None if pose_directions is None else numbers(pose_directions),
     )
-
-
-def parts_of_vertices(parts: np.ndarray, weights: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Part of each vertex, that of the joint it follows most; where this is the pelvis, -1, the hip of its side."""
-    found = parts[weights.argmax(1)]
-    of_pelvis = found < 0
-    left, right = (PART_NAMES.index(hip) for hip in _HIPS)
-    found[of_pelvis] = np.where(vertices[of_pelvis, 0] > 0, left, right)
-    return found
-
-
-def _parts_of_faces(faces: np.ndarray, vertex_parts: np.ndarray) -> np.ndarray:
-    """Part of each face, shape (F,): that of most of its corners."""
-    corners = vertex_parts[faces]
-    return np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])

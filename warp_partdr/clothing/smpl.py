@@ -14,7 +14,7 @@ import torch
 from ..body.template import PART_NAMES
 from ..errors import check_whole
 from .model import DetailedModel
-from .skin import RiggedSkin, parts_of_vertices, skinned_model
+from .skin import RiggedSkin, skinned_model
 
 Layout = dict[str, tuple[tuple[int | str, ...], str]]
 # Name: its dimensions, of which V, F, J, S and 9 (J - 1) are the model's, and the kind of its numbers.
@@ -170,15 +170,15 @@ def smpl_model(
     directions = np.moveaxis(arrays["shapedirs"][..., :num_shapes].astype(np.float64), 2, 0)
     joints = regressor @ vertices
     parents = (-1, *arrays["kintree_table"][0, 1:].tolist())
-    parts = parts_of_joints(names)
-    landmarks = joint_landmarks(names, vertices, joints, parts_of_vertices(parts, weights, vertices))
+    moved, parts = regressor @ directions, parts_of_joints(names)
+    skin = RiggedSkin(names, parents, arrays["f"], vertices, directions, joints, moved, weights, parts)
+    landmarks = joint_landmarks(names, vertices, joints, skin.vertex_parts)
     bends = arrays["posedirs"].reshape(3 * len(vertices), -1).T
-    skin = RiggedSkin(names, parents, arrays["f"], vertices, directions, joints, regressor @ directions, weights)
-    return skinned_model(name, skin, parts, landmarks, pose_directions=bends, device=device, dtype=dtype)
+    return skinned_model(name, skin, landmarks, pose_directions=bends, device=device, dtype=dtype)
 
 
 def choose_shapes(asked: int | None, available: int) -> int:
-    """How many of a file's shape values are used.
+    """Number of a file's shape values that are used.
 
     Raises:
         ValueError: If there are fewer than asked for.
