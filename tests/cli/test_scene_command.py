@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from scenes import commands
 from scenes.commands import Run
 from scenes.files import EXAMPLE
 from scenes.films import write_film
 
+from warp_partdr.body.rotations import rotation_to_axis_angle
+from warp_partdr.inputs.camera_files import read_cameras
 from warp_partdr.inputs.films import film_facts
+from warp_partdr.synthetic.people import anny_mesh
+from warp_partdr.synthetic.rng import TorchRng
+from warp_partdr.synthetic.scene_people import SceneSample, make_views
+from warp_partdr.synthetic.shading import shade_people
 
 run = commands.run  # a fixture
 QUICK = "--device cpu --set mesh.iterations=5 --set mesh.size=96"
+PERSON = 5  # of PartBench, whose cameras are found
 SIDE, FOCAL, AWAY, BESIDE = 256, 300.0, 3.0, 0.5  # [px], [px], [m], [m] from one camera to the other
 
 
@@ -51,13 +61,58 @@ def test_films_of_two_cameras_say_how_far_a_person_is(run: Run, films: int) -> N
     assert (left["film"], right["film"]) == ("left.mp4", "right.mp4")
     assert (left["size"], left["focal"], left["translation"]) == ([films, SIDE], FOCAL, [0, 0, 0])
     assert right["translation"] == pytest.approx([-BESIDE, 0, 0])
-    assert {"overlay.mp4", "overlay1.mp4", "person0.npz", "person0.glb", "person0.bvh"} == set(report["files"])
+    names = {"overlay.mp4", "overlay1.mp4", "person0.npz", "person0.glb", "person0.bvh", "cameras.json"}
+    assert names == set(report["files"])
     assert film_facts("out/overlay1.mp4").frames == 4
     # The other way around, the world is the other camera's; the order of films says nothing about names.
     code, _, complaint = run(f"scene right.mp4 left.mp4 --cameras rig.json --out other {QUICK}")
     assert (code, complaint) == (0, "")
     turned = json.loads(Path("other", "people.json").read_text())
     assert turned["views"][1]["translation"] == pytest.approx([BESIDE, 0, 0])
+
+
+@pytest.fixture
+def unplaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SceneSample:
+    """Films and photos of a person who stands still, whose cameras nobody calibrated."""
+    monkeypatch.chdir(tmp_path)
+    sample = make_views(PERSON, 2)
+    size = sample.parts.shape[1], sample.parts.shape[2]
+    for name, view in zip(("left", "right"), sample.scene.views, strict=True):
+        vertices = view.to_camera(torch.from_numpy(sample.vertices[0]))
+        (picture,), _ = shade_people(vertices, anny_mesh(), view.camera, size, TorchRng(PERSON, "cpu"))
+        Image.fromarray(picture).save(f"{name}.png")
+        write_film(Path(f"{name}.mp4"), [picture] * 4, rate=10)
+    return sample
+
+
+def test_cameras_are_found(run: Run, unplaced: SceneSample) -> None:
+    height = float(unplaced.statures[0])
+    code, said, complaint = run(f"scene left.mp4 right.mp4 --fov 50 --set stature={height} --out out {QUICK}")
+    assert (code, complaint) == (0, "")
+    assert "seen in 4, by left.mp4, right.mp4; about" in said
+    told = re.search(r"right.mp4: about ([\d.]+) m from the camera of left.mp4, turned by (\d+)", said)
+    assert told is not None
+    one, other = unplaced.scene.views
+    turn = math.degrees(float(rotation_to_axis_angle(other.rotation @ one.rotation.mT).norm()))
+    assert float(told[2]) == pytest.approx(turn, abs=12)
+    cameras = read_cameras("out/cameras.json")
+    assert list(cameras) == ["left", "right"]
+    report = json.loads(Path("out", "people.json").read_text())
+    assert cameras["right"].size == unplaced.parts.shape[1:]
+    assert cameras["right"].focal[0] == pytest.approx(report["views"][1]["focal"])
+    np.testing.assert_allclose(cameras["right"].translation, report["views"][1]["translation"], atol=1e-5)
+    # The file serves as calibrated cameras.
+    code, said, complaint = run(f"scene left.mp4 right.mp4 --cameras out/cameras.json --out again {QUICK}")
+    assert (code, complaint) == (0, "")
+    assert "about" not in said
+    again = json.loads(Path("again", "people.json").read_text())
+    np.testing.assert_allclose(again["views"][1]["rotation"], report["views"][1]["rotation"], atol=1e-5)
+
+
+def test_photos_are_films_of_one_moment(run: Run, unplaced: SceneSample) -> None:
+    code, said, complaint = run(f"scene left.png right.png --out out {QUICK}")
+    assert (code, complaint) == (0, "")
+    assert "person0: frames 0 to 0, seen in 1, by left.png, right.png; about" in said
 
 
 @pytest.mark.parametrize(
@@ -67,7 +122,12 @@ def test_films_of_two_cameras_say_how_far_a_person_is(run: Run, films: int) -> N
         ("scene left.mp4 none.mp4 --cameras rig.json", ["none.mp4"]),
         ("scene left.mp4 --cameras none.toml", ["none.toml: No such file"]),
         ("scene left.mp4 right.mp4 --cameras one.json", ["one.json: cameras left; expected one a film: left, right"]),
-        ("scene left.mp4 right.mp4", ["--cameras"]),
+        (
+            "scene left.mp4 right.mp4 --cameras rig.json --fov 50",
+            ["--focal, --fov, --principal: with --cameras rig.json"],
+        ),
+        ("scene left.mp4 right.mp4 --focal exif", ["--focal: exif, with a film"]),
+        ("scene left.mp4 right.mp4 --align", ["films[1]: nobody of films[0] moves in the same way"]),
         ("scene left.mp4 right.mp4 --cameras rig.json --min-score 2", ["--min-score: 2"]),
     ],
 )

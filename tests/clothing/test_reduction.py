@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from scenes.bodies import walker
 
-from warp_partdr.body.template import NUM_PARTS
+from warp_partdr.body.rotations import rotation_from_axis_angle
+from warp_partdr.body.template import NUM_PARTS, PART_NAMES
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.clothing import reduction
 from warp_partdr.clothing.anny import anny
@@ -58,6 +60,26 @@ def test_its_picture_is_the_whole_model_s_but_for_borders(reduced):
     assert both > 0.95
     assert (have > 0).sum() / (want > 0).sum() == pytest.approx(1, abs=0.035)
     assert (want == have)[want > 0].float().mean() > 0.9
+
+
+def leg_widths(model: DetailedModel) -> torch.Tensor:
+    """Widths of the left leg's outline at rest from 8 sides, at heights from the ankle to the crotch [m]."""
+    turns, height = torch.arange(8) * (torch.pi / 8), 0.6
+    axes = torch.stack([torch.zeros(8), turns, torch.zeros(8)], dim=1)
+    leg = [float(name in ("left_upper_leg", "left_lower_leg")) for name in PART_NAMES]
+    mesh = detailed_mesh(model).relabel(np.array([0, *leg], dtype=np.uint8))
+    middle = model.landmarks(model.rest(torch.zeros(1, model.num_shapes)), ["left_knee"])
+    vertices = (model.rest_vertices - middle) @ rotation_from_axis_angle(axes).mT
+    zoom = 1000.0
+    size = int(zoom * height), 400
+    camera = WeakPerspective(torch.tensor([zoom]), torch.tensor([[size[1] / 2, size[0] / 2]]))
+    return (draw_mesh(vertices, mesh, camera, size).labels > 0).sum(2) / zoom
+
+
+def test_outlines_are_as_wide_as_they_were(reduced):
+    """Seen from all around; sides that the skin is at distance 0 from on average are outlined 1 mm outside of it."""
+    wider = leg_widths(reduced.model) - leg_widths(anny())
+    assert float(wider.mean()) / 2 == pytest.approx(0, abs=0.0002)
 
 
 def test_more_vertices_are_nearer(reduced):

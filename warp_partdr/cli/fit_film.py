@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -14,6 +16,9 @@ from ..inputs.films import film_facts
 from .loading import NO_MODEL, load_mesh_kernels
 from .options import EXIF, CameraOptions, NetworkOptions, PhotoFiles, take_formats, take_whole
 from .register import read_model
+
+if TYPE_CHECKING:
+    from ..scenes.seen_film import SeenFilm
 
 
 def fit_motions(
@@ -44,12 +49,17 @@ def fit_motions(
     files.networks.check()
     if model == NO_MODEL:
         raise InputError("--model: none, with a film; expected a detailed model")
-    if view.focal == EXIF:
-        raise InputError("--focal: exif, with a film; expected pixels, or --fov")
-    view.check()
+    check_film_view(view)
     film_facts(film)  # faults of the file are told before anything is loaded
 
     fit_films(FilmRun((film,), out, device, model, files.person, min_score, values, files.networks, view))
+
+
+def check_film_view(view: CameraOptions) -> None:
+    """Raise an InputError for what a film's camera can't be."""
+    if view.focal == EXIF:
+        raise InputError("--focal: exif, with a film; expected pixels, or --fov")
+    view.check()
 
 
 @dataclass(frozen=True)
@@ -65,8 +75,9 @@ class FilmRun:
         min_score: Least confidence that there is a person.
         values: Settings: ``threads``, ``also``, and fields of ``SceneOptions``.
         networks: Of others.
-        view: The one camera.
-        cameras: Or the file of calibrated ones.
+        view: The camera, or the lens of each of several.
+        cameras: Or the file of calibrated ones; several cameras without are placed by the people.
+        align: Whether it is to be found which frames of several films show one moment.
     """
 
     films: tuple[Path, ...]
@@ -79,6 +90,7 @@ class FilmRun:
     networks: NetworkOptions = field(default_factory=NetworkOptions)
     view: CameraOptions = field(default_factory=CameraOptions)
     cameras: Path | None = None
+    align: bool = False
 
 
 def fit_films(run: FilmRun) -> None:
@@ -92,7 +104,9 @@ def fit_films(run: FilmRun) -> None:
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save_film import overlay_name, save_film_fit
     from ..scenes.film import fit_film
+    from ..scenes.film_cameras import place_film_cameras
     from ..scenes.film_pieces import FilmPieces
+    from ..scenes.film_times import align_films
     from ..scenes.options import SceneOptions
     from ..scenes.seen_film import SeenFilm
     from .progress import FitProgress
@@ -111,8 +125,8 @@ def fit_films(run: FilmRun) -> None:
         load_mesh_kernels(where)
         others = [] if run.cameras is None or run.cameras.is_dir() else [run.cameras]
         given = (*films, *others, *run.networks.files)
-        how = rig, run.view, run.networks, options, run.person, run.model, run.min_score
-        pieces = FilmPieces(run.out, given, *how)
+        rest = rig, run.view, run.networks, options, run.person, run.model, run.min_score, run.align
+        pieces = FilmPieces(run.out, given, *rest)
         seen: list[SeenFilm] = []
         for place, film in enumerate(films):
             told = partial(progress, "people" if len(films) == 1 else f"people of {film.name}")
@@ -125,6 +139,12 @@ def fit_films(run: FilmRun) -> None:
                 seen.append(SeenFilm.of(people, run.view.read(people.image_size, None), given=sights))
             else:
                 seen.append(SeenFilm.calibrated(people, rig[place], given=sights))
+        if run.align:
+            seen = pieces.aligned(seen, partial(align_films, seen, device=where, progress=progress))
+        if rig is None and len(films) > 1:
+            how: dict[str, Any] = {"stature": options.stature, "device": where, "progress": progress}
+            seen = pieces.placed(seen, partial(place_film_cameras, seen, **how))
+            options = replace(options, stature=None)  # cameras are as far away as it says
         kind: dict[str, Any] = {"options": options, "model": detailed, "device": where}
         fit = fit_film(seen, person=run.person, progress=progress, pieces=pieces, **kind)
         report = save_film_fit(fit, run.out, films=films, formats=formats, progress=progress)
@@ -134,10 +154,26 @@ def fit_films(run: FilmRun) -> None:
     for film, each in zip(films, seen, strict=True):
         for gap in each.given.gaps if each.given is not None else ():
             typer.echo(f"partdr: warning: {film}: {gap}", err=True)
-    about = "about " if rig is None and not run.view.given else ""
+    _tell(run, seen, report)
+
+
+def _tell(run: FilmRun, seen: Sequence[SeenFilm], report: dict[str, Any]) -> None:
+    """Say in lines what was found, and where it is."""
+    from ..body.rotations import rotation_to_axis_angle
+    from ..results.save_film import CAMERAS, overlay_name
+
+    several, films, out = len(seen) > 1, run.films, run.out
+    about = "about " if run.cameras is None and (several or not run.view.given) else ""
     for person in report["people"]:
         frames = f"frames {person['first_frame']} to {person['last_frame']}, seen in {person['frames_seen']}"
-        by = "" if len(films) == 1 else f", by {', '.join(person['seen_by'])}"
+        by = f", by {', '.join(person['seen_by'])}" if several else ""
         typer.echo(f"person{person['person']}: {frames}{by}; {about}{person['distance_m']:.1f} m away")
-    out = run.out
+    for film, each in zip(films if run.align else (), seen, strict=False):
+        typer.echo(f"{film.name}: from frame {each.skipped} on")
+    if run.cameras is None and several:
+        for film, each in zip(films[1:], seen[1:], strict=True):
+            turn = math.degrees(float(rotation_to_axis_angle(each.view.rotation).norm()))
+            away = f"about {float(each.view.eye.norm()):.1f} m from the camera of {films[0].name}"
+            typer.echo(f"{film.name}: {away}, turned by {turn:.0f} degrees")
+        typer.echo(f"{out / CAMERAS} says so, --cameras takes it")
     typer.echo(f"{out / overlay_name(0)} shows all bodies, {out / report['people'][0]['files'][1]} moves in Blender")

@@ -1,7 +1,8 @@
-"""The command ``partdr scene``: the motion of everyone whom several calibrated cameras filmed."""
+"""The command ``partdr scene``: the motion of everyone whom several cameras filmed."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -10,17 +11,19 @@ from typer import Argument, Option
 from ..detection import MIN_SCORE
 from ..errors import InputError
 from ..inputs.films import film_facts
-from .fit_film import FilmRun, fit_films
-from .options import DeviceOption, NetworkOptions, OutOption, SettingOptions, check_score
+from .fit_film import FilmRun, check_film_view, fit_films
+from .options import CameraOptions, DeviceOption, NetworkOptions, OutOption, SettingOptions, check_score
 
 SCENE_HELP = """Fit motions to everyone in films of several cameras: with a second view, depth is no guess.
 
-Examples: `partdr scene left.mp4 right.mp4 --cameras Calib.toml`; one person of four films, `partdr scene cam*.mp4
---cameras calibration/ --person 0`
+Examples: `partdr scene left.mp4 right.mp4`; `partdr scene left.jpg right.jpg`; one person of four films of calibrated
+cameras, `partdr scene cam*.mp4 --cameras calibration/ --person 0`
 
-Films show the same moments, frame by frame; who is who in them is found by where rays meet. **Cameras** stand still:
-Pose2Sim's Calib.toml, OpenCV's YAML or JSON (a file, or a folder of them), or a JSON of ours (docs/inputs.md). Each is
-of the film of its name (cam1.mp4 of cam1), else they are in the films' order. Distortion is taken away.
+Films (or photos) show the same moments, frame by frame, else `--align` finds which frames do. Who is who in them is
+found by where rays meet. **Cameras** stand still: Pose2Sim's Calib.toml, OpenCV's YAML or JSON (a file, or a folder of
+them), or a JSON of ours (docs/inputs.md). Each is of the film of its name (cam1.mp4 of cam1), else they are in the
+films' order. Distortion is taken away. Without --cameras they are placed by the people; say one's height with `--set
+stature=1.78` (metres), or distances are as large as people seem.
 
 Results are those of `partdr fit film.mp4`, in the frame of the first film's camera, with an overlay of each film; a
 run that was ended goes on where it was. **Settings** for --set and --config are the same: `window=64`, `overlap=12`,
@@ -28,9 +31,16 @@ run that was ended goes on where it was. **Settings** for --set and --config are
 """
 
 
+@dataclass(frozen=True)
+class RigOptions:
+    """Options for the cameras of films, and their clocks."""
+
+    cameras: Annotated[Path | None, Option(help="Calibrated cameras; default: found.", metavar="FILE")] = None
+    align: Annotated[bool, Option("--align", help="Find which frames show one moment.")] = False
+
+
 def scene(
     films: Annotated[list[Path], Argument(help="Films of the same moments.", metavar="FILM...", show_default=False)],
-    cameras: Annotated[Path, Option(help="The calibrated cameras.", metavar="FILE", show_default=False)],
     out: OutOption = Path("out"),
     person: Annotated[
         int | None, Option(help="Whom alone, 0 = the most and largest seen; default: everyone.", metavar="N")
@@ -39,6 +49,8 @@ def scene(
     min_score: Annotated[float, Option(help="Least confidence that there is a person.", metavar="SHARE")] = MIN_SCORE,
     device: DeviceOption = "auto",
     *,
+    rig: RigOptions,
+    view: CameraOptions,
     networks: NetworkOptions,
     settings: SettingOptions,
 ) -> None:
@@ -46,7 +58,11 @@ def scene(
     values, score = settings.read(), check_score("--min-score", min_score)
     if len({film.resolve() for film in films}) < len(films):
         raise InputError("FILM: the same one twice; expected films of different cameras")
+    if rig.cameras is not None and view.given:
+        raise InputError(f"--focal, --fov, --principal: with --cameras {rig.cameras}; expected one of them")
+    check_film_view(view)
     networks.check()
     for film in films:
         film_facts(film)  # faults of the files are told before anything is loaded
-    fit_films(FilmRun(tuple(films), out, device, model, person, score, values, networks, cameras=cameras))
+    how = networks, view, rig.cameras, rig.align
+    fit_films(FilmRun(tuple(films), out, device, model, person, score, values, *how))

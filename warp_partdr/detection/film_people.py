@@ -67,6 +67,14 @@ class FilmPeople:
         """Whom each pixel shows: 1 for the place 0, 0 for nobody, shape ``kept_size(image_size)``, uint8."""
         return np.frombuffer(zlib.decompress(self.packed[frame]), np.uint8).reshape(kept_size(self.image_size))
 
+    def since(self, frame: int) -> FilmPeople:
+        """The same film without the frames before one."""
+        rows = self.rows[self.rows["frames"] >= frame].copy()
+        rows["frames"] -= frame
+        rows["times"] -= self.times[frame]
+        times = self.times[frame:] - self.times[frame]
+        return replace(self, times=times, rows=_by_size(rows, len(times)), packed=self.packed[frame:])
+
     def of(self, track: int) -> np.ndarray:
         """Rows of a person."""
         return self.rows[self.rows["tracks"] == track]

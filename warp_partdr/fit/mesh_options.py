@@ -73,7 +73,7 @@ class MeshOptions:
 
     @property
     def skin_error(self) -> float:
-        """Distance of the whole model's skin from the one drawn, 1 % of it aside: half a drawn pixel at most [m]."""
+        """Distance of the whole model's skin from the one drawn, 2 % of it aside: half a drawn pixel at most [m]."""
         return DEFAULT_TOLERANCE * _SHOWN / self.size
 
     def factors(self, apart: float, size: int) -> dict[str, float]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..body.rotations import rotation_from_axis_angle
+from ..body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
 from ..errors import InputError, shown
 from ..files.opencv_files import is_matrix, read_opencv, to_matrix
 from ..files.sections import check_keys, read_toml
@@ -85,6 +85,18 @@ def cameras_of_films(path: str | Path, films: Sequence[Path]) -> list[Calibrated
             f"{path}: cameras {', '.join(cameras)}; expected one a film: {', '.join(names)}, by name or in order"
         )
     return [camera.seen_from(found[0]) for camera in found]
+
+
+def camera_data(cameras: Mapping[str, CalibratedCamera]) -> dict[str, Any]:
+    """The project's own form of cameras by name, to be written as JSON."""
+    nodes: dict[str, Any] = {}
+    for name, camera in cameras.items():
+        size = {} if camera.size is None else {"size": list(camera.size[::-1])}
+        lens = {"focal": camera.focal, "principal": camera.principal, "distortion": camera.distortion}
+        turn = rotation_to_axis_angle(torch.from_numpy(camera.rotation)).tolist()
+        nodes[name] = {**size, **{key: list(values) for key, values in lens.items()}}
+        nodes[name] |= {"rotation": turn, "translation": camera.translation.tolist()}
+    return {"cameras": nodes}
 
 
 def _read(path: Path) -> dict[str, Any]:

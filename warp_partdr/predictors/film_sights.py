@@ -91,6 +91,13 @@ class FilmSights:
         packed = self.packed[row]
         return np.frombuffer(zlib.decompress(packed), np.uint8).reshape(self.size).copy() if packed else None
 
+    def since(self, frame: int) -> FilmSights:
+        """The same without the frames before one."""
+        kept = np.flatnonzero(self.frames >= frame)
+        packed = tuple(self.packed[row] for row in kept)
+        frames, places, keypoints = self.frames[kept] - frame, self.places[kept], self.keypoints[kept]
+        return FilmSights(self.networks, frames, places, keypoints, self.size, packed)
+
     @property
     def gaps(self) -> list[str]:
         """Sentences about networks that saw nothing of somebody in some frames."""

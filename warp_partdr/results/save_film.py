@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -15,6 +16,7 @@ from ..clothing.measuring import measure_ellipbody
 from ..detection.film_people import SEEN
 from ..errors import check_type
 from ..fit.fitting import Progress
+from ..inputs.camera_files import camera_data
 from ..inputs.films import read_frames
 from ..interop.ahead import made_ahead
 from ..interop.torch_threads import one_torch_thread
@@ -30,7 +32,7 @@ from .result_sets import PEOPLE_REPORT, replacing
 from .save import shown_at
 from .skinned_files import Poses, bvh, glb
 
-OVERLAY = "overlay.mp4"
+OVERLAY, CAMERAS = "overlay.mp4", "cameras.json"
 _CHUNK = 64  # frames whose meshes are in memory at a time, to measure
 _SIDE = 960  # [px], longer side of the film that shows the bodies
 
@@ -49,7 +51,8 @@ def save_film_fit(
     ``personN.npz`` is as ``predictions`` has it, with ``detailed_model`` (), ``detailed_shape`` (S,),
     ``detailed_rotations`` (T, J, 3, 3) and ``detailed_translation`` (T, 3) [m], and ``clothes`` (8,) [m]; its
     EllipBodies are measured from these. All is in the world, of one film its camera's frame; keypoints and camera are
-    the first film's. GLB and BVH hold the motion at the film's rate. Further films have overlay1.mp4 and so on.
+    the first film's. GLB and BVH hold the motion at the film's rate. Further films have overlay1.mp4 and so on, and all
+    of them cameras.json, which ``read_cameras`` reads.
     ``people.json`` has the cameras under ``views``: X_camera = rotation X_world + translation, in pixels without
     distortion, ``lens``, the distortion that was taken away (k1, k2, p1, p2, k3, ...), and the names of the networks
     that saw ``keypoints`` and ``parts``.
@@ -78,6 +81,9 @@ def save_film_fit(
             tell("writing motions", place, len(fit.motions))
             by = [each["film"] for each, rows in zip(report["views"], _seen(fit, person), strict=True) if len(rows)]
             report["people"].append({**_save_motion(fit, person, motion, temporary, formats), "seen_by": by})
+        if len(films) > 1:
+            data = camera_data(dict(zip(camera_names(films), (seen.camera for seen in fit.films), strict=True)))
+            (temporary / CAMERAS).write_text(json.dumps(data, indent=1))
         total, done = sum(len(seen.people.times) for seen in fit.films), 0
         for place, film in enumerate(films):
             pictures = made_ahead(draw_film(fit, film, place))
@@ -85,6 +91,12 @@ def save_film_fit(
             write_film(temporary / overlay_name(place), shown, fit.people.rate)
             done += len(fit.films[place].people.times)
     return report
+
+
+def camera_names(films: Sequence[str | Path]) -> list[str]:
+    """Names of films' cameras: the files', or numbers where two are alike."""
+    names = [Path(film).stem for film in films]
+    return names if len(set(names)) == len(names) else [f"camera{place}" for place in range(len(names))]
 
 
 def overlay_name(film: int) -> str:
@@ -103,7 +115,7 @@ def draw_film(fit: FilmFit, film: str | Path, place: int = 0) -> Iterator[np.nda
     seen = fit.films[place]
     zoom, size = shown_at(seen.people.image_size, _SIDE)
     view, posed = zoomed_view(seen.view, zoom, size), PosedMotions(fit.motions)
-    frames = enumerate(islice(read_frames(film), len(seen.people.times)))
+    frames = enumerate(islice(read_frames(film), seen.skipped, seen.skipped + len(seen.people.times)))
     for index, picture in made_ahead((index, resized(frame.picture, size, seen.lens)) for index, frame in frames):
         yield draw_bodies(picture, posed.at(index), fit.motions, view)
 
@@ -117,6 +129,7 @@ def _view(name: str, seen: SeenFilm) -> dict[str, Any]:
     return {
         "film": name,
         **{kind: PACKAGED if network is None else network.name for kind, network in sources.items()},
+        "skipped_frames": seen.skipped,
         "size": list(seen.people.image_size[::-1]),
         "focal": float(camera.focal[0, 0]),
         "principal": camera.centre[0].tolist(),

@@ -39,10 +39,19 @@ def of_one_size(
         looks: Of ``look_at``.
         stature: The one person's, where it is known [m].
     """
-    if stature is not None and not scene.shapes:
-        return [grown(look, stature / float(bone_statures(look.body.lengths))) for look in looks]
-    if scene.num_frames == 1 or len(scene.views) > 1:
+    if scene.shapes:
+        stature = None
+    if stature is None and (scene.num_frames == 1 or len(scene.views) > 1):
         return list(looks)
+    return alike_sizes(scene, looks, stature, model)
+
+
+def alike_sizes(
+    scene: Scene, looks: Sequence[Looked], stature: float | None = None, model: DetailedModel | None = None
+) -> list[Looked]:
+    """Sights in which everybody has one size, whatever sees them; known shapes count if there is their model."""
+    if stature is not None:
+        return [grown(look, stature / float(bone_statures(look.body.lengths))) for look in looks]
     targets = {person: _target(model, scene, person, looks) for person in range(scene.num_people)}
     return [grown(look, math.exp(targets[look.sight.person] - _size(look))) for look in looks]
 
@@ -52,11 +61,11 @@ def stretch(count: int) -> float:
     return max(1.0, 1 / (_SHRUNK + _NOISE / count))
 
 
-def _target(model: DetailedModel, scene: Scene, person: int, looks: Sequence[Looked]) -> float:
+def _target(model: DetailedModel | None, scene: Scene, person: int, looks: Sequence[Looked]) -> float:
     """Logarithm of the size that a person's sights are to have."""
     own = [look for look in looks if look.sight.person == person]
     mean = sum(map(_size, own)) / len(own)
-    if (known := scene.shapes.get(person)) is not None:
+    if model is not None and (known := scene.shapes.get(person)) is not None:
         alike = torch.cat([grown(look, math.exp(mean - _size(look))).body.lengths for look in own])
         body = replace(own[0].body, lengths=alike.mean(0, keepdim=True))
         seen = shape_from_lengths(model, body.posed())

@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from .. import __version__
 from ..detection.film_people import FilmPeople
 from ..errors import InputError
 from ..files.array_files import read_npz
 from ..predictors.film_sights import SIGHT_ARRAYS, FilmSights, GivenNetworks
+from .seen_film import SeenFilm
 
 _PEOPLE = "image_size", "rate", "times", "rows", "packed", "sizes", "fault"
 _FOLDER = ".partdr-film-"  # of ``result_sets``' own kind: what nobody goes on with is removed after a day
@@ -74,6 +76,23 @@ class FilmPieces:
 
         data = self.piece(f"sights{film}", (*_PEOPLE, *SIGHT_ARRAYS), make)
         return _people(data), FilmSights.of_arrays(data, networks)
+
+    def aligned(self, films: Sequence[SeenFilm], align: Callable[[], Sequence[SeenFilm]]) -> list[SeenFilm]:
+        """Films without the frames that others do not show, which are looked for unless they were found."""
+        data = self.piece("moments", ("skipped",), lambda: {"skipped": np.array([film.skipped for film in align()])})
+        return [film.since(skipped) for film, skipped in zip(films, data["skipped"].tolist(), strict=True)]
+
+    def placed(self, films: Sequence[SeenFilm], place: Callable[[], Sequence[SeenFilm]]) -> list[SeenFilm]:
+        """Films whose cameras stand where they were placed, which is done unless it was."""
+
+        def make() -> dict[str, np.ndarray]:
+            views = [film.view for film in place()]
+            turns, moves = zip(*((view.rotation, view.translation) for view in views), strict=True)
+            return {"rotations": torch.stack(turns).numpy(), "translations": torch.stack(moves).numpy()}
+
+        data = self.piece("cameras", ("rotations", "translations"), make)
+        places = zip(films, data["rotations"], data["translations"], strict=True)
+        return [film.standing(torch.from_numpy(turn), torch.from_numpy(move)) for film, turn, move in places]
 
     def remove(self) -> None:
         """Remove them all, when the result is written."""

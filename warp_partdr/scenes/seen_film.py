@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from ..body.labels import IGNORE
 from ..cameras import Perspective, zoomed
@@ -28,12 +29,14 @@ class SeenFilm:
         lens: The camera whose distortion was taken away; None: there is none.
         given: What networks of others see of the people, in the same pixels; None: the packaged ones' masks and
             keypoints serve.
+        skipped: Frames at the film's start that are left out.
     """
 
     people: FilmPeople
     view: View
     lens: CalibratedCamera | None = None
     given: FilmSights | None = None
+    skipped: int = 0
 
     @classmethod
     def of(cls, people: FilmPeople, camera: Perspective | None = None, *, given: FilmSights | None = None) -> SeenFilm:
@@ -70,6 +73,25 @@ class SeenFilm:
             points = _without_distortion(given.keypoints, camera)
             given = replace(given, keypoints=points, packed=tuple(map(pack_groups, flat)))
         return cls(replace(people, rows=rows, packed=tuple(packed)), View.of(camera), camera, given)
+
+    def since(self, frame: int) -> SeenFilm:
+        """The film without the frames before one."""
+        given = None if self.given is None else self.given.since(frame)
+        return replace(self, people=self.people.since(frame), given=given, skipped=self.skipped + frame)
+
+    def standing(self, rotation: torch.Tensor, translation: torch.Tensor) -> SeenFilm:
+        """The film, taken from there: X_camera = R X_world + t, shapes (3, 3) and (3,) [m]."""
+        return replace(self, view=View(self.view.camera, rotation, translation))
+
+    @property
+    def camera(self) -> CalibratedCamera:
+        """The camera that took the film, with its distortion."""
+        if self.lens is not None:
+            return self.lens
+        seen, (u, v) = self.view, self.view.camera.centre[0].tolist()
+        focal = float(seen.camera.focal[0, 0])
+        turn, move = seen.rotation.double().numpy(), seen.translation.double().numpy()
+        return CalibratedCamera((focal, focal), (u, v), (), turn, move, self.people.image_size)
 
     @property
     def small_view(self) -> View:

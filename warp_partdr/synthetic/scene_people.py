@@ -108,10 +108,7 @@ def make_views(index: int, num_views: int, level: str = "realistic") -> SceneSam
     """PartBench's person ``index`` in the middle of so many cameras, all around or, two, 70 to 110 degrees apart."""
     rng = np.random.default_rng([SEED, index, _VIEWS, num_views])
     body, stature = _draw_body(index)
-    even = 2 * np.pi / num_views if num_views > 2 else np.pi / 2
-    start = rng.uniform(0, 2 * np.pi)
-    turns = start + even * (np.arange(num_views) + rng.uniform(-0.2, 0.2, num_views) * (num_views > 1))
-    views = [_place_view(body.vertices.numpy(), turn, rng) for turn in turns]
+    views = _place_views(body.vertices.numpy(), num_views, rng)
     return _see(f"person {index:03d}", [[body]], [stature], views, LEVELS[level], rng)
 
 
@@ -159,8 +156,10 @@ def make_group(index: int, level: str = "realistic") -> SceneSample:
     return replace(sample, slots=_GROUP[1])
 
 
-def make_clip(index: int, clip: Clip, frame_rate: float, level: str = "realistic") -> SceneSample:
-    """Person of PartBench's shape ``index`` who moves as a clip says, before one camera; noise lasts some frames."""
+def make_clip(
+    index: int, clip: Clip, frame_rate: float, level: str = "realistic", *, num_views: int = 1
+) -> SceneSample:
+    """Person of PartBench's shape ``index`` who moves as a clip says, before cameras; noise lasts some frames."""
     rng = np.random.default_rng([SEED, index, _CLIP])
     phenotypes, _ = draw_phenotypes(index)
     shape = anny_shape(torch.from_numpy(phenotypes)[None].float())
@@ -176,10 +175,10 @@ def make_clip(index: int, clip: Clip, frame_rate: float, level: str = "realistic
         heights = bodies.vertices[..., 1].amax(1).numpy()  # of the pelvis over the lowest point [m]
         smooth = shares @ clip.positions * (np.median(heights) / np.median(clip.positions[:, 1]))
         bodies = bodies.moved(torch.from_numpy((smooth - smooth.mean(0)) * [1, -1, -1]).float())
-    view = _place_view(bodies.vertices.numpy(), rng.uniform(0, 2 * np.pi), rng)
+    views = _place_views(bodies.vertices.numpy(), num_views, rng)
     frames = [bodies.select(slice(frame, frame + 1)) for frame in range(len(world))]
     name = f"person {index:03d}, {clip.name}"
-    return _see(name, [frames], [stature], [view], LEVELS[level], rng, frame_rate)
+    return _see(name, [frames], [stature], views, LEVELS[level], rng, frame_rate)
 
 
 @one_torch_thread()
@@ -193,6 +192,15 @@ def _draw_body(index: int) -> tuple[Detailed, float]:
     rotations = rotation_from_axis_angle(torch.from_numpy(pose.rotations)[None].float())
     model = anny()
     return people.pose_anny(model, shape, mean_body(rotations, orientation)), float(statures(model, shape))
+
+
+def _place_views(vertices: np.ndarray, num_views: int, rng: np.random.Generator) -> list[View]:
+    """So many cameras, all around or, two, 70 to 110 degrees apart."""
+    turns = rng.uniform(0, 2 * np.pi, 1)
+    if num_views > 1:
+        even = 2 * np.pi / num_views if num_views > 2 else np.pi / 2
+        turns = turns + even * (np.arange(num_views) + rng.uniform(-0.2, 0.2, num_views))
+    return [_place_view(vertices, turn, rng) for turn in turns]
 
 
 def _place_view(vertices: np.ndarray, turn: float, rng: np.random.Generator) -> View:

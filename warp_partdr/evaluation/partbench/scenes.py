@@ -11,9 +11,11 @@ import torch
 
 from ...errors import InputError
 from ...fit.mesh_options import MeshOptions
+from ...scenes.camera_places import place_cameras
 from ...scenes.fitting import fit_scene
 from ...scenes.looks import look_at
 from ...scenes.options import SceneOptions
+from ...scenes.scene import View
 from ...synthetic.mocap import Clip
 from ...synthetic.mocap_files import FRAME_RATE, held_out_windows
 from ...synthetic.partbench_people import NUM_PEOPLE
@@ -128,6 +130,14 @@ def fit_first_view(sample: SceneSample, device: str) -> SceneBodies:
     return SceneBodies([fit_scene(replace(scene, sights=[s for s in scene.sights if s.view == 0]), device=device)])
 
 
+def fit_places_too(sample: SceneSample, device: str) -> SceneBodies:
+    """Fit the scene without knowing where any camera but the first stands."""
+    first, *others = sample.scene.views
+    unknown = replace(sample.scene, views=[first, *(View(view.camera) for view in others)])
+    looks = look_at(unknown, device)
+    return SceneBodies([fit_scene(place_cameras(unknown, looks=looks), device=device, looks=looks)])
+
+
 _FRAMES_ALONE = replace(SceneOptions.film(), smoothing=0.0, one_size=False)  # but with one shape, the mean of all
 _NO_EXCHANGES = SceneOptions(mesh=_PARTDR, exchanges=False)
 SCENE_METHODS: dict[str, SceneMethod] = {
@@ -151,4 +161,5 @@ SCENE_METHODS: dict[str, SceneMethod] = {
         for name, width in SMOOTHED.items()
     },
     "first camera alone": SceneMethod(fit_first_view, (VIEWS,)),
+    "cameras found": SceneMethod(fit_places_too, (VIEWS,)),
 }

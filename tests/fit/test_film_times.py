@@ -1,0 +1,99 @@
+"""Films that did not start together: which frames show one moment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes.rigs import SIZE, camera_at, film_of
+
+from warp_partdr.body.template import NUM_PARTS, PART_NAMES
+from warp_partdr.detection.film_people import FilmPeople
+from warp_partdr.errors import InputError
+from warp_partdr.predictors.film_sights import FilmSights, GivenNetworks, pack_groups
+from warp_partdr.scenes.film_times import align_films
+from warp_partdr.scenes.seen_film import SeenFilm
+from warp_partdr.synthetic.mocap import Clip, rotation_matrices
+from warp_partdr.synthetic.scene_people import SceneSample, make_clip
+
+FRAMES, RATE = 26, 10.0
+SWINGS = {"left_upper_arm": 1.1, "right_upper_arm": -0.9, "left_upper_leg": 0.8, "right_upper_leg": -0.8}
+
+
+def swinging(moves: float) -> SceneSample:
+    """Somebody whose arms and legs swing, faster and faster."""
+    vectors = np.zeros((FRAMES, NUM_PARTS, 3))
+    phase = 0.35 * np.arange(FRAMES) + 0.012 * np.arange(FRAMES) ** 2
+    for name, size in SWINGS.items():
+        vectors[:, PART_NAMES.index(name), 0] = moves * size * np.sin(phase)
+    still = np.tile(np.eye(3), (FRAMES, 1, 1))
+    clip = Clip("swinging", still, rotation_matrices(vectors), np.full((FRAMES, NUM_PARTS, 3), np.nan))
+    return make_clip(3, clip, RATE, "clean")
+
+
+def film(sample: SceneSample, turn: float, frames: Sequence[int]) -> SeenFilm:
+    """Some of the frames, as a camera at this angle sees them."""
+    camera = camera_at(turn)
+    rows, packed = [], []
+    for place, frame in enumerate(frames):
+        now = replace(sample, vertices=sample.vertices[:, [frame]], joints=sample.joints[:, [frame]])
+        one = film_of(now, camera, order=(0,), frames=1, noise=1.0)
+        one.rows["frames"], one.rows["times"] = place, place / RATE
+        rows.append(one.rows)
+        packed += one.packed
+    people = FilmPeople(SIZE, RATE, np.arange(len(frames)) / RATE, np.concatenate(rows), tuple(packed))
+    return SeenFilm.of(people, camera.without_distortion)
+
+
+@pytest.fixture(scope="module")
+def moving() -> SceneSample:
+    return swinging(1.0)
+
+
+def test_a_film_that_started_later_is_joined_by_the_others(moving: SceneSample) -> None:
+    late = 6
+    one, other = film(moving, -0.5, range(FRAMES)), film(moving, 0.6, range(late, FRAMES))
+    told: list[tuple[str, int, int]] = []
+    for films, skipped in (((one, other), [late, 0]), ((other, one), [0, late])):
+        aligned = align_films(films, progress=lambda *each: told.append(each))
+        assert [each.skipped for each in aligned] == skipped
+    assert {len(each.people.times) for each in aligned} == {FRAMES - late}
+    assert told[-1] == ("moments", 2, 2)
+
+
+def test_whoever_stands_still_tells_nothing(moving: SceneSample) -> None:
+    one, other = film(moving, -0.5, range(12)), film(swinging(0.0), 0.6, range(12))
+    with pytest.raises(InputError, match=r"films\[1\]: nobody of films\[0\] moves in the same way in both for long"):
+        align_films([one, other])
+
+
+def test_a_film_since_a_frame(moving: SceneSample) -> None:
+    whole = film(moving, 0.3, range(8))
+    rest = whole.since(3)
+    assert (rest.skipped, rest.since(2).skipped) == (3, 5)
+    assert rest.people.times.tolist() == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
+    assert rest.people.rows["frames"].tolist() == [0, 1, 2, 3, 4]
+    np.testing.assert_array_equal(rest.people.rows["keypoints"], whole.people.rows["keypoints"][3:])
+    np.testing.assert_array_equal(rest.people.owners(0), whole.people.owners(3))
+
+
+def test_who_is_gone_before_has_no_number(moving: SceneSample) -> None:
+    people = film(moving, 0.3, range(8)).people
+    rows = people.rows.copy()
+    rows["tracks"] = np.where(rows["frames"] < 4, 0, 1)
+    assert replace(people, rows=rows).since(4).num_people == 1
+
+
+def test_sights_of_networks_since_a_frame() -> None:
+    frames, places = np.array([0, 1, 1, 2]), np.array([0, 0, 1, 0])
+    keypoints = np.arange(12, dtype=np.float32).reshape(4, 1, 3)
+    packed = tuple(pack_groups(np.full((2, 3), row, np.uint8)) for row in range(4))
+    rest = FilmSights(GivenNetworks(), frames, places, keypoints, (2, 3), packed).since(1)
+    assert rest.frames.tolist() == [0, 0, 1]
+    assert rest.places.tolist() == [0, 1, 0]
+    np.testing.assert_array_equal(rest.keypoints, keypoints[1:])
+    shown = rest.groups(0)
+    assert shown is not None
+    assert (shown == 1).all()
