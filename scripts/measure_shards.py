@@ -42,7 +42,7 @@ from warp_partdr.interop.precision import multiplies_bfloat16
 from warp_partdr.kernels.launch import get_num_threads
 from warp_partdr.network.checkpoint import packaged_network
 
-DISTINCT, IN_A_TAR, SHARD, BATCH, SOME = 40, 5_000, 500, 500, 256
+DISTINCT, IN_A_TAR, SHARD, BATCH, SOME = 40, 5_000, 1_000, 1_000, 256
 FIRST, MOST_SECONDS = 2, 60  # shards that don't count, and seconds that do
 LABELS = "ellipbody20"
 

@@ -19,14 +19,14 @@ from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.result import FitResult
-from warp_partdr.inputs.agreement import Agreement, compare_sides, disagreement, glance
+from warp_partdr.inputs.agreement import Agreement, Flesh, compare_sides, disagreement, glance, segments_of_parts
 from warp_partdr.inputs.evidence import WINDOW_SIDE, Evidence, weigh_evidence
 from warp_partdr.inputs.ignored_labels import ignore_stray_labels
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, choose_person, person_height
 from warp_partdr.inputs.observation import crop_evidence, resize_nearest
 from warp_partdr.inputs.part_labels import PartLabels, read_parts
-from warp_partdr.inputs.person import select_person
+from warp_partdr.inputs.selection import select_person
 from warp_partdr.results.save import draw_overlay, save_fit, score_labels
 
 CDCL = label_set("cdcl14")
@@ -122,6 +122,31 @@ def test_people_with_contradictions_end_where_they_do_without(name: str, request
         assert part_f1(spoiled, person) >= part_f1(told, person) - MOST_LOST
         assert any("torso" in warning for warning in spoiled.warnings)
         assert told.warnings == ()
+
+
+def test_flesh_is_about_all_segments_of_a_group() -> None:
+    """Of its own parts and of their mirror images; where less is asked, no less is told."""
+    keypoints, parts = example()
+    seen = glance(parts.groups, keypoints, CDCL)
+    sure = np.flatnonzero(keypoints.confident).tolist()
+    found = segments_of_parts({keypoints.format.landmarks[joint]: keypoints.points[joint] for joint in sure})
+    groups = seen.groups.repeat(seen.sizes)
+    expected = np.full(len(groups), np.inf)
+    for name, own in CDCL.groups.items():
+        mine = groups == CDCL.group_names.index(name) + 1
+        places = np.stack([seen.columns[mine], seen.rows[mine]], axis=1) + 0.5
+        for start, end, radius in (each for part in own for side in (part, mirror_name(part)) for each in found[side]):
+            way = (end - start).astype(np.float64)
+            share = np.clip(((places - start) @ way) / max(way @ way, 1e-12), 0.0, 1.0)[:, None]
+            beyond = np.linalg.norm(places - start - share * way, axis=1) / person_height(keypoints) - radius
+            expected[mine] = np.minimum(expected[mine], beyond)
+    assert seen.sizes.sum() == seen.labelled == len(seen.distances)
+    np.testing.assert_allclose(seen.distances, expected, atol=1e-6)
+    heights = np.full(len(groups), person_height(keypoints))
+    enough = float(np.median(seen.distances))
+    told = Flesh.of([keypoints], [CDCL]).distances(groups, seen.columns + 0.5, seen.rows + 0.5, heights, enough=enough)
+    np.testing.assert_array_equal(told[told > enough], seen.distances[seen.distances > enough])
+    assert (told > seen.distances).any()
 
 
 # --- Sides -----------------------------------------------------------------------------------------------------------

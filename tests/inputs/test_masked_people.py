@@ -19,7 +19,7 @@ from warp_partdr.inputs.evidence import WINDOW_SIDE
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.masked_people import MaskedPerson, cut_masks
-from warp_partdr.inputs.observation import crop_evidence
+from warp_partdr.inputs.observation import CutOut, crop_evidence
 from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.scenes.photo import person_evidence
 
@@ -67,7 +67,7 @@ def odd_people(rng: np.random.Generator, count: int) -> list[MaskedPerson]:
     return people
 
 
-def assert_as_alone(people: Sequence[MaskedPerson], device: str) -> list[masked_people.CutMask]:
+def assert_as_alone(people: Sequence[MaskedPerson], device: str) -> list[CutOut]:
     """Cut all at once; each is what ``person_evidence`` and ``crop_evidence`` make of them."""
     found = cut_masks(people, device)
     for person, (evidence, observation, crop) in zip(people, found, strict=True):

@@ -22,14 +22,13 @@ from warp_partdr.inputs.person import (
     MIN_SEED_RADIUS,
     REACH,
     SEED_RADIUS,
-    _Pixels,
     crop_keypoints,
     crop_nearest,
     loose_ends,
     person_crop,
     person_labels,
-    select_person,
 )
+from warp_partdr.inputs.selection import select_person
 
 PHOTOS = ("000000032081", "000000203864", "000000468632")
 
@@ -238,6 +237,19 @@ def test_the_box_holds_the_labels_and_the_margin_and_no_more():
     assert person_crop(keypoints, groups, margin=0.0) == (2, 5, 12, 25)
 
 
+def bone_distances(keypoints: Keypoints2D, v: np.ndarray, u: np.ndarray, reach: float) -> np.ndarray:
+    """Distances of places to the nearest bone or lonely keypoint, inf beyond ``reach``."""
+    sure = np.flatnonzero(keypoints.confident).tolist()
+    bones = [edge for edge in keypoints.format.edges if edge[0] in sure and edge[1] in sure]
+    found = np.full(len(u), np.inf)
+    for one, other in [*bones, *((joint, joint) for joint in sure if joint not in np.array(bones))]:
+        (x0, y0), (x1, y1) = keypoints.points[[one, other]].astype(np.float64)
+        squared = max((x1 - x0) ** 2 + (y1 - y0) ** 2, 1e-12)
+        share = np.clip(((u - x0) * (x1 - x0) + (v - y0) * (y1 - y0)) / squared, 0, 1)
+        found = np.minimum(found, np.hypot(u - x0 - share * (x1 - x0), v - y0 - share * (y1 - y0)))
+    return np.where(found <= reach, found, np.inf)
+
+
 @pytest.mark.parametrize("others", [0, 1, 2])
 def test_blocks_of_pixels_are_judged_as_each_pixel_is(rng: np.random.Generator, others: int) -> None:
     """Against the rule pixel by pixel; many blobs, so that borders lie everywhere."""
@@ -255,7 +267,7 @@ def test_blocks_of_pixels_are_judged_as_each_pixel_is(rng: np.random.Generator, 
         height = person_height(keypoints)
         reach = max(REACH * height, MIN_SEED_RADIUS)
         rows, columns = np.indices(groups.shape).reshape(2, -1)
-        distances, *theirs = (_Pixels(rows, columns).bone_distances(each, reach) for each in people)
+        distances, *theirs = (bone_distances(each, rows + 0.5, columns + 0.5, reach) for each in people)
         near = np.isfinite(distances)
         loose = keypoints.points[loose_ends("coco17", keypoints.confident[None])[0]].astype(np.float64)
         for x, y in loose:

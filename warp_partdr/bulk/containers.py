@@ -72,14 +72,14 @@ class TarPictures:
         return np.array(found, dtype=np.int64).reshape(-1, len(ENDINGS), 2)
 
 
-def read_member(path: Path, start: int, size: int, name: str) -> NamedBytes:
+def read_member(path: str, start: int, size: int, name: str) -> NamedBytes:
     """The bytes of a file in a tar file, which messages call by a name.
 
     Raises:
         InputError: If it can't be read.
     """
     try:
-        with path.open("rb") as file:
+        with open(path, "rb") as file:
             file.seek(start)
             data = file.read(size)
     except OSError as error:

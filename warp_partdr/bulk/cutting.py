@@ -14,9 +14,11 @@ from ..detection.person import SKELETON
 from ..errors import InputError
 from ..fit.cut_people import CutPeople, CutPerson, stack_alike
 from ..inputs.evidence import weigh_evidence
-from ..inputs.keypoints import measure_heights
+from ..inputs.keypoints import Keypoints2D, measure_heights
+from ..inputs.labelled_people import LabelledPerson, cut_labels
 from ..inputs.masked_people import MaskedPerson, cut_masks
 from ..inputs.observation import LABEL_SIZE, crop_evidence
+from ..inputs.part_labels import PartLabels
 from ..inputs.person import check_inside
 from .rows import PeopleRows, Row
 from .sources import KnownPerson, PictureSource, SourcePicture
@@ -69,9 +71,10 @@ class Cutter:
         rows: list[Row] = []
         cut: list[tuple[int, CutPerson]] = []
         masked: list[tuple[int, MaskedPerson]] = []
+        labelled: list[tuple[int, LabelledPerson]] = []
         sources = [found.get(place, seen) for place, (_, seen) in enumerate(held)]
-        labelled = [known for known in sources if isinstance(known, SourcePicture) and known.parts is not None]
-        measure_heights([each.keypoints for known in labelled for each in known.people or ()])
+        known_parts = [known for known in sources if isinstance(known, SourcePicture) and known.parts is not None]
+        measure_heights([each.keypoints for known in known_parts for each in known.people or ()])
         for place, ((name, seen), known) in enumerate(zip(held, sources, strict=True)):
             row: Row = {"picture": name}
             if isinstance(seen, SourcePicture):
@@ -92,10 +95,13 @@ class Cutter:
                 try:
                     if place not in found:
                         check_inside(person.keypoints, (row["height"], row["width"]))
-                    if known.parts is None and known.owners is not None:
+                    if known.parts is not None:
+                        others = [each.keypoints for each in known.people if each is not person]
+                        labelled.append((len(rows) - 1, LabelledPerson(person.keypoints, known.parts, others, camera)))
+                    elif known.owners is not None:
                         masked.append((len(rows) - 1, MaskedPerson(person.keypoints, known.owners, number + 1, camera)))
                     else:
-                        cut.append((len(rows) - 1, self._cut_person(known, number, camera)))
+                        cut.append((len(rows) - 1, self._cut_alone(person.keypoints, None, (), camera)))
                 except FAULTS as error:
                     rows[-1]["error"] = one_line(error)
         for own, some in attempt(_cut_masked, [person for _, person in masked]):
@@ -104,6 +110,12 @@ class Cutter:
                 rows[places[0]]["error"] = one_line(some)
             else:
                 cut += zip(places, some, strict=True)
+        together = self._cut_labelled([each for _, each in labelled])
+        for (number, alone), cut_person in zip(labelled, together, strict=True):
+            try:
+                cut.append((number, cut_person or self._cut_alone(*alone)))
+            except FAULTS as error:
+                rows[number]["error"] = one_line(error)
         cut.sort(key=lambda each: each[0])
         numbers = np.array([number for number, _ in cut])
         alike = stack_alike([person for _, person in cut])
@@ -113,14 +125,21 @@ class Cutter:
             [(numbers[places], people) for places, people in alike],
         )
 
-    def _cut_person(self, known: SourcePicture, number: int, camera: Perspective | None) -> CutPerson:
-        assert known.people is not None
-        keypoints = known.people[number].keypoints
-        if known.parts is not None:
-            others = [each.keypoints for place, each in enumerate(known.people) if place != number]
-            evidence = weigh_evidence(keypoints, known.parts, others)[0]
-        else:
-            evidence = weigh_evidence(keypoints)[0]
+    def _cut_labelled(self, people: Sequence[LabelledPerson]) -> list[CutPerson | None]:
+        """People of labels, cut out together; None of those who are to be cut out alone."""
+        try:
+            return [None if each is None else CutPerson(*each) for each in cut_labels(people, self.label_size)]
+        except FAULTS:  # alone each tells what is wrong with it
+            return [None] * len(people)
+
+    def _cut_alone(
+        self,
+        keypoints: Keypoints2D,
+        parts: PartLabels | None,
+        others: Sequence[Keypoints2D],
+        camera: Perspective | None,
+    ) -> CutPerson:
+        evidence = weigh_evidence(keypoints, parts, others)[0]
         observation, crop = crop_evidence(evidence, camera=camera, label_size=self.label_size)
         slim = replace(evidence, picture=None, groups=None)  # else each would hold labels of a whole picture
         return CutPerson(slim, observation, crop)

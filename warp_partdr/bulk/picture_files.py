@@ -118,7 +118,7 @@ class PictureFiles:
         row = self._rows.get(name)
         start, size = (-1, -1) if row is None else self.spans[row, ENDINGS.index(ending)].tolist()
         told = f"{name}: {ending}" if ending else name
-        return None if start < 0 else read_member(self.folder / container, start, size, told)
+        return None if start < 0 else read_member(os.path.join(self.folder, container), start, size, told)
 
     def _read_labels(self, name: str, size: tuple[int, int]) -> PartLabels | None:
         file = None if self.labels is None else self.beside(name, PARTS)
@@ -237,7 +237,7 @@ def _known(keypoints: Keypoints2D) -> KnownPerson:
 def keypoint_box(keypoints: Keypoints2D) -> Box:
     """Left, top, right and bottom of visible keypoints."""
     points = keypoints.points[keypoints.visible]
-    left, top, right, bottom = (float(edge) for edge in (*points.min(axis=0), *points.max(axis=0)))
+    (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return left, top, right, bottom
 
 

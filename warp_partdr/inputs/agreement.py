@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import combinations, compress
 from typing import NamedTuple, TypeVar
@@ -14,6 +14,7 @@ from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.landmarks import mirror_name, without_side
 from ..body.skeletons import Skeleton, skeleton
 from ..body.template import JOINT_NAMES, MEAN_STATURE, PARENTS, PART_NAMES, SHAPE_INDICES, template
+from .connected_pixels import ranges
 from .keypoints import Keypoints2D, person_height
 from .person import squared_distances
 
@@ -23,6 +24,7 @@ LIMBS: dict[str, tuple[str, ...]] = {
 }
 
 COARSE = 192  # [px]
+_AT_ONCE = 2**13  # places, whose numbers stay in the processor's cache
 _SAMPLES = 48  # points along a bone
 _JOINT = 0.1  # share of a bone at either end that may show the next part
 _FEWEST = 24  # samples below which nothing is said
@@ -35,7 +37,7 @@ _ENDS = {"hand": ("wrist", 0.11), "foot": ("ankle", 0.15)}  # their lengths, any
 FAR = 0.05  # beyond all that
 
 _FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear", "head", "head_top")
-_CORNERS = ("left_shoulder", "right_shoulder", "right_hip", "left_hip")
+_CORNERS = ("left_shoulder", "right_hip", "right_shoulder", "left_hip")
 
 Segment = tuple[str, str, float]  # landmarks at both ends, and a radius as a share of the person's height
 Place = TypeVar("Place")
@@ -51,8 +53,7 @@ class Agreement(NamedTuple):
     @property
     def swapped(self) -> bool:
         """True if left and right are exchanged between labels and keypoints."""
-        sided = self.own + self.mirrored
-        return sided >= _FEWEST and self.mirrored >= _SWAPPED * sided
+        return bool(are_swapped(np.array(self)))
 
 
 def limb_bones(keypoints: Keypoints2D) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
@@ -97,19 +98,55 @@ def compare_sides(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) 
     ``groups``, shape (H, W), here and below, hold this person's ids alone (``select_person``).
     """
     names, starts, ends = limb_bones(keypoints)
-    table = labels.part_groups[_limb_parts(names)]  # of themselves and their mirror images, (2, N)
-    compared = (table[0] != BACKGROUND) & (table[0] != table[1])
+    compared, owns, mirrors = compared_limbs(names, labels)
     if not compared.any():
         return {}
-    counts = {limb: np.zeros(3, dtype=int) for limb in LIMBS}
-    owns, mirrors = table[:, compared]
-    shown, inside = labels_along(groups, starts[compared], ends[compared], samples=_SAMPLES, margin=_JOINT)
+    rows, columns = side_places(starts[compared], ends[compared])
+    found = count_sides(*labels_at(groups, rows, columns), owns[compared], mirrors[compared])
+    (sums,) = sum_sides(found, np.array(limbs_of(names))[compared], 1).tolist()
+    return {limb: Agreement(*each) for limb, each in zip(LIMBS, sums, strict=True) if any(each)}
+
+
+def compared_limbs(names: tuple[str, ...], labels: LabelSet) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """True for parts whose sides a label set distinguishes; group ids of parts, and of their mirror images; (N,)."""
+    owns, mirrors = labels.part_groups[_limb_parts(names)]
+    return (owns != BACKGROUND) & (owns != mirrors), owns, mirrors
+
+
+def side_places(starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the pixels along N bones that ``count_sides`` counts, shape (N, samples)."""
+    return places_along(starts, ends, samples=_SAMPLES, margin=_JOINT)
+
+
+def count_sides(shown: np.ndarray, inside: np.ndarray, owns: np.ndarray, mirrors: np.ndarray) -> np.ndarray:
+    """Numbers of ``Agreement`` of each of N bones by the group ids at its pixels (N, samples), shape (N, 3)."""
     on_own, on_mirrored = shown == owns[:, None], shown == mirrors[:, None]
     other = ~(on_own | on_mirrored | (shown == BACKGROUND) | (shown == IGNORE))
-    found = np.stack([np.count_nonzero(each & inside, axis=1) for each in (on_own, on_mirrored, other)], axis=1)
-    for name, each in zip(compress(names, compared.tolist()), found, strict=True):
-        counts[next(limb for limb, kinds in LIMBS.items() if without_side(name) in kinds)] += each
-    return {limb: Agreement(*each.tolist()) for limb, each in counts.items() if each.any()}
+    return np.stack([np.count_nonzero(each & inside, axis=1) for each in (on_own, on_mirrored, other)], axis=1)
+
+
+def sum_sides(counts: np.ndarray, limbs: np.ndarray, people: int) -> np.ndarray:
+    """Sums of ``count_sides`` over the bones (N, 3) of each of some people's ``LIMBS``, shape (people, limbs, 3).
+
+    The bones are of the limbs with these numbers (N,), counted on from one person to the next.
+    """
+    sums = np.zeros((people * len(LIMBS), 3), dtype=np.int64)
+    np.add.at(sums, limbs, counts)
+    return sums.reshape(people, len(LIMBS), 3)
+
+
+def are_swapped(sums: np.ndarray) -> np.ndarray:
+    """``Agreement.swapped`` of limbs by their numbers (..., 3)."""
+    own, mirrored, _ = np.moveaxis(sums, -1, 0)
+    found: np.ndarray = (own + mirrored >= _FEWEST) & (mirrored >= _SWAPPED * (own + mirrored))
+    return found
+
+
+@lru_cache(maxsize=1024)
+def limbs_of(parts: tuple[str, ...]) -> list[int]:
+    """Numbers of those of ``LIMBS`` that parts belong to."""
+    every = list(LIMBS.values())
+    return [next(n for n, kinds in enumerate(every) if without_side(part) in kinds) for part in parts]
 
 
 @lru_cache(maxsize=1024)
@@ -126,23 +163,32 @@ def disagreement(compared: Mapping[str, Agreement], seen: Beyond) -> float:
     from any bone of their part. At most 0.87 for 120 people of PartBench, "realistic" and "hard"; their labels read as
     Sapiens' or ATR's have at least 1.3.
     """
-    sides = compared.values()
-    other = sum(each.other for each in sides)
-    bones = sum(each.own + each.mirrored + each.other for each in sides)
-    known, far = len(seen.distances), np.count_nonzero(seen.distances > FAR)
-    return (other / bones if bones >= 2 * _FEWEST else 0.0) + 4 * far / max(known, 1)
+    known, far = np.array(len(seen.distances)), np.count_nonzero(seen.distances > FAR)
+    return float(disagreement_of(np.array(list(compared.values())).reshape(-1, 3), known, np.array(far)))
 
 
-def labels_along(
-    groups: np.ndarray, starts: np.ndarray, ends: np.ndarray, *, samples: int, margin: float = 0.0
+def disagreement_of(sums: np.ndarray, known: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """The same of N people, by limbs' numbers (N, limbs, 3), pixels whose distance is known, and those that are far."""
+    totals = sums.sum(axis=-2)
+    bones = totals.sum(axis=-1)
+    other = np.where(bones >= 2 * _FEWEST, totals[..., 2] / np.maximum(bones, 1), 0.0)
+    return np.asarray(other + 4 * far / np.maximum(known, 1))
+
+
+def places_along(
+    starts: np.ndarray, ends: np.ndarray, *, samples: int, margin: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Group ids at evenly spaced points of N bones, and which of them are in the picture, both of shape (N, samples).
+    """Rows and columns of evenly spaced points of N bones, shape (N, samples).
 
     (x, y) [px] at the bones' ends, shape (N, 2); ``margin`` is the share of a bone that is left out at either end.
     """
     along = _evenly(samples, margin)
     places = np.floor(starts[:, None] + along * (ends - starts)[:, None]).astype(np.int64)
-    columns, rows = places[..., 0], places[..., 1]
+    return places[..., 1], places[..., 0]
+
+
+def labels_at(groups: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Group ids at places, and which of these are in the picture."""
     height, width = groups.shape
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     if not inside.all():
@@ -156,41 +202,85 @@ def _evenly(samples: int, margin: float) -> np.ndarray:
     return np.linspace(margin, 1 - margin, samples)[:, None]
 
 
-class _Flesh(NamedTuple):
-    """Segments near which groups of parts may be, of those groups that have equally many (S) of them."""
+class Flesh(NamedTuple):
+    """Segments near which the groups of N people may be, one group's after another."""
 
-    groups: tuple[int, ...]  # numbers of the G groups
-    starts: np.ndarray  # landmarks at the segments' ends, by their place in the list, shape (S, G)
-    ends: np.ndarray
-    radii: np.ndarray  # shares of the person's height, shape (S, G)
+    table: np.ndarray  # start (x, y), way to the end and its square, radius as a share of the height, shape (S, 6)
+    firsts: np.ndarray  # a group's first segment, shape (K,)
+    counts: np.ndarray  # and their number; 0 if a keypoint is missing
+    people: np.ndarray  # place in these of each person's group 0, shape (N,)
+
+    @classmethod
+    def of(cls, people: Sequence[Keypoints2D], labels: Sequence[LabelSet]) -> Flesh:
+        """Flesh of people by their confident keypoints, of groups by their label set."""
+        groups = {id(each): tuple(each.groups.items()) for each in labels}
+        known = [
+            _segments_of(groups[id(each)], person.skeleton, person.confident.tobytes())
+            for person, each in zip(people, labels, strict=True)
+        ]
+        starts, ends = np.concatenate(
+            [person.points[joints] for person, (joints, *_) in zip(people, known, strict=True)]
+        ).transpose(1, 0, 2)
+        way = ends - starts
+        squares, radii = way[:, :1] ** 2 + way[:, 1:] ** 2, np.concatenate([radii for _, radii, _ in known])
+        counts = np.concatenate([counts for *_, counts in known])
+        sizes = np.cumsum([0, *(len(counts) for *_, counts in known)])
+        table = np.concatenate([starts, way, squares, radii[:, None]], axis=1)
+        return cls(table, np.cumsum(counts) - counts, counts, sizes[:-1])
+
+    def distances(
+        self, keys: np.ndarray, x: np.ndarray, y: np.ndarray, heights: np.ndarray, *, enough: float = -math.inf
+    ) -> np.ndarray:
+        """Distances of places (P,) beyond groups' flesh, negative within, as shares of people's heights; inf without.
+
+        Of what is not farther than ``enough`` no more than that need be true: a group's first segment often says it.
+        """
+        found = np.full(len(keys), np.inf)
+        there = np.flatnonzero(self.counts[keys])
+        for first in range(0, len(there), _AT_ONCE):
+            part = there[first : first + _AT_ONCE]
+            found[part] = self._beyond(self.firsts[keys[part]], x[part], y[part], heights[part])
+        left = there[(found[there] > enough) & (self.counts[keys[there]] > 1)]
+        for first in range(0, len(left), _AT_ONCE // 4):
+            part = left[first : first + _AT_ONCE // 4]
+            counts = self.counts[keys[part]] - 1
+            lines = ranges(self.firsts[keys[part]] + 1, counts)
+            beyond = self._beyond(lines, *(each[part].repeat(counts) for each in (x, y, heights)))
+            found[part] = np.minimum(found[part], np.minimum.reduceat(beyond, np.cumsum(counts) - counts))
+        return found
+
+    def _beyond(self, lines: np.ndarray, x: np.ndarray, y: np.ndarray, heights: np.ndarray) -> np.ndarray:
+        """The same beyond one segment for each place."""
+        table = self.table.take(lines, axis=0).T
+        beyond = squared_distances(x - table[0], y - table[1], *table[2:5])
+        np.sqrt(beyond, out=beyond)  # in place, for memory takes most of the time
+        beyond /= heights
+        beyond -= table[5]
+        return beyond
 
 
-@lru_cache(maxsize=1024)
-def _flesh(
-    groups: tuple[tuple[str, tuple[str, ...]], ...], landmarks: tuple[str, ...]
-) -> tuple[list[_Flesh], np.ndarray, np.ndarray]:
-    """Segments of all groups, and of their mirror images, whose keypoints are all known.
+@lru_cache(maxsize=4096)
+def _segments_of(
+    groups: tuple[tuple[str, tuple[str, ...]], ...], form: str | Skeleton, confident: bytes
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Segments of all groups and of their mirror images, whose keypoints are all known, one group's after another.
 
-    And these groups in that order, and the rank of each among them, shape (256,), uint8; 255 of the others.
+    Joints at both ends, shape (S, 2), radii as shares of the height, and the groups' numbers of segments, from that of
+    background on, shape (G + 1,).
     """
-    parts, known = dict(groups), frozenset(landmarks)
-    alike: dict[int, list[tuple[int, list[Segment]]]] = {}
-    for number, name in enumerate(parts, 1):
-        either = sorted({name, mirror_name(name)} & parts.keys())
+    parts, landmarks = dict(groups), skeleton(form).landmarks
+    known = frozenset(compress(landmarks, np.frombuffer(confident, dtype=bool).tolist()))
+    joints: list[tuple[int, int]] = []
+    radii: list[float] = []
+    counts = [0]
+    for name in parts:
+        either = [each for each in dict.fromkeys((name, mirror_name(name))) if each in parts]
         found = [list(_part_segments(part, known)) for each in either for part in parts[each]]
-        if all(found):
-            segments = list(dict.fromkeys(each for some in found for each in some))  # parts share them
-            alike.setdefault(len(segments), []).append((number, segments))
-    tables, ranks = [], np.full(256, 255, dtype=np.uint8)
-    for some in alike.values():
-        starts, ends = (
-            np.array([[landmarks.index(each[end]) for each in segments] for _, segments in some]).T for end in (0, 1)
-        )
-        radii = np.array([[radius for *_, radius in segments] for _, segments in some]).T
-        tables.append(_Flesh(tuple(number for number, _ in some), starts, ends, radii))
-    every = np.array([group for table in tables for group in table.groups], dtype=np.int64)
-    ranks[every] = np.arange(len(every))
-    return tables, every, ranks
+        segments = dict.fromkeys(each for some in found for each in some) if all(found) else {}  # parts share them
+        joints += ((landmarks.index(start), landmarks.index(end)) for start, end, _ in segments)
+        radii += (radius for *_, radius in segments)
+        counts.append(len(segments))
+    return np.array(joints, dtype=np.int64).reshape(-1, 2), np.array(radii), np.array(counts)
 
 
 def _part_segments(part: str, known: frozenset[str]) -> Iterator[Segment]:
@@ -202,8 +292,9 @@ def _part_segments(part: str, known: frozenset[str]) -> Iterator[Segment]:
             for start, end in combinations(_CORNERS, 2):
                 yield start, end, _TRUNK
     elif kind in ("head", "neck"):
-        for name in known & set(_FACE):
-            yield name, name, _HEAD
+        for name in _FACE:
+            if name in known:
+                yield name, name, _HEAD
     elif kind in _ENDS:
         joint, length = _ENDS[kind]
         if side + joint in known:
@@ -256,34 +347,15 @@ def distances_beyond(
 
     Looks at every so many-th row and column (``stride``), and at all groups or ``only`` one.
     """
-    height, sure = person_height(keypoints), np.flatnonzero(keypoints.confident)
-    landmarks = keypoints.format.landmarks
-    points = keypoints.points[sure]
-    tables, every, ranks = _flesh(tuple(labels.groups.items()), tuple([landmarks[place] for place in sure.tolist()]))
+    flesh = Flesh.of([keypoints], [labels])
     thin = np.ascontiguousarray(groups[::stride, ::stride])
-    keys = np.flatnonzero((thin != BACKGROUND) & (thin != IGNORE) if only is None else thin == only)
-    rank = ranks[thin.ravel()[keys]]
-    counts = np.bincount(rank, minlength=256)[: len(every)]
-    order = np.argsort(rank, kind="stable")[: counts.sum()]  # pixels of one table lie side by side
-    rows, columns = np.divmod(keys[order], thin.shape[1])
+    places = np.flatnonzero((thin != BACKGROUND) & (thin != IGNORE) if only is None else thin == only)
+    shown = thin.ravel()[places]
+    known = np.flatnonzero(flesh.counts[shown])
+    order = known[np.argsort(shown[known], kind="stable")]
+    rows, columns = np.divmod(places[order], thin.shape[1])
     rows, columns = rows * stride, columns * stride
-    x, y = columns + 0.5, rows + 0.5
-    found = [np.zeros(0)]
-    first, begin = 0, 0
-    for table in tables:
-        own = counts[first : first + len(table.groups)]
-        first += len(table.groups)
-        mine = slice(begin, begin + int(own.sum()))
-        begin = mine.stop
-        if mine.start == mine.stop:
-            continue
-        x0, y0 = np.moveaxis(points[table.starts], -1, 0)
-        along_x, along_y = np.moveaxis(points[table.ends], -1, 0) - (x0, y0)
-        squares = along_x**2 + along_y**2
-        lines = np.stack([x0, y0, along_x, along_y, squares, table.radii]).repeat(own, axis=2)
-        beyond = squared_distances(x[mine] - lines[0], y[mine] - lines[1], *lines[2:5])
-        np.sqrt(beyond, out=beyond)  # in place, for memory takes most of the time
-        beyond /= height
-        beyond -= lines[5]
-        found.append(beyond.min(axis=0))
-    return Beyond(len(keys), every[counts > 0], counts[counts > 0], rows, columns, np.concatenate(found))
+    heights = np.full(len(order), person_height(keypoints))
+    distances = flesh.distances(shown[order], columns + 0.5, rows + 0.5, heights)
+    sizes = np.bincount(shown[order], minlength=len(flesh.counts))
+    return Beyond(len(places), np.flatnonzero(sizes), sizes[sizes > 0], rows, columns, distances)

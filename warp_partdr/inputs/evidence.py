@@ -16,7 +16,8 @@ from .agreement import LIMBS, compare_sides, disagreement, glance
 from .ignored_labels import ignore_stray_labels
 from .keypoints import LARGEST_PLACE, Keypoints2D
 from .part_labels import PartLabels
-from .person import Box, centres, crop_keypoints, crop_nearest, person_labels, reach_boxes, select_person
+from .person import Box, centres, crop_keypoints, crop_nearest, person_labels, reach_boxes
+from .selection import select_person
 
 MOST_DISAGREEMENT = 1.0  # see ``agreement.disagreement``
 WINDOW_SIDE = 768  # [px]: more of a person is not looked at; a fit keeps a crop of it, at ``LABEL_SIZE``
@@ -77,11 +78,7 @@ class Evidence:
         columns, from_columns = self._under_window(1, centres(box[0], box[2], size[1], step))
         if rows.size and columns.size:  # each without gaps
             place = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-            # Rows are copied whole, columns pixel by pixel: of as few rows as may be.
-            if len(self.groups) < len(from_rows):
-                target[place] = self.groups.take(from_columns, axis=1).take(from_rows, axis=0)
-            else:
-                target[place] = self.groups.take(from_rows, axis=0).take(from_columns, axis=1)
+            target[place] = take_pixels(self.groups, from_rows, from_columns)
         return target
 
     def _under_window(self, axis: int, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -90,6 +87,14 @@ class Evidence:
         pixels = np.floor((places - start) * self.window.zoom).astype(np.int64)
         inside = np.flatnonzero((pixels >= 0) & (pixels < self.window.size[axis]))
         return inside, pixels[inside]
+
+
+def take_pixels(groups: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Pixels of an image (H, W) where some of its rows (K,) and columns (L,) meet, shape (K, L)."""
+    # Rows are copied whole, columns pixel by pixel: of as few rows as may be.
+    if len(groups) < len(rows):
+        return groups.take(columns, axis=1).take(rows, axis=0)
+    return groups.take(rows, axis=0).take(columns, axis=1)
 
 
 def weigh_evidence(

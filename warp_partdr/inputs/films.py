@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -56,7 +57,7 @@ class FilmFacts:
 
 def is_film(path: str | Path) -> bool:
     """True if a file's name ends like that of a film."""
-    return Path(path).suffix.lower() in FILM_SUFFIXES
+    return os.path.splitext(path)[1].lower() in FILM_SUFFIXES  # asked for each picture, where Path takes long
 
 
 def check_pyav(path: str | Path) -> None:

@@ -7,11 +7,13 @@ label they have, would pull limbs away, and F1 of the foreground hides it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.template import MEAN_STATURE, PART_NAMES, SHAPE_INDICES, template
-from .agreement import Beyond, distances_beyond, labels_along, limb_bones
+from .agreement import Beyond, distances_beyond, labels_at, limb_bones, places_along
 from .connected_pixels import connected
 from .keypoints import Keypoints2D, person_height
 from .person import lower_near
@@ -59,15 +61,30 @@ def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarr
     wider, for keypoints are not exact; with a forearm the hand, which few formats have keypoints of, straight on. Only
     background changes, so a limb behind another part is not missing.
     """
-    height, (names, starts, ends) = person_height(keypoints), limb_bones(keypoints)
-    shown, inside = labels_along(groups, starts, ends, samples=LIMB_SAMPLES)
-    missing = np.count_nonzero((shown == BACKGROUND) & inside, axis=1) / LIMB_SAMPLES >= MISSING_SHARE
-    if not missing.any():
+    names, starts, ends = limb_bones(keypoints)
+    shown, inside = labels_at(groups, *limb_places(starts, ends))
+    chosen = np.flatnonzero(are_missing(shown, inside)).tolist()
+    return ignore_limbs(groups, person_height(keypoints), [(names[each], starts[each], ends[each]) for each in chosen])
+
+
+def limb_places(starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the pixels along N limbs' bones that ``are_missing`` counts, shape (N, samples)."""
+    return places_along(starts, ends, samples=LIMB_SAMPLES)
+
+
+def are_missing(shown: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """True for limbs that the labels miss, by the group ids at the limbs' pixels (N, samples)."""
+    missing: np.ndarray = np.count_nonzero((shown == BACKGROUND) & inside, axis=1) / LIMB_SAMPLES >= MISSING_SHARE
+    return missing
+
+
+def ignore_limbs(groups: np.ndarray, height: float, limbs: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Turn background into 255 along limbs: part, start and end [px] of each bone, of a person of a height [px]."""
+    if not limbs:
         return groups
     near = np.zeros(groups.shape, dtype=bool)
-    for place in np.flatnonzero(missing).tolist():
-        start, end = starts[place], ends[place]
-        half, further = limb_extent(names[place])
+    for name, start, end in limbs:
+        half, further = limb_extent(name)
         beyond = (end - start).astype(np.float64) * further  # NumPy 1 would stay in float32
         lower_near(near, np.concatenate([start, end + beyond]), half * height)
     return np.where(near & (groups == BACKGROUND), IGNORE, groups).astype(np.uint8)

@@ -67,14 +67,13 @@ class Keypoints2D:
 
 
 def measure_heights(people: Sequence[Keypoints2D]) -> None:
-    """Measure ``person_height`` of many people beforehand: together it takes a tenth of the time."""
+    """Measure ``person_height`` and ``confident`` of many people beforehand: together it takes a tenth of the time."""
     for form in {keypoints.skeleton for keypoints in people}:
         alike = [keypoints for keypoints in people if keypoints.skeleton == form]
-        heights = person_heights(
-            form, np.stack([each.points for each in alike]), np.stack([each.confidence for each in alike])
-        )
-        for keypoints, height in zip(alike, heights.tolist(), strict=True):
-            keypoints.__dict__["_height"] = height  # as ``cached_property`` keeps it
+        confidence = np.stack([each.confidence for each in alike])
+        heights = person_heights(form, np.stack([each.points for each in alike]), confidence)
+        for keypoints, height, sure in zip(alike, heights.tolist(), confident(confidence), strict=True):
+            keypoints.__dict__.update(_height=height, confident=sure)  # as ``cached_property`` keeps them
 
 
 def confident(confidence: np.ndarray) -> np.ndarray:

@@ -24,10 +24,10 @@ from ..kernels import mask_targets, own_pixels
 from ..kernels.launch import run_slices, split_batch
 from .agreement import COARSE, FAR
 from .body_lines import BodyLines, body_lines
-from .evidence import MOST_DISAGREEMENT, Evidence, check_places, elsewhere_warning, person_windows, stray_warning
+from .evidence import MOST_DISAGREEMENT, check_places, elsewhere_warning, person_windows, stray_warning
 from .ignored_labels import LIMB_SAMPLES, MISSING_SHARE, STRAY, are_stray
 from .keypoints import LARGEST_PLACE, Keypoints2D, confident
-from .observation import CROP_MARGIN, LABEL_SIZE, REFERENCE_SIZE, Observation, crop_lens, visible_names
+from .observation import LABEL_SIZE, CutOut, WeighedPerson, crop_squares, observe_together
 from .person import reach_boxes
 
 MASK_LABELS = label_set("full1")
@@ -42,9 +42,6 @@ class MaskedPerson(NamedTuple):
     owners: torch.Tensor  # whom each pixel shows, 0 = nobody, shape (H, W), int32; people may share it
     number: int  # the person's there
     camera: Perspective | None = None  # the picture's
-
-
-CutMask = tuple[Evidence, Observation, Crop]
 
 
 @dataclass(frozen=True)
@@ -66,14 +63,14 @@ class _Windows:
         return _Windows(*(getattr(self, each.name)[part] for each in fields(self)))
 
 
-def cut_masks(people: Sequence[MaskedPerson], device: torch.device | str) -> list[CutMask]:
+def cut_masks(people: Sequence[MaskedPerson], device: torch.device | str) -> list[CutOut]:
     """Evidence, whose labels are left out, observation and crop of each person.
 
     Raises:
         InputError: If somebody's keypoints can't be used.
     """
     device = torch.empty(0, device=device).device  # with its number, which Warp asks for
-    found: dict[int, CutMask] = {}
+    found: dict[int, CutOut] = {}
     for form in dict.fromkeys(person.keypoints.skeleton for person in people):
         places = [place for place, person in enumerate(people) if person.keypoints.skeleton == form]
         found |= zip(places, _cut_alike([people[place] for place in places], device), strict=True)
@@ -81,7 +78,7 @@ def cut_masks(people: Sequence[MaskedPerson], device: torch.device | str) -> lis
 
 
 @one_torch_thread()
-def _cut_alike(people: Sequence[MaskedPerson], device: torch.device) -> list[CutMask]:
+def _cut_alike(people: Sequence[MaskedPerson], device: torch.device) -> list[CutOut]:
     """The same of people with one skeleton."""
     form = people[0].keypoints.skeleton
     points = np.stack([person.keypoints.points for person in people])
@@ -121,7 +118,7 @@ def _inside(windows: _Windows, points: np.ndarray) -> np.ndarray:
     return np.where(windows.confidence[..., None] > 0, moved, 0.0).astype(np.float32)
 
 
-def _cut_together(people: Sequence[MaskedPerson], windows: _Windows, device: torch.device) -> list[CutMask]:
+def _cut_together(people: Sequence[MaskedPerson], windows: _Windows, device: torch.device) -> list[CutOut]:
     """Cut out people whose areas memory holds."""
     keypoints = [person.keypoints for person in people]
     lines = body_lines(keypoints[0].skeleton, windows.points, windows.confidence)
@@ -139,48 +136,37 @@ def _cut_together(people: Sequence[MaskedPerson], windows: _Windows, device: tor
         zooms = np.where(labelled, windows.zooms, 1.0)
         own = np.stack([each.keypoints.points for each in people])
         mine = np.where(labelled[:, None, None], windows.points, np.where(windows.confidence[..., None] > 0, own, 0.0))
-        middles, halves = _squares(mine, confident(windows.confidence), counts)
+        low, high = _extents(mine, confident(windows.confidence), counts)
+        middles, halves = crop_squares(low, high)
         corners = starts + (middles - halves[:, None]) / zooms[:, None]
         targets = work.targets(corners, 2 * halves / zooms)
-    visible = windows.confidence > 0
-    seen = ((mine - middles[:, None]) / halves[:, None, None])[visible]
-    parts = visible.sum(axis=1).tolist()
-    places, votes = (
-        torch.tensor(each, dtype=torch.float32).to(device).split(parts) for each in (seen, windows.confidence[visible])
-    )
-    found: list[CutMask] = []
+    found: list[WeighedPerson] = []
     for n, person in enumerate(people):
         height, width = windows.sizes[n].tolist() if labelled[n] else (1, 1)
-        window = Crop(float(starts[n, 0]), float(starts[n, 1]), float(zooms[n]), (height, width))
         told = [stray_warning(MASK_LABELS.group_names)] if stray[n] else []
         told += [elsewhere_warning(MASK_LABELS)] if elsewhere[n] else []
-        zoom = float(zooms[n]) * REFERENCE_SIZE / (2 * float(halves[n]))
-        crop = Crop(float(corners[n, 0]), float(corners[n, 1]), zoom, (REFERENCE_SIZE, REFERENCE_SIZE))
-        names, marks = visible_names(person.keypoints.skeleton, visible[n].tobytes())
-        observation = Observation(
-            names,
-            places[n],
-            votes[n],
-            labels=targets[n] if labelled[n] else None,
-            label_set=MASK_LABELS if labelled[n] else None,
-            marks=marks,
-            lens=None if person.camera is None else crop_lens(person.camera, crop).to(device),
+        weighed = WeighedPerson(
+            person.keypoints,
+            mine[n, windows.confidence[n] > 0],
+            Crop(float(starts[n, 0]), float(starts[n, 1]), float(zooms[n]), (height, width)),
+            targets[n] if labelled[n] else None,
+            MASK_LABELS if labelled[n] else None,
+            tuple(told),
+            person.camera,
         )
-        found.append((Evidence(person.keypoints, None, window, None, tuple(told)), observation, crop))
-    return found
+        found.append(weighed)
+    return observe_together(found, middles, halves, device)
 
 
-def _squares(points: np.ndarray, sure: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Middles and half sides of the crops (``person_crop``) about keypoints and the pixels that were counted."""
+def _extents(points: np.ndarray, sure: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest (x, y) of keypoints and of the pixels that were counted, shape (N, 2)."""
     places = points.astype(np.float64)
     low = np.where(sure[..., None], places, np.inf).min(axis=1)
     high = np.where(sure[..., None], places, -np.inf).max(axis=1)
     some = counts[:, 1:2] >= 0
     low = np.where(some, np.minimum(low, counts[:, [2, 0]]), low)
     high = np.where(some, np.maximum(high, counts[:, [3, 1]] + 1), high)
-    grow = CROP_MARGIN * np.maximum((high - low).max(axis=1), 1.0)[:, None]
-    low, high = np.floor(low - grow), np.ceil(high + grow)
-    return (low + high) / 2, (high - low).max(axis=1) / 2
+    return low, high
 
 
 class _Work:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import compress
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -68,6 +69,9 @@ class Observation(Movable):
         return self.landmarks if self.marks is None else self.marks
 
 
+CutOut = tuple[Evidence, Observation, Crop]  # of a person
+
+
 def observe(
     keypoints: Keypoints2D,
     parts: PartLabels | None,
@@ -104,12 +108,7 @@ def crop_evidence(
     x0, y0, x1, y1 = person_crop(keypoints, groups, CROP_MARGIN)
     half = max(x1 - x0, y1 - y0) / 2
     u, v = (x0 + x1) / 2, (y0 + y1) / 2
-    crop = Crop(
-        left=window.left + (u - half) / window.zoom,
-        top=window.top + (v - half) / window.zoom,
-        zoom=window.zoom * REFERENCE_SIZE / (2 * half),
-        size=(REFERENCE_SIZE, REFERENCE_SIZE),
-    )
+    crop = _square_crop(window, (u, v), half)
     labels = maps = known = None
     if evidence.picture is not None:
         side = 2 * half / window.zoom
@@ -138,6 +137,63 @@ def crop_evidence(
         ),
         crop,
     )
+
+
+def _square_crop(window: Crop, middle: tuple[float, float], half: float) -> Crop:
+    """Crop of the picture about a middle (x, y) in the window, of which half a side is so long there."""
+    return Crop(
+        left=window.left + (middle[0] - half) / window.zoom,
+        top=window.top + (middle[1] - half) / window.zoom,
+        zoom=window.zoom * REFERENCE_SIZE / (2 * half),
+        size=(REFERENCE_SIZE, REFERENCE_SIZE),
+    )
+
+
+def crop_squares(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middles and half sides of N people's crops (``person_crop``) about all that is seen of them.
+
+    Lowest and highest (x, y) [px] of that, shape (N, 2).
+    """
+    grow = CROP_MARGIN * np.maximum((high - low).max(axis=1), 1.0)[:, None]
+    low, high = np.floor(low - grow), np.ceil(high + grow)
+    return (low + high) / 2, (high - low).max(axis=1) / 2
+
+
+class WeighedPerson(NamedTuple):
+    """A person to be cut out, whose evidence was weighed beside others'."""
+
+    keypoints: Keypoints2D
+    points: np.ndarray  # the visible ones in pixels of the window, shape (L, 2)
+    window: Crop
+    labels: torch.Tensor | None  # in the crop, shape (N, N), uint8
+    label_set: LabelSet | None
+    warnings: tuple[str, ...]
+    camera: Perspective | None
+
+
+def observe_together(
+    people: Sequence[WeighedPerson], middles: np.ndarray, halves: np.ndarray, device: torch.device | str
+) -> list[CutOut]:
+    """Cut out people by the squares about them (``crop_squares``); their evidence has no labels.
+
+    As ``crop_evidence`` of each, to the bit.
+    """
+    counts = [len(person.points) for person in people]
+    middle, half = (np.repeat(each, counts, axis=0) for each in (middles, halves[:, None]))
+    seen = (np.concatenate([person.points for person in people]) - middle) / half
+    votes = np.concatenate([person.keypoints.confidence[person.keypoints.visible] for person in people])
+    points, confidence = (torch.from_numpy(each.astype(np.float32)).to(device).split(counts) for each in (seen, votes))
+    found: list[CutOut] = []
+    for n, person in enumerate(people):
+        crop = _square_crop(person.window, middles[n].tolist(), float(halves[n]))
+        names, marks = visible_names(person.keypoints.skeleton, person.keypoints.visible.tobytes())
+        lens = None if person.camera is None else crop_lens(person.camera, crop).to(device)
+        observation = Observation(
+            names, points[n], confidence[n], person.labels, person.label_set, marks=marks, lens=lens
+        )
+        evidence = Evidence(person.keypoints, None, person.window, None, person.warnings)
+        found.append((evidence, observation, crop))
+    return found
 
 
 @lru_cache(maxsize=1024)

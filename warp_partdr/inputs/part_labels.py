@@ -38,6 +38,8 @@ PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")  # 
 _FILM_DIAGONAL = math.hypot(36.0, 24.0)  # [mm]
 _CUT = 0.01  # change of the sides' ratio that says a photo was cut
 
+_JPEG_END = b"\xff\xd9"  # not among the bytes of pixels
+
 _MOST_MASKS = 16  # of the largest pictures; of smaller ones more
 
 # 16-bit softmax outputs are off by 1e-3 in their sum.
@@ -125,16 +127,18 @@ def read_photo(path: PhotoFile) -> np.ndarray:
 
 
 def scan_photo(path: PhotoFile) -> tuple[int, int]:
-    """Look through a picture to its end, and give the (H, W) that ``read_photo`` would; errors are the same.
+    """Look through a picture to its end, and give the (H, W) that ``read_photo`` would, or its error if it is cut off.
 
-    JPEG is decoded at an eighth of its size, in half the time or less.
+    JPEG with a mark of its end is not decoded, which takes a twentieth of the time or less.
     """
     from PIL import ExifTags
 
     with _opened(path, "a picture") as image:
         width, height = image.size
-        image.draft("L", (1, 1))
-        image.load()
+        # Before its pixels, where PIL has stopped, there may be the end of a small picture.
+        if image.format != "JPEG" or _JPEG_END not in image.fp.read():  # type: ignore[attr-defined]  # of all files
+            image.draft("L", (1, 1))
+            image.load()
         turned = image.getexif().get(ExifTags.Base.Orientation) in _ON_ITS_SIDE
         return (width, height) if turned else (height, width)
 
@@ -225,7 +229,7 @@ def read_parts(path: PhotoFile, labels: LabelSet | str | Path) -> PartLabels:
             ids outside the set, shows nobody, or, in a set of several groups, a single part.
     """
     labels = label_set(labels)
-    suffix = Path(str(path)).suffix.lower()
+    suffix = ".png" if isinstance(path, BytesIO) else Path(path).suffix.lower()
     if suffix == ".png" or isinstance(path, BytesIO):
         array = _read_png(path)
     elif suffix == ".npy":

@@ -7,9 +7,7 @@ reach beyond the picture; what lies there the camera never saw, so its labels ar
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,8 +15,7 @@ import numpy as np
 from ..body.labels import BACKGROUND, IGNORE
 from ..body.skeletons import Skeleton, skeleton
 from ..errors import InputError
-from .connected_pixels import Runs
-from .keypoints import Keypoints2D, confident, person_height, person_heights
+from .keypoints import Keypoints2D, confident, person_heights
 from .part_labels import PartLabels
 
 Box = tuple[float, float, float, float]
@@ -34,8 +31,6 @@ _BEYOND = 2.0
 _LARGEST = 1e5  # [px] the same where there is no picture; more than any camera has
 
 _SHORTEST = 1e-12  # [px²], of a segment's squared length, not to divide by 0
-_BLOCK = 16  # [px], side of the squares whose pixels are compared with bones at once
-_ALONG = np.linspace(0, 1, 8)[:, None]  # places along a bone, as shares of it
 
 _LIMB_JOINTS = ("elbow", "wrist", "knee", "ankle")
 
@@ -65,10 +60,10 @@ def check_inside(keypoints: Keypoints2D, size: tuple[int, int] | None) -> None:
     width, height = size[::-1] if size else (_LARGEST, _LARGEST)
     shown = f"the picture's {width}x{height} pixels" if size else f"{_LARGEST:g} pixels"
     reach = _BEYOND * max(width, height)
-    sure = np.flatnonzero(keypoints.confident)
-    points = keypoints.points[sure]
-    if sure.size and ((points >= 0) & (points <= [width, height])).all():
+    points = keypoints.points[keypoints.confident]
+    if len(points) and points.min() >= 0 and points[:, 0].max() <= width and points[:, 1].max() <= height:
         return
+    sure = np.flatnonzero(keypoints.confident)
     far = np.flatnonzero(((points < -reach) | (points > [width + reach, height + reach])).any(axis=1))
     if far.size:
         name, (x, y) = keypoints.format.landmarks[sure[far[0]]], points[far[0]]
@@ -78,44 +73,7 @@ def check_inside(keypoints: Keypoints2D, size: tuple[int, int] | None) -> None:
         raise InputError(f"keypoints: all from ({x0:g}, {y0:g}) to ({x1:g}, {y1:g}); expected some in {shown}")
 
 
-def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[Keypoints2D] = ()) -> np.ndarray:
-    """Keep one person's labels; everybody else's, and stray blobs, become 255, ignore: shape (H, W), uint8.
-
-    The person's are the labelled pixels along the bones between the confident keypoints, and all that hangs together
-    with them not too far from the bones. Pixels nearer to the bones of ``others`` are theirs.
-
-    Raises:
-        InputError: If no labelled pixel lies along the person's bones.
-    """
-    height = person_height(keypoints)
-    reach = max(REACH * height, MIN_SEED_RADIUS)
-    seed_radius = max(SEED_RADIUS * height, MIN_SEED_RADIUS)
-    foreground = (groups != BACKGROUND) & (groups != IGNORE)
-    area = _bounds(foreground)
-    labelled = foreground[area]
-    corner = area[0].start, area[1].start
-
-    def seeds_among(pixels: np.ndarray) -> np.ndarray:
-        rows, columns = np.divmod(pixels, labelled.shape[1])
-        distances = _Pixels(rows + corner[0], columns + corner[1]).bone_distances(keypoints, reach)
-        return pixels[distances <= seed_radius]
-
-    mask = _near(labelled, corner, keypoints, others, reach, LOOSE_REACH * height)
-    runs = Runs(mask)
-    kept = runs.reached(_under_bones(mask, corner, keypoints, seed_radius))
-    # Most hangs together with what is right under a bone; what does not is measured.
-    if not kept.all():
-        kept |= runs.reached(seeds_among(np.flatnonzero(mask & ~runs.pixels(kept))))
-    if not kept.any() and not seeds_among(np.flatnonzero(labelled)).size:
-        raise InputError(
-            "keypoints: no labelled pixel along the person's bones; expected keypoints and part labels to agree"
-        )
-    selected = groups.copy()
-    np.copyto(selected[area], IGNORE, where=labelled & ~runs.pixels(kept))
-    return selected
-
-
-def _bounds(mask: np.ndarray) -> tuple[slice, slice]:
+def label_bounds(mask: np.ndarray) -> tuple[slice, slice]:
     """Rows and columns from the first to the last that hold something; none if nothing does."""
     rows = np.flatnonzero(mask.any(axis=1))
     if not rows.size:
@@ -123,95 +81,6 @@ def _bounds(mask: np.ndarray) -> tuple[slice, slice]:
     there = slice(int(rows[0]), int(rows[-1]) + 1)
     columns = np.flatnonzero(mask[there].any(axis=0))
     return there, slice(int(columns[0]), int(columns[-1]) + 1)
-
-
-def _near(
-    labelled: np.ndarray,
-    corner: tuple[int, int],
-    keypoints: Keypoints2D,
-    others: Sequence[Keypoints2D],
-    reach: float,
-    loose_reach: float,
-) -> np.ndarray:
-    """Labelled pixels (H, W), the first in row and column ``corner``, that are near the person's bones, not others'.
-
-    Where the middle of a block of pixels says it of all of them, they are not measured.
-    """
-    height, width = labelled.shape
-    grid = -(-height // _BLOCK), -(-width // _BLOCK)
-    rows, columns = (start + _BLOCK * np.arange(count) + _BLOCK / 2 for start, count in zip(corner, grid, strict=True))
-    loose = keypoints.points[_joints_of(keypoints.skeleton, keypoints.confident.tobytes())[1]]
-    bones = [_bone_ends(each) for each in (keypoints, *others)]
-    largest = max(float(np.abs(each).max(initial=0.0)) for each in (*bones, rows, columns))
-    off = _BLOCK / math.sqrt(2) + 1.0 + 1e-5 * largest  # pixels' distances in float32 are a bit off, too
-    own, *theirs = (_least_distances(rows, columns, each) for each in bones)
-    certain = own + off <= reach
-    possible = own - off <= reach
-    if len(loose):
-        ends = _least_distances(rows, columns, np.stack([loose, loose], axis=1))
-        certain |= ends + off <= loose_reach
-        possible |= ends - off <= loose_reach
-    for other in theirs:
-        certain &= (other - off > reach) | (own + off < other - off)
-        possible &= ~((other + off <= reach) & (other + off < own - off))
-    sure, unsure = _spread(certain, labelled), possible & ~certain
-    keys = np.flatnonzero(_spread(unsure, labelled)) if unsure.any() else np.zeros(0, dtype=np.int64)
-    if keys.size:
-        rows, columns = np.divmod(keys, width)
-        pixels = _Pixels(rows + corner[0], columns + corner[1])
-        distances = pixels.bone_distances(keypoints, reach)
-        near = np.isfinite(distances)
-        for x, y in loose:
-            near |= pixels.squared_distances((x, y), (x, y)) <= loose_reach**2
-        for each in others:
-            near &= distances <= pixels.bone_distances(each, reach)
-        sure.flat[keys[near]] = True
-    return sure
-
-
-def _spread(blocks: np.ndarray, labelled: np.ndarray) -> np.ndarray:
-    """Labelled pixels (H, W) of some blocks."""
-    if blocks.all():
-        return labelled
-    height, width = labelled.shape
-    return labelled & blocks.repeat(_BLOCK, axis=0)[:height].repeat(_BLOCK, axis=1)[:, :width]
-
-
-def _bone_ends(keypoints: Keypoints2D) -> np.ndarray:
-    """Both ends (x, y) of bones between confident keypoints, and of keypoints at no bone, shape (N, 2, 2)."""
-    return keypoints.points[_joints_of(keypoints.skeleton, keypoints.confident.tobytes())[0]]
-
-
-@lru_cache(maxsize=4096)
-def _joints_of(form: str | Skeleton, confident: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Joints at both ends of ``_bone_ends``, shape (N, 2), and which joints are ``loose_ends``, shape (J,)."""
-    sure = np.frombuffer(confident, dtype=bool)
-    bones = [edge for edge in skeleton(form).edges if sure[edge[0]] and sure[edge[1]]]
-    alone = set(np.flatnonzero(sure).tolist()) - {joint for edge in bones for joint in edge}
-    pairs = [*bones, *((joint, joint) for joint in alone)]
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2), loose_ends(form, sure[None])[0]
-
-
-def _least_distances(rows: np.ndarray, columns: np.ndarray, bones: np.ndarray) -> np.ndarray:
-    """Distances [px] of places, in rows (H,) and columns (W,), to the nearest of bones (N, 2, 2), shape (H, W)."""
-    (x, y), (along_x, along_y) = (
-        each.T.astype(np.float64)[..., None, None] for each in (bones[:, 0], bones[:, 1] - bones[:, 0])
-    )
-    return np.sqrt(squared_distances(columns - x, rows[:, None] - y, along_x, along_y).min(axis=0, initial=np.inf))
-
-
-def _under_bones(mask: np.ndarray, corner: tuple[int, int], keypoints: Keypoints2D, radius: float) -> np.ndarray:
-    """Some pixels of a mask that are at most ``radius`` from a bone for certain, by their numbers."""
-    bones = _bone_ends(keypoints).astype(np.float64)
-    if 1.0 + 1e-5 * np.abs(bones).max(initial=0.0) > radius:
-        return np.zeros(0, dtype=np.int64)
-    places = bones[:, :1] + _ALONG * (bones[:, 1:] - bones[:, :1])
-    columns, rows = np.floor(places).reshape(-1, 2).T.astype(np.int64)
-    rows, columns = rows - corner[0], columns - corner[1]
-    height, width = mask.shape
-    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    keys = np.unique((rows * width + columns)[inside])
-    return keys[mask.flat[keys]]
 
 
 def person_labels(parts: PartLabels, keypoints: Keypoints2D) -> PartLabels:
@@ -249,27 +118,6 @@ def reach_boxes(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray
     low = np.where(sure[..., None], places - reach, np.inf).min(axis=1)
     high = np.where(sure[..., None], places + reach, -np.inf).max(axis=1)
     return np.concatenate([low, high], axis=1)
-
-
-class _Pixels:
-    """Some pixels of a picture, by their rows and columns."""
-
-    def __init__(self, rows: np.ndarray, columns: np.ndarray) -> None:
-        self._v, self._u = rows.astype(np.float32) + 0.5, columns.astype(np.float32) + 0.5
-
-    def squared_distances(self, start: Sequence[float], end: Sequence[float]) -> np.ndarray:
-        """Squared distances [px²] of their centres to a segment between two points (x, y)."""
-        (x0, y0), (x1, y1) = (map(float, point) for point in (start, end))
-        return squared_distances(self._u - x0, self._v - y0, x1 - x0, y1 - y0)
-
-    def bone_distances(self, keypoints: Keypoints2D, reach: float) -> np.ndarray:
-        """Distances [px] of their centres to the nearest bone or keypoint, inf beyond ``reach``, float32."""
-        squares = np.full(len(self._u), np.inf, dtype=np.float32)  # one root at the end, not one a bone
-        for start, end in _bone_ends(keypoints):
-            found = self.squared_distances(start, end)
-            np.minimum(squares, found, out=squares)
-        squares[squares > reach**2] = np.inf
-        return np.sqrt(squares, out=squares)
 
 
 def lower_near(image: np.ndarray, segment: np.ndarray, reach: float) -> None:
@@ -327,7 +175,7 @@ def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1)
     ``groups`` hold this person's ids alone (``select_person``); ``margin`` on each side is a share of the longer side.
     """
     points = keypoints.points[keypoints.confident].astype(np.float64)
-    rows, columns = _bounds((groups != BACKGROUND) & (groups != IGNORE))
+    rows, columns = label_bounds((groups != BACKGROUND) & (groups != IGNORE))
     if rows.stop:
         points = np.concatenate([points, [[columns.start, rows.start], [columns.stop, rows.stop]]])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -356,8 +204,11 @@ def crop_nearest(
     return cropped
 
 
-def centres(low: float, high: float, count: int, step: int = 1) -> np.ndarray:
-    """Centres of ``count`` pixels from ``low`` to ``high``; every so many-th of them, which picture ``step`` pixels."""
+def centres(low: Any, high: Any, count: int, step: int = 1) -> np.ndarray:
+    """Centres of ``count`` pixels from ``low`` to ``high``; every so many-th of them, which picture ``step`` pixels.
+
+    Of several such rows, ends have the shape (N, 1).
+    """
     return low + (np.arange(step // 2, count, step) + 0.5) * ((high - low) / count)
 
 

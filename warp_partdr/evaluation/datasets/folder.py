@@ -10,8 +10,8 @@ from ...errors import InputError
 from ...inputs.keypoint_files import read_keypoints
 from ...inputs.keypoints import choose_person
 from ...inputs.part_labels import check_sizes, read_parts, read_photo
-from ...inputs.person import select_person
 from ...inputs.sample import Sample
+from ...inputs.selection import select_person
 from .pictures import existing
 
 _LAYOUT = "pictures N.jpg or N.png, each with N.keypoints.json and perhaps N.parts.png"
