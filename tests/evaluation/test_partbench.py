@@ -154,9 +154,9 @@ def test_the_command_writes_table_and_figures(tmp_path: Path) -> None:
     arguments = ["partbench", "--people", "2", "--level", "mild", "--method", "keypoints only", "--jobs", "1"]
     result = CliRunner().invoke(evaluate, [*arguments, "--device", "cpu", "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
-    assert "PartBench 1, mild: 2 people" in result.output
+    assert "PartBench 2, mild: 2 people" in result.output
     figures = json.loads((tmp_path / "out" / "partbench.json").read_text())
-    row = figures["pooled"]["PartBench 1, mild"]["keypoints only"]
+    row = figures["pooled"]["PartBench 2, mild"]["keypoints only"]
     assert row["people"] == 2
     assert {"foreground_f1", "part_f1", "mpjpe_mm", "pa_mpjpe_mm", "pve_mm", "seconds"} <= row.keys()
     assert (tmp_path / "out" / "partbench.html").stat().st_size > 10_000

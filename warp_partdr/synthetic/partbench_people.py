@@ -12,13 +12,12 @@ import torch
 from ..body.landmarks import annotated
 from ..body.rotations import rotation_from_axis_angle
 from ..body.skeletons import MPJPE_JOINTS, skeleton
-from ..body.template import MEAN_STATURE, NUM_PARTS
-from ..cameras import Camera, Perspective, WeakPerspective, zoomed
+from ..body.template import MEAN_STATURE
+from ..cameras import Camera, Perspective, WeakPerspective
 from ..clothing.anny import anny, anny_shape
 from ..clothing.measuring import statures
 from ..interop.torch_threads import one_torch_thread
 from ..render.mesh import draw_mesh
-from ..render.part_mesh import PartMesh
 from . import people
 from .garments import draw_outfit, dress
 from .pose_recipes import POSES, TILTED_POSES, draw_pose
@@ -28,7 +27,6 @@ NUM_PEOPLE = 200
 SEED = 20_241
 
 SHORT_SIDE, LONG_SIDE = 320, 400  # [px], of the picture
-_SAMPLES = 2  # a side of a pixel, whose majority it takes
 _FILL = (0.72, 0.9)  # share of the picture's height that the person takes, or of its width
 _DISTANCE = (2.5, 6.0)  # [m], of perspective cameras
 _BESIDE = {"near": (1.5, 3.0), "far": (9.0, 40.0)}  # [m], of perspective cameras that look beside people
@@ -110,10 +108,10 @@ def make_person(index: int, setting: Setting = "usual") -> Person:
             aside = np.radians(_ASIDE)
             offset[:2] = distance * np.tan(rng.uniform(-aside, aside))
     camera, size = _place_camera(vertices + offset, weak, rng)
-    parts, depth = _draw(vertices + offset, people.anny_mesh(), camera, size)
+    shown = drawn = draw_mesh(torch.from_numpy(vertices + offset)[None], people.anny_mesh(), camera, size)
     if setting == "clothed":
         clothes, mesh = dress(body, shape, draw_outfit(np.random.default_rng([SEED, index, _CLOTHES])))
-        parts, _ = _draw(clothes + offset, mesh, camera, size)
+        shown = draw_mesh(torch.from_numpy(clothes + offset)[None], mesh, camera, size)
 
     def landmarks(names: tuple[str, ...]) -> torch.Tensor:
         return model.landmarks(body, names) + torch.from_numpy(offset)
@@ -121,12 +119,13 @@ def make_person(index: int, setting: Setting = "usual") -> Person:
     points = landmarks(annotated(COCO.landmarks, model.landmark_names))
     pixels = camera.project(points)[..., :2]
     cover = stature / MEAN_STATURE * torch.from_numpy(people.cover_of(COCO.landmarks))
+    at = people.pixel_indices(pixels, size)
     return Person(
         name=f"person {index:03d}",
         kind=kind,
-        parts=parts,
+        parts=shown.labels[0].numpy(),
         keypoints=pixels[0].numpy(),
-        hidden=people.behind_something(points[..., 2], people.pixel_indices(pixels, size), depth, cover)[0].numpy(),
+        hidden=people.behind_something(points[..., 2], at, drawn.depth, cover)[0].numpy(),
         height=stature * float(camera.intrinsics[0, 0]) / (1.0 if weak else float(offset[2])),
         joints=landmarks(MPJPE_JOINTS)[0].numpy(),
         vertices=vertices + offset,
@@ -150,16 +149,3 @@ def _place_camera(vertices: np.ndarray, weak: bool, rng: np.random.Generator) ->
     zoom, shift = (torch.tensor(values, dtype=torch.float32)[None] for values in (float(scale), centre))
     camera = WeakPerspective(zoom, shift) if weak else Perspective(zoom[:, None].expand(-1, 2), shift)
     return camera, (int(size[1]), int(size[0]))
-
-
-def _draw(
-    vertices: np.ndarray, mesh: PartMesh, camera: Camera, size: tuple[int, int]
-) -> tuple[np.ndarray, torch.Tensor]:
-    """Part labels, each pixel's the majority of its samples, shape (H, W), and depth [m], shape (1, H, W)."""
-    height, width = size
-    fine_size = (height * _SAMPLES, width * _SAMPLES)
-    fine = zoomed(camera, _SAMPLES, fine_size)
-    picture = draw_mesh(torch.from_numpy(vertices)[None], mesh, fine, fine_size)
-    blocks = picture.labels[0].numpy().reshape(height, _SAMPLES, width, _SAMPLES)
-    votes = np.stack([(blocks == label).sum((1, 3), dtype=np.uint8) for label in range(NUM_PARTS + 1)])
-    return votes.argmax(0).astype(np.uint8), picture.depth[:, ::_SAMPLES, ::_SAMPLES]
