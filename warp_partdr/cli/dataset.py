@@ -202,7 +202,7 @@ class FitterSetup:
             network,
             detailed,
             self.device,
-            people_at_a_time(self.batch, self.device) if self.device == "cpu" else self.batch or 256,
+            self.batch or _people_at_a_time(self.device, meshes=detailed is not None),
             self.how.min_score,
             cutter=Cutter(
                 _Cameras(self.view, source) if self.view.given else no_camera,
@@ -216,6 +216,11 @@ class FitterSetup:
         return fitter
 
 
+def _people_at_a_time(device: str, *, meshes: bool) -> int:
+    """The option --batch where it is not given: a GPU's launches take their time however many people there are."""
+    return people_at_a_time(None, device) if device == "cpu" else 256 if meshes else 1000
+
+
 def dataset(
     pictures: Annotated[
         Path, Argument(help="Folder, list (.txt), film, tar files, or COCO's annotations (.json).", metavar="PICTURES")
@@ -223,7 +228,7 @@ def dataset(
     out: Annotated[Path, Option(help="Folder for the shards.", metavar="FOLDER")] = Path("dataset"),
     images: Annotated[Path | None, Option(help="Folder of COCO's pictures, else its own.", metavar="FOLDER")] = None,
     batch: Annotated[
-        int | None, Option(help="People at a time; default: 256, on a CPU 16.", metavar="N", min=1)
+        int | None, Option(help="People at a time; default: 1000, with meshes 256, on a CPU 16.", metavar="N", min=1)
     ] = None,
     device: DeviceOption = "auto",
     labels: LabelsOption = None,
