@@ -1,71 +1,96 @@
 """Measure and print how far from the truth two cameras are placed by the people whom they see (``place_cameras``).
 
-    python scripts/measure_camera_places.py FIRST LAST [MOCAP]
+    python scripts/measure_camera_places.py FIRST LAST [--mocap FOLDER] [--device cuda] [--jobs N]
 
-PartBench's people FIRST to LAST before two cameras: at one moment (the level "views") and, with the folder of motion
-capture, in clips of 2 s, of which 32 frames are looked at. Lenses are known. Printed are the angle between the
-cameras, the direction from the first to the second, their distance, and the mean of several runs' seconds.
+PartBench's people FIRST to LAST before two cameras, whose lenses are known: at one moment (the level "views") or, with
+the folder of motion capture, in clips of 2 s, of which 32 frames are looked at. Printed are the angle between the
+cameras, the direction from the first to the second, their distance, and the time; of clips also what bodies have of
+it: joints by the first camera alone, by both as they were placed, and as they stand.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
-import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 import torch
+from measure_camera import interval
 
+from warp_partdr import metrics
+from warp_partdr.body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
+from warp_partdr.evaluation.evaluate import one_thread
 from warp_partdr.scenes.camera_places import place_cameras
-from warp_partdr.scenes.film_cameras import FRAMES
+from warp_partdr.scenes.film_cameras import spread
+from warp_partdr.scenes.fitting import fit_scene
 from warp_partdr.scenes.looks import look_at
+from warp_partdr.scenes.options import SceneOptions
 from warp_partdr.scenes.scene import Scene, View
 from warp_partdr.synthetic.mocap_files import FRAME_RATE, held_out_windows
-from warp_partdr.synthetic.scene_people import make_clip, make_views
+from warp_partdr.synthetic.scene_people import SceneSample, make_clip, make_views
+
+NAMES = "angle [degrees]", "direction [degrees]", "distance [%]", "time [s]"
+BODIES = "first camera alone", "both, found", "both, known"
 
 
-def main(first: int, last: int, mocap: Path | None) -> None:
-    """Measure both."""
-    people = range(first, last + 1)
-    report("one moment", (make_views(index, 2).scene for index in people))
-    if mocap is not None:
-        clips = held_out_windows(mocap, 2.0)
-        samples = (make_clip(index, clips[index % len(clips)], FRAME_RATE, num_views=2) for index in people)
-        report("2 s", (some_frames(sample.scene) for sample in samples))
-
-
-def some_frames(scene: Scene) -> Scene:
-    """As many frames of a clip as a film's cameras are placed by."""
-    chosen = np.unique(np.linspace(0, scene.num_frames - 1, FRAMES).round().astype(int)).tolist()
-    sights = [replace(each, frame=chosen.index(each.frame)) for each in scene.sights if each.frame in chosen]
-    return replace(scene, sights=sights)
+def main() -> None:
+    """Measure, and print means, medians and the largest."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("people", type=int, nargs=2, metavar=("FIRST", "LAST"))
+    parser.add_argument("--mocap", type=Path, help="motion capture: clips instead of one moment")
+    parser.add_argument("--device", default="cpu", help="cpu or cuda")
+    parser.add_argument("--jobs", type=int, default=1, help="people at a time, in processes of their own")
+    options = parser.parse_args()
+    first, last = options.people
+    work = partial(measure, mocap=options.mocap, device=options.device)
+    with ProcessPoolExecutor(options.jobs, get_context("spawn"), one_thread) as pool:
+        rows = np.array(list(pool.map(work, range(first, last + 1))))
+    for name, values in zip(NAMES, np.abs(rows.T), strict=False):
+        print(f"{name}: mean {values.mean():.2f}, median {np.median(values):.2f}, largest {values.max():.2f}")
+    for place, name in enumerate(BODIES if options.mocap else ()):
+        pair = rows[:, len(NAMES) + 2 * place :][:, :2]
+        told = [interval(each) for each in pair.T]
+        print(f"{name}: PA-MPJPE {told[0]}, MPJPE {told[1]} mm")
 
 
 @torch.no_grad()
-def report(what: str, scenes: Iterable[Scene]) -> None:
-    """Place the cameras of scenes, and print mean, median and largest deviations."""
-    rows, seconds = [], []
-    for scene in scenes:
-        unknown = replace(scene, views=[scene.views[0], View(scene.views[1].camera)])
-        looks = look_at(unknown, "cpu")
-        began = time.perf_counter()
-        found = place_cameras(unknown, looks=looks).views[1]
-        seconds.append(time.perf_counter() - began)
-        rows.append(deviations(scene.views[0], scene.views[1], found))
-    for name, values in zip(
-        ("angle [degrees]", "direction [degrees]", "distance [%]"), np.transpose(rows), strict=True
-    ):
-        size = np.abs(values)
-        told = f"mean {size.mean():.1f}, median {np.median(size):.1f}, largest {size.max():.1f}"
-        print(f"{what}, {name}: {told}")
-    print(f"{what}: {np.mean(seconds):.2f} s")
+def measure(index: int, mocap: Path | None, device: str) -> list[float]:
+    """``NAMES`` of a person, and PA-MPJPE and MPJPE [mm] of ``BODIES``."""
+    if mocap is None:
+        sample = make_views(index, 2)
+    else:
+        clips = held_out_windows(mocap, 2.0)
+        sample = make_clip(index, clips[index % len(clips)], FRAME_RATE, num_views=2)
+    scene = sample.scene
+    unknown = replace(scene, views=[scene.views[0], View(scene.views[1].camera)])
+    seen = some_frames(unknown)
+    looks = look_at(seen, device)
+    began = time.perf_counter()
+    found = place_cameras(seen, looks=looks).views
+    rows = [*deviations(scene.views, found[1]), time.perf_counter() - began]
+    if mocap is not None:
+        alone = replace(scene, sights=[sight for sight in scene.sights if sight.view == 0])
+        for fitted in (alone, replace(scene, views=found), scene):
+            rows += joint_errors(sample, fitted, device)
+    return rows
 
 
-def deviations(first: View, true: View, found: View) -> tuple[float, float, float]:
+def some_frames(scene: Scene) -> Scene:
+    """As many frames as a film's cameras are placed by."""
+    chosen = spread(np.arange(scene.num_frames)).tolist()
+    return replace(scene, sights=[sight for sight in scene.sights if sight.frame in chosen])
+
+
+def deviations(views: Sequence[View], found: View) -> tuple[float, float, float]:
     """Angle, direction [degrees], and distance from the first camera [%]."""
+    first, true = views
     turn = (found.rotation @ true.rotation.mT).double()
     angle = math.degrees(math.acos(min(max((float(turn.trace()) - 1) / 2, -1.0), 1.0)))
     way, found_way = true.eye - first.eye, found.eye - first.eye
@@ -74,5 +99,12 @@ def deviations(first: View, true: View, found: View) -> tuple[float, float, floa
     return angle, math.degrees(math.acos(min(max(cosine, -1.0), 1.0))), distance
 
 
+def joint_errors(sample: SceneSample, scene: Scene, device: str) -> tuple[float, float]:
+    """PA-MPJPE and MPJPE of a fit [mm]."""
+    found = fit_scene(scene, options=SceneOptions.film(), device=device).landmarks(MPJPE_JOINTS).cpu().numpy()
+    errors = metrics.pa_mpjpe(found, sample.joints), metrics.mpjpe(found, sample.joints, centre_on=MPJPE_HIPS)
+    return 1000 * float(errors[0].mean()), 1000 * float(errors[1].mean())
+
+
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3]) if len(sys.argv) > 3 else None)
+    main()
