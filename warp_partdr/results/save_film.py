@@ -54,8 +54,8 @@ def save_film_fit(
     the first film's. GLB and BVH hold the motion at the film's rate. Further films have overlay1.mp4 and so on, and all
     of them cameras.json, which ``read_cameras`` reads.
     ``people.json`` has the cameras under ``views``: X_camera = rotation X_world + translation, in pixels without
-    distortion, ``lens``, the distortion that was taken away (k1, k2, p1, p2, k3, ...), ``skipped_frames``, left out at a
-    film's start, and the names of the networks that saw ``keypoints`` and ``parts``.
+    distortion, ``lens``, the distortion that was taken away (k1, k2, p1, p2, k3, ...), ``skipped_frames`` (left out
+    at the start), and the names of the networks that saw ``keypoints`` and ``parts``.
 
     Args:
         fit: Of ``fit_film``.
