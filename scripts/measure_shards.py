@@ -175,4 +175,6 @@ def clocked(what: str, people: int, work: Callable[[], Any], device: str = "cpu"
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 2 or sys.argv[1].startswith("-"):
+        sys.exit(__doc__)
     main(*sys.argv[1:])
