@@ -43,6 +43,13 @@ def test_pyarrow() -> None:
     assert names["table"]["picture"].to_pylist() == ["0.png", "1.png", "2.png"]
 
 
+def test_no_column_is_of_lists_that_older_readers_can_not_read() -> None:
+    """Null lists of a fixed size: "Expected all lists to be of size=63 but index 2 had size=0", before Arrow 26."""
+    schema = pytest.importorskip("pyarrow.parquet").read_schema(next(Path("people").iterdir()))
+    kinds = [schema.field(name).type for name in ("joints", "box", "keypoints")]
+    assert [str(kind).partition("<")[0] for kind in kinds] == ["list", "list", "list"]
+
+
 def test_pandas() -> None:
     assert shown("pandas")["good"]["picture"].tolist() == ["0.png", "1.png"]
 

@@ -319,7 +319,9 @@ def _array(column: Column, rows: PeopleRows) -> pa.Array:
         numbers[places], missing[places] = values.reshape(-1, size), False
     if not column.shape:
         return pa.array(numbers[:, 0], mask=missing)
-    return pa.FixedSizeListArray.from_arrays(pa.array(numbers.reshape(-1)), size, mask=pa.array(missing))
+    # Not as lists of a fixed size: Arrow before version 26 can't read nulls of these (apache/arrow issue 35692).
+    ends = np.concatenate([[0], np.cumsum(~missing * size)]).astype(np.int32)
+    return pa.ListArray.from_arrays(ends, pa.array(numbers[~missing].reshape(-1)), mask=pa.array(missing))
 
 
 def _keypoint_errors(known: _Known, points: np.ndarray) -> list[float | None]:

@@ -7,6 +7,7 @@ worst people only their addresses are kept.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -64,27 +65,27 @@ def _numbers(column: pa.Array) -> np.ndarray:
     return column.to_numpy(zero_copy_only=False).astype(np.float64)
 
 
-def _lists(column: pa.FixedSizeListArray) -> np.ndarray:
-    """Rows of numbers (N, K), NaN where there are none."""
-    values = np.full((len(column), column.type.list_size), np.nan)
-    values[column.is_valid().to_numpy(zero_copy_only=False)] = (
-        column.drop_null().flatten().to_numpy(zero_copy_only=False).reshape(-1, column.type.list_size)
-    )
+def _lists(batch: pa.RecordBatch, name: str) -> np.ndarray:
+    """Rows of a column's numbers (N, K), NaN where there are none."""
+    column, size = batch[name], math.prod(json.loads(batch.schema.field(name).metadata[b"shape"]))
+    values = np.full((len(column), size), np.nan)
+    known = column.is_valid().to_numpy(zero_copy_only=False)
+    values[known] = column.drop_null().flatten().to_numpy(zero_copy_only=False).reshape(-1, size)
     return values
 
 
 def _spread(batch: pa.RecordBatch) -> np.ndarray:
-    return _lists(batch["joint_spreads"]).mean(axis=1)
+    return _lists(batch, "joint_spreads").mean(axis=1)
 
 
 def _box_height(batch: pa.RecordBatch) -> np.ndarray:
-    box = _lists(batch["box"])
+    box = _lists(batch, "box")
     return box[:, 3] - box[:, 1]
 
 
 def _distance(batch: pa.RecordBatch) -> np.ndarray:
     known = batch["camera_perspective"].fill_null(False).to_numpy(zero_copy_only=False)
-    return np.where(known, _lists(batch["translation"])[:, 2], np.nan)
+    return np.where(known, _lists(batch, "translation")[:, 2], np.nan)
 
 
 SCORES = (
