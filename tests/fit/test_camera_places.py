@@ -157,8 +157,16 @@ def test_two_people_place_three_films(pair: SceneSample) -> None:
         true = rotation_from_axis_angle(torch.tensor([0.0, turn - turns[0], 0.0]))
         assert angle(film.view.rotation, true) < 15
     assert [told[0], told[-1]] == [("cameras", 0, 3), ("cameras", 3, 3)]
-    with pytest.raises(InputError, match=r"stature: 1.7 m, of 2 people"):
+    with pytest.raises(InputError, match=r"stature: 1.7 m, of 2 people; expected one of them, person 0 to 1"):
         place_film_cameras(films, stature=1.7)
+
+
+def test_one_of_two_is_as_tall_as_told(pair: SceneSample) -> None:
+    films = films_of(pair, (-0.5, 0.4), [(0, 1), (1, 0)])
+    one, other = (place_film_cameras(films, stature=height, person=1)[1].view.eye for height in (1.5, 1.8))
+    assert float(other.norm() / one.norm()) == pytest.approx(1.2, abs=0.01)
+    with pytest.raises(InputError, match=r"person: 2; expected 0 to 1"):
+        place_film_cameras(films, stature=1.5, person=2)
 
 
 def test_films_of_other_moments_are_told(pair: SceneSample) -> None:

@@ -142,7 +142,8 @@ def fit_films(run: FilmRun) -> None:
         if run.align:
             seen = pieces.aligned(seen, partial(align_films, seen, device=where, progress=progress))
         if rig is None and len(films) > 1:
-            how: dict[str, Any] = {"stature": options.stature, "device": where, "progress": progress}
+            tall = {"stature": options.stature, "person": run.person}
+            how: dict[str, Any] = {**tall, "device": where, "progress": progress}
             seen = pieces.placed(seen, partial(place_film_cameras, seen, **how))
             options = replace(options, stature=None)  # cameras are as far away as it says
         kind: dict[str, Any] = {"options": options, "model": detailed, "device": where}

@@ -20,7 +20,7 @@ from ..errors import InputError, check_each
 from ..fit.fitting import Progress
 from .camera_places import Moments, Places, place_cameras
 from .looks import Looked, look_in_batches, looked_at_together
-from .photo import check_whose
+from .photo import check_whose, person_place
 from .same_people import Track, match_people
 from .scene import Scene, Sight
 from .seen_film import SeenFilm
@@ -37,6 +37,7 @@ def place_film_cameras(
     films: Sequence[SeenFilm],
     *,
     stature: float | None = None,
+    person: int | None = None,
     device: torch.device | str = "cpu",
     progress: Progress | None = None,
 ) -> list[SeenFilm]:
@@ -44,7 +45,9 @@ def place_film_cameras(
 
     Args:
         films: Two or more, frame by frame; lenses are known or guessed, as each film's view says.
-        stature: Height of the one person whom films have in common, standing [m]; None: as large as people seem.
+        stature: Height of a person, standing [m]; None: as large as people seem.
+        person: Whose it is, 0 = the most and largest seen, by whom alone cameras are placed then; may be left out where
+            films have one in common.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, films done, films in all).
 
@@ -67,7 +70,7 @@ def place_film_cameras(
             raise InputError(f"films[{other}]: shows nobody when another film does; expected films of the same moments")
         views[other] = places.views_of([views[one], films[other].view])[1]
     placed = [film.standing(views[place].rotation, views[place].translation) for place, film in enumerate(films)]
-    placed = _by_all(placed, looks, stature)
+    placed = _by_all(placed, looks, stature, person)
     tell("cameras", len(films), len(films))
     return placed
 
@@ -130,9 +133,12 @@ def _scene(films: Sequence[SeenFilm], looks: Sequence[Looked]) -> Scene:
     return Scene([film.small_view for film in films], [look.sight for look in looks], films[0].people.rate)
 
 
-def _by_all(films: Sequence[SeenFilm], looks: _Looks, stature: float | None) -> list[SeenFilm]:
+def _by_all(films: Sequence[SeenFilm], looks: _Looks, stature: float | None, person: int | None) -> list[SeenFilm]:
     """Films placed by all whom several of them show, who are told apart by where the films stand."""
-    people = [tracks for tracks in match_people(films) if len({film for film, _ in tracks}) > 1]
+    everyone = match_people(films)
+    if stature is not None and person is not None:
+        everyone = [everyone[person_place(person, len(everyone))]]
+    people = [tracks for tracks in everyone if len({film for film, _ in tracks}) > 1]
     if not people:
         raise InputError("films: nobody is the same in two of them; expected films of the same moments, frame by frame")
     check_whose(stature, len(people))
