@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-import torch
+from scenes.cuts import assert_cut_as_alone
 from scenes.files import EXAMPLE
 
 from warp_partdr.body.labels import IGNORE, label_set
@@ -18,7 +18,7 @@ from warp_partdr.inputs.evidence import WINDOW_SIDE, weigh_evidence
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, person_height
 from warp_partdr.inputs.labelled_people import LabelledPerson, cut_labels
-from warp_partdr.inputs.observation import LABEL_SIZE, CutOut, crop_evidence
+from warp_partdr.inputs.observation import LABEL_SIZE, CutOut
 from warp_partdr.inputs.part_labels import PartLabels, read_parts
 
 LABELS = ("cdcl14", "pascal6", "full1")
@@ -95,21 +95,9 @@ def assert_as_alone(people: Sequence[LabelledPerson], size: int = LABEL_SIZE) ->
     found = cut_labels(people, size)
     assert len(found) == len(people)
     for person, cut in zip(people, found, strict=True):
-        if cut is None:
-            continue
-        evidence, observation, crop = cut
-        alone = weigh_evidence(person.keypoints, person.parts, person.others)[0]
-        seen, expected_crop = crop_evidence(alone, camera=person.camera, label_size=size)
-        assert crop == expected_crop
-        assert (evidence.keypoints, evidence.window) == (alone.keypoints, alone.window)
-        assert evidence.warnings == alone.warnings
-        assert (observation.landmarks, observation.marks) == (seen.landmarks, seen.marks)
-        assert observation.label_set == seen.label_set
-        for name in ("points", "confidence", "labels", "lens"):
-            ours, theirs = getattr(observation, name), getattr(seen, name)
-            assert (ours is None) == (theirs is None), name
-            if ours is not None:
-                torch.testing.assert_close(ours, theirs, rtol=0, atol=0, msg=name)
+        if cut is not None:
+            alone = weigh_evidence(person.keypoints, person.parts, person.others)[0]
+            assert_cut_as_alone(cut, alone, person.camera, size=size)
     return found
 
 
@@ -127,7 +115,7 @@ def test_many_people_are_cut_out_as_each_alone(size: int, rng: np.random.Generat
 
 
 def test_people_in_parts_of_the_batch_are_the_same(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where memory and caches hold a few at a time."""
+    """Memory and caches hold a few at a time."""
     people = odd_people(rng, 20)
     monkeypatch.setattr(labelled_people, "_PIXELS", 2**18)
     monkeypatch.setattr(selection, "_PAIRS", 500)

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from scenes.cuts import assert_cut_as_alone
 from scenes.files import EXAMPLE
 
 from warp_partdr.body.labels import BACKGROUND, label_set
@@ -19,7 +20,7 @@ from warp_partdr.inputs.evidence import WINDOW_SIDE
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.masked_people import MaskedPerson, cut_masks
-from warp_partdr.inputs.observation import CutOut, crop_evidence
+from warp_partdr.inputs.observation import CutOut
 from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.scenes.photo import person_evidence
 
@@ -70,20 +71,9 @@ def odd_people(rng: np.random.Generator, count: int) -> list[MaskedPerson]:
 def assert_as_alone(people: Sequence[MaskedPerson], device: str) -> list[CutOut]:
     """Cut all at once; each is what ``person_evidence`` and ``crop_evidence`` make of them."""
     found = cut_masks(people, device)
-    for person, (evidence, observation, crop) in zip(people, found, strict=True):
+    for person, cut in zip(people, found, strict=True):
         alone = person_evidence(person.keypoints, person.owners.cpu().numpy(), person.number - 1)
-        seen, expected_crop = crop_evidence(alone, camera=person.camera)
-        assert crop == expected_crop
-        assert (evidence.keypoints, evidence.window) == (alone.keypoints, alone.window)
-        assert evidence.warnings == alone.warnings
-        assert (observation.landmarks, observation.marks) == (seen.landmarks, seen.marks)
-        assert observation.label_set == seen.label_set
-        for name in ("points", "confidence", "labels", "lens"):
-            ours, theirs = getattr(observation, name), getattr(seen, name)
-            assert (ours is None) == (theirs is None), name
-            if ours is not None:
-                assert ours.device.type == device
-                torch.testing.assert_close(ours.cpu(), theirs, rtol=0, atol=0, msg=name)
+        assert_cut_as_alone(cut, alone, person.camera, device)
     return found
 
 

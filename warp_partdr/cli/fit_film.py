@@ -169,8 +169,9 @@ def _tell(run: FilmRun, seen: Sequence[SeenFilm], report: dict[str, Any]) -> Non
         frames = f"frames {person['first_frame']} to {person['last_frame']}, seen in {person['frames_seen']}"
         by = f", by {', '.join(person['seen_by'])}" if several else ""
         typer.echo(f"person{person['person']}: {frames}{by}; {about}{person['distance_m']:.1f} m away")
-    for film, each in zip(films if run.align else (), seen, strict=False):
-        typer.echo(f"{film.name}: from frame {each.skipped} on")
+    if run.align:
+        for film, each in zip(films, seen, strict=True):
+            typer.echo(f"{film.name}: from frame {each.skipped} on")
     if run.cameras is None and several:
         for film, each in zip(films[1:], seen[1:], strict=True):
             turn = math.degrees(float(rotation_to_axis_angle(each.view.rotation).norm()))

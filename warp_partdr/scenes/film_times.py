@@ -110,7 +110,7 @@ def _peaks(one: np.ndarray, other: np.ndarray, shared: float) -> list[tuple[int,
 def _energies(
     films: tuple[SeenFilm, SeenFilm], tracks: tuple[int, int], rough: int, moves: range, device: torch.device | str
 ) -> dict[int, float]:
-    """What is left where a person's rays meet, at a rough offset moved by so many frames."""
+    """Energies that are left where a person's rays meet, at a rough offset moved by so many frames."""
     there, seen = (film.people.of(track)["frames"] for film, track in zip(films, tracks, strict=True))
     frames = spread(there[np.isin(there + rough, seen)])
     looks = look_at_frames(films, [frames, np.unique([frames + rough + move for move in moves])], device)
