@@ -10,17 +10,21 @@ import torch
 from ..body.template import NUM_PARTS
 from ..errors import check_whole
 from .model import DetailedModel
+from .normals import vertex_normals
 from .surfaces import vertex_parts
 
 _LEAST = 12  # vertices of a part
 LEAST_VERTICES = _LEAST * NUM_PARTS
+# Spacings of a part's vertices by which normals that differ by 1 are apart. Those of opposite sides differ by 2: even
+# those of a finger are a spacing apart then, so that each keeps vertices, and the faces between them.
+_TURNED = 0.5
 _ROUNDS = 3  # of moving vertices to where the surface was
 # Share of these moves that is made, for outlines to be as wide as they were. Sides of length L along a curvature k with
 # corners on the surface are outlined k L² / 24 too narrow, sides that it is at distance 0 from on average as much too
 # wide.
 _SHARE = 0.5
 _MOST = 0.98  # share of the area that the error holds for
-_VERTICES_FOR = 9.37  # [m]: about so many vertices, over an error, have that error, of human bodies
+_VERTICES_FOR = 9.37  # [m]: so many vertices, over an error, have that error at most, of human bodies
 _MORE = 1.25  # times as many, where they have a larger one
 _NOTHING = 1e-6  # of a landmark: what a joint carries less of counts nothing
 
@@ -57,6 +61,7 @@ def reduce_within(model: DetailedModel, error: float) -> Reduced | None:
 def reduce_model(model: DetailedModel, vertices: int) -> Reduced:
     """Reduce a model to about so many vertices, spread evenly over each part's skin, those of small parts denser.
 
+    Where skin turns within their spacing, as around fingers, they are denser, too, or what is thin would have no faces.
     A face stays where its corners fall to three different vertices. These move along their normals, by millimetres, so
     that on average outlines are where they were.
 
@@ -68,10 +73,12 @@ def reduce_model(model: DetailedModel, vertices: int) -> Reduced:
         ValueError: If ``vertices`` is less than that, or more than the model has.
     """
     count = check_whole("vertices", vertices, LEAST_VERTICES, model.num_vertices)
-    part, areas = (values.cpu().numpy() for values in vertex_parts(model))
+    part, shares = (values.cpu().numpy() for values in vertex_parts(model))
     rest = model.rest_vertices.double().cpu().numpy()
     faces = model.faces.cpu().numpy().astype(np.int64)
-    kept, nearest = _spread(rest, np.where(areas > 0, part, -1), areas, count)
+    skin = shares > 0
+    areas = np.where(skin, _areas(rest, faces), 0.0)
+    kept, nearest = _spread(rest, vertex_normals(rest, faces), np.where(skin, part, -1), areas, count)
     corners = nearest[faces]
     whole = (corners != np.roll(corners, 1, axis=1)).all(1) & (corners >= 0).all(1)
     first = np.unique(np.sort(corners[whole], axis=1), axis=0, return_index=True)[1]
@@ -101,9 +108,19 @@ def reduce_model(model: DetailedModel, vertices: int) -> Reduced:
     return Reduced(reduced, len(kept), some, error)
 
 
-def _spread(rest: np.ndarray, part: np.ndarray, areas: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _areas(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Of the surface around each vertex, a third of each of its faces [m²]."""
+    corners = rest[faces]
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return np.bincount(faces.ravel(), np.repeat(doubled / 6, 3), len(rest))
+
+
+def _spread(
+    rest: np.ndarray, normals: np.ndarray, part: np.ndarray, areas: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Vertices to keep, and for each vertex the place of its nearest among them; -1 for one of no part."""
-    shares = np.sqrt(np.bincount(part[part >= 0], areas[part >= 0], NUM_PARTS))
+    totals = np.bincount(part[part >= 0], areas[part >= 0], NUM_PARTS)
+    shares = np.sqrt(totals)
     wanted = np.maximum(_LEAST, count * shares / shares.sum())
     kept: list[int] = []
     nearest = np.full(len(rest), -1)
@@ -111,7 +128,8 @@ def _spread(rest: np.ndarray, part: np.ndarray, areas: np.ndarray, count: int) -
         members = np.flatnonzero(part == index)
         if not len(members):
             continue
-        places = rest[members]
+        turned = _TURNED * np.sqrt(totals[index] / wanted[index]) * normals[members]
+        places = np.concatenate([rest[members], turned], axis=1)
         chosen: list[int] = []
         squares, own = np.full(len(members), np.inf), np.zeros(len(members), dtype=np.int64)
         farthest = int(np.square(places - places.mean(0)).sum(1).argmax())
