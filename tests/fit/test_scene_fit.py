@@ -157,6 +157,22 @@ def test_steady_motion_is_not_held_back_at_the_ends():
     assert (smooth - frames)[15:25].abs().max() < 2e-3
 
 
+def test_starts_keep_more_of_a_fast_move_than_moves_could_bring_back():
+    """Of somebody who stands still and in one frame seems nearer."""
+    scene, frames, options = make_views(3, 1).scene, 15, replace(QUICK, smoothing=0.1)
+    look = look_at(scene, "cpu")[0]
+    film = Scene(scene.views, [replace(look.sight, frame=frame) for frame in range(frames)])
+    looks = [replace(look, sight=sight) for sight in film.sights]
+    body = look.body
+    looks[7] = replace(look, sight=film.sights[7], body=replace(body, log_scale=body.log_scale + 0.01))
+    model = anny(torch.device("cpu"))
+    energy = scene_energy(mesh_energy(model, options.mesh, LABELS), options, find_clusters(looks, 1), LABELS.num_groups)
+    with torch.no_grad():
+        people = gather_scene(energy, model, film, looks)
+    kept = float(people.log_scale[7] - body.log_scale) / 0.01
+    assert 1.3 * float(people.smooth[7, 7]) < kept < 0.5
+
+
 def test_a_mesh_several_times():
     one = PartMesh.from_faces(np.array([[0, 1, 2], [2, 1, 3]]), np.array([1, 2]))
     two = one.repeated(2, 5, 6)

@@ -47,7 +47,7 @@ class MeshOptions:
     proj: float = 0.5
     seg: float = 0.1
     depth: float = 2.0
-    turns: float = 8.0
+    turns: float = 4.0
     shape: float = 1.0
     clothes: float | None = 1.0
     apart: float = 0.0

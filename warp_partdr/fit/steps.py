@@ -41,6 +41,9 @@ class Tensors(Movable):
         )
 
 
+# Of Adam. So few steps can't wait for torch's defaults: these forget the start's large gradients, and overshoot less.
+_BETAS = 0.7, 0.95
+
 P = TypeVar("P", bound=Tensors)
 U = TypeVar("U")
 _P = TypeVar("_P", bound=Tensors, contravariant=True)
@@ -69,7 +72,7 @@ class Steps(Generic[P, U]):
         self._energy, self._people, self._rates = energy, people, energy.rates(people)
         # In units of their rates, so that Adam has one tensor.
         self._moves = torch.zeros_like(self._rates).requires_grad_()
-        self._adam = Adam([([self._moves], learning_rate)])
+        self._adam = Adam([([self._moves], learning_rate)], betas=_BETAS)
         self._costs: dict[str, torch.Tensor] = {}
         self._pulls: dict[str, torch.Tensor] = {}  # weights, of the costs' shapes
 

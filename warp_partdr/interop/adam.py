@@ -13,9 +13,13 @@ class Adam:
 
     Args:
         groups: Tensors that share a learning rate, and that rate.
+        betas: How much of the gradients' mean, and of their squares', each step keeps.
     """
 
-    def __init__(self, groups: Iterable[tuple[list[torch.Tensor], float]]) -> None:
+    def __init__(
+        self, groups: Iterable[tuple[list[torch.Tensor], float]], *, betas: tuple[float, float] = (0.9, 0.999)
+    ) -> None:
+        self._betas = betas
         self._groups = [
             (
                 tensors,
@@ -35,13 +39,14 @@ class Adam:
 
         In a captured graph the share is a tensor on the device, or it would be the same at each replay.
         """
+        beta1, beta2 = self._betas
         for tensors, means, squares, counts, rate in self._groups:
             grads = [torch.zeros_like(tensor) if tensor.grad is None else tensor.grad for tensor in tensors]
             # There one kernel takes the place of fifteen, which matters in a captured graph.
             on_cuda = counts[0].is_cuda
             adam(
                 tensors, grads, means, squares, [], counts, capturable=on_cuda, fused=on_cuda, foreach=False,
-                lr=share * rate, amsgrad=False, beta1=0.9, beta2=0.999, weight_decay=0, eps=1e-8, maximize=False,
+                lr=share * rate, amsgrad=False, beta1=beta1, beta2=beta2, weight_decay=0, eps=1e-8, maximize=False,
             )  # fmt: skip
             for tensor in tensors:
                 tensor.grad = None

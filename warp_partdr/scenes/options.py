@@ -17,8 +17,8 @@ class SceneOptions:
 
     Attributes:
         mesh: Of each person, and of the steps.
-        smoothing: Standard deviation of the Gaussian by which starts, and all moves from there, are smooth in time
-            [s]; 0 leaves frames to themselves.
+        smoothing: Standard deviation of the Gaussian by which all moves from the start are smooth in time [s], starts
+            two thirds as much; 0 leaves frames to themselves.
         apart: ``MeshOptions.apart`` of scenes of several people, who stand in one another as little as their parts do.
         ground: Weight of the squared heights of standing feet [1/cm^2] over one ground, on which several people before
             one camera start, too; 0 leaves it out.
@@ -73,8 +73,9 @@ class SceneOptions:
 
     @classmethod
     def film(cls) -> SceneOptions:
-        """Options of films: moves that are smooth in time are small, so each step is larger, and fewer serve.
+        """Options of films: moves that are smooth in time are small, so each step is larger.
 
-        Depth, whose errors last many frames, is held half as hard. No ground: each window would find its own.
+        The network's errors last many frames, so depth and turns are held less hard than its spreads ask in each. No
+        ground: each window would find its own.
         """
-        return cls(mesh=MeshOptions(iterations=40, learning_rate=0.02, depth=1.0), ground=0.0)
+        return cls(mesh=MeshOptions(learning_rate=0.02, depth=0.5, turns=2.0), ground=0.0)

@@ -27,6 +27,7 @@ from .looks import Looked
 from .pictures import pelvises_in_world
 from .scene import Scene, View
 
+_START_WIDTH = 2 / 3  # of the moves' Gaussian, by which starts are smoothed: no move brings back what that takes away
 _SLOPES = 0.1  # of smooth moves: weight of their squares, in standard deviations of the Gaussian
 _UNSEEN_SPREAD = 1.0  # [rad], of turns where nobody sees a person
 _NEAREST = 0.1  # [m], of a pelvis before its camera
@@ -67,7 +68,7 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
     at = torch.tensor(homes, device=like.device)
     if num_frames > 1 and energy.options.smoothing > 0:
         width = energy.options.smoothing * scene.frame_rate
-        shares = time_shares(seen.view(-1, num_frames), width).to(like)
+        shares = time_shares(seen.view(-1, num_frames), _START_WIDTH * width).to(like)
         each = turned.unflatten(0, (scene.num_people, -1))
         turned = nearest_rotation(torch.einsum("pts,ps...->pt...", shares, each).flatten(0, 1))
         there = rotations[first], translations[first], lenses[at]
