@@ -35,7 +35,7 @@ BAD_LINES: dict[str, tuple[str, list[str]]] = {  # name: (arguments, what the er
     "device": (GOOD + " --device tpu", ["--device", "tpu", "cpu"]),
     "CUDA device": (GOOD + " --device cuda:99", ["--device", "cuda:99", "cpu"]),
     "person": (GOOD + " --person 1", ["person", "1", "0 to 0"]),
-    "negative person": (GOOD + " --person -1", ["person", "-1", "0 to 0"]),
+    "negative person": (GOOD + " --person -1", ["--person: -1; expected 0 or more"]),
     "no model": (GOOD + " --model nobody.npz", ["--model: nobody.npz", "No such file"]),
     "name of a model": (GOOD + " --model annie", ["--model: annie", "'anny'", ".npz"]),
     "damaged model": (GOOD + " --model text.npz", ["--model: text.npz", "expected a file of SMPL"]),

@@ -47,6 +47,12 @@ def test_version(run: Run) -> None:
     assert run("--version") == (0, f"partdr {__version__}\n", "")
 
 
+def test_commands_of_commands_are_told(run: Run) -> None:
+    code, said, complaint = run("bench")
+    assert (code, complaint) == (2, "partdr: no command; see partdr bench --help\n")
+    assert "kernels" in said
+
+
 @pytest.mark.parametrize("line", ["fit --help", "--version"])
 def test_help_is_quick(line: str, tmp_path: Path) -> None:
     """It loads none of the large packages."""
@@ -82,6 +88,8 @@ def test_a_process_ends_with_its_code_and_all_that_it_said(tmp_path: Path) -> No
         ("fit --keypoints", "--keypoints"),
         ("fit --keypoints k.json --nonsense", "--nonsense"),
         ("fit --keypoints k.json --person first", "--person"),
+        ("fit photo.png --person -1", "--person: -1; expected 0 or more"),
+        ("evaluate partbench --mocap clips", "--mocap: clips, without --level clip; expected both"),
         ("fit --keypoints k.json --set seed=1.5", "seed: 1.5; expected a whole number"),
         ("fit a.png b.png --keypoints k.json", "b.png"),
         ("fti", "fti"),

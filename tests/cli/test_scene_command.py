@@ -13,7 +13,7 @@ import torch
 from PIL import Image
 from scenes import commands
 from scenes.commands import Run
-from scenes.files import EXAMPLE
+from scenes.files import EXAMPLE, save_with_focal
 from scenes.films import write_film
 
 from warp_partdr.body.rotations import rotation_to_axis_angle
@@ -110,9 +110,18 @@ def test_cameras_are_found(run: Run, unplaced: SceneSample) -> None:
 
 
 def test_photos_are_films_of_one_moment(run: Run, unplaced: SceneSample) -> None:
-    code, said, complaint = run(f"scene left.png right.png --out out {QUICK}")
-    assert (code, complaint) == (0, "")
-    assert "person0: frames 0 to 0, seen in 1, by left.png, right.png; about" in said
+    """Their EXIF data say how long their lenses are."""
+    height, width = unplaced.parts.shape[1:]
+    save_with_focal(Image.open("left.png"), Path("left.jpg"), 50, (width, height))
+    code, said, complaint = run(f"scene left.jpg right.png --out out {QUICK}")
+    assert code == 0
+    focal = 50 / 43.27 * math.hypot(width, height)
+    assert complaint.startswith(f"partdr: focal length {focal:.0f} px, of the photo's EXIF data")
+    assert len(complaint.splitlines()) == 1
+    cameras = read_cameras("out/cameras.json")
+    assert cameras["left"].focal[0] == pytest.approx(focal, rel=1e-3)
+    assert cameras["right"].focal[0] == pytest.approx(math.hypot(width, height), rel=1e-3)
+    assert "person0: frames 0 to 0, seen in 1, by left.jpg, right.png; about" in said
 
 
 @pytest.mark.parametrize(
@@ -127,14 +136,32 @@ def test_photos_are_films_of_one_moment(run: Run, unplaced: SceneSample) -> None
             ["--focal, --fov, --principal: with --cameras rig.json"],
         ),
         ("scene left.mp4 right.mp4 --focal exif", ["--focal: exif, with a film"]),
-        ("scene left.mp4 right.mp4 --align", ["films[1]: nobody of films[0] moves in the same way"]),
+        ("scene gray.png other.png --focal exif", ["gray.png: no focal length"]),
+        ("scene left.mp4 right.mp4 --align", ["right.mp4: nobody of the first film moves in the same way"]),
         ("scene left.mp4 right.mp4 --cameras rig.json --min-score 2", ["--min-score: 2"]),
+        (
+            "scene left.mp4 right.mp4 --cameras cameras.json --out .",
+            ["--out: .: the result would replace cameras.json"],
+        ),
+        # Told before anybody is looked for, whom gray films do not show.
+        ("scene gray.mp4 slow.mp4", ["films: 10, 20 frames a second; expected one rate"]),
+        ("scene gray.mp4 slow.mp4 --person -1", ["--person: -1; expected 0 or more"]),
+        ("scene right.mp4 gray.mp4 --cameras rig.json", ["cameras left, right; expected one a film: right, gray"]),
+        ("scene gray.mp4 other.mp4 --cameras rig.json", ["gray.mp4: 96 x 64 px; expected "]),
+        (
+            "scene left.mp4 right.mp4 --cameras rig.json --set stature=1.7",
+            ["stature: 1.7 m, of 1 people before 2 cameras"],
+        ),
     ],
 )
 def test_faults(run: Run, films: int, line: str, words: list[str]) -> None:
     rig = json.loads(Path("rig.json").read_text())["cameras"]
     Path("one.json").write_text(json.dumps({"cameras": {"left": rig["left"]}}))
-    code, said, complaint = run(f"{line} --out out --device cpu")
+    for name, rate in (("gray", 10), ("other", 10), ("slow", 20)):
+        write_film(Path(f"{name}.mp4"), [np.full((64, 96, 3), 90, np.uint8)] * 4, rate=rate)
+        Image.new("RGB", (96, 64)).save(f"{name}.png")
+    Path("cameras.json").write_text(Path("rig.json").read_text())
+    code, said, complaint = run(f"{line} --device cpu" if "--out" in line else f"{line} --out out --device cpu")
     assert (code, said) == (2, "")
     for word in words:
         assert word in complaint

@@ -15,6 +15,7 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.stature import bone_statures
 from warp_partdr.errors import InputError
 from warp_partdr.network.landmarks import LANDMARKS
+from warp_partdr.scenes import film_cameras
 from warp_partdr.scenes.camera_places import Moments, Places, place_cameras
 from warp_partdr.scenes.film_cameras import place_film_cameras
 from warp_partdr.scenes.looks import look_at
@@ -128,6 +129,8 @@ def test_a_known_stature_says_how_far_cameras_are(two: SceneSample) -> None:
     assert all(1.0 < height < 2.3 for height in heights)
     with pytest.raises(InputError, match=r"stature: 1.7 m, of 2 people; expected one"):
         place_cameras(make_pair(3).scene, stature=1.7)
+    with pytest.raises(InputError, match=r"stature: 175; expected metres, 0\.4 to 2\.8"):
+        place_cameras(scene, looks=looks, stature=175)
 
 
 def test_one_view_stays(two: SceneSample) -> None:
@@ -167,6 +170,10 @@ def test_one_of_two_is_as_tall_as_told(pair: SceneSample) -> None:
     assert float(other.norm() / one.norm()) == pytest.approx(1.2, abs=0.01)
     with pytest.raises(InputError, match=r"person: 2; expected 0 to 1"):
         place_film_cameras(films, stature=1.5, person=2)
+    with pytest.raises(InputError, match=r"stature: 175; expected metres, 0\.4 to 2\.8"):
+        place_film_cameras(films, stature=175, person=1)
+    with pytest.raises(InputError, match="films: none; expected at least one"):
+        place_film_cameras([])
 
 
 def test_films_of_other_moments_are_told(pair: SceneSample) -> None:
@@ -178,6 +185,14 @@ def test_films_of_other_moments_are_told(pair: SceneSample) -> None:
         InputError, match=r"films\[1\]: shows nobody when another film does; expected films of the same"
     ):
         place_film_cameras([one, later])
+
+
+def test_a_film_whose_people_are_in_no_other_is_told(pair: SceneSample, monkeypatch: pytest.MonkeyPatch) -> None:
+    films = films_of(pair, (-0.5, 0.4, 1.5), [(0, 1)] * 3)
+    found = [((0, 0), (1, 0)), ((0, 1), (1, 1)), ((2, 0),), ((2, 1),)]  # film, and number of a person in it
+    monkeypatch.setattr(film_cameras, "match_people", lambda films: found)
+    with pytest.raises(InputError, match=r"films\[2\]: nobody to place it by; expected somebody who is in another one"):
+        place_film_cameras(films)
 
 
 def test_a_film_knows_its_camera(pair: SceneSample) -> None:

@@ -152,6 +152,10 @@ def test_a_stature_of_several_people_is_whose(people: FilmPeople, monkeypatch: p
 
 
 def test_faults(people: FilmPeople, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="films: none; expected at least one"):
+        fit_film([])
+    with pytest.raises(TypeError, match="options: dict; expected SceneOptions or None"):
+        fit_film([SeenFilm.of(people)], options={"window": 4})  # type: ignore[arg-type]
     with pytest.raises(InputError, match="person: 1; expected 0 to 0"):
         fit_film([SeenFilm.of(people)], person=1)
     with pytest.raises(TypeError, match="people"):

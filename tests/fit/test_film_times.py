@@ -65,7 +65,7 @@ def test_a_film_that_started_later_is_joined_by_the_others(moving: SceneSample) 
 
 def test_whoever_stands_still_tells_nothing(moving: SceneSample) -> None:
     one, other = film(moving, -0.5, range(12)), film(swinging(0.0), 0.6, range(12))
-    with pytest.raises(InputError, match=r"films\[1\]: nobody of films\[0\] moves in the same way in both for long"):
+    with pytest.raises(InputError, match=r"films\[1\]: nobody of the first film moves in the same way in both for"):
         align_films([one, other])
 
 

@@ -109,6 +109,8 @@ def test_one_of_them_may_be_asked_for(everyone):
     np.testing.assert_allclose(alone.fits[1].vertices, found.fits[1].vertices, atol=5e-3)
     with pytest.raises(InputError, match="person: 2; expected 0 to 1"):
         fit_photo(photo, options=FAST, person=2)
+    with pytest.raises(InputError, match="person: -1; expected an integer of 0 or more"):
+        fit_photo(photo, options=FAST, person=-1)
 
 
 def test_options_of_the_mesh_stage_reach_it(everyone):

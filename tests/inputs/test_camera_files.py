@@ -199,6 +199,7 @@ def test_the_project_s_own_form(tmp_path: Path) -> None:
             {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]},
             "cameras.left: rotation: not orthonormal, or a mirror image",
         ),
+        ({"rotation": [0, 90, 0]}, r"cameras.left: rotation by 90 radians; expected 6.28\d+ at most, not degrees"),
         ({"translation": [0, 0, 3000]}, r"translation: .*expected 3 numbers in metres, up to 1000"),
         ({"size": [1920, 0]}, r"size .*expected width and height"),
         ({"distance": 3}, "distance: unknown; expected one of size, focal"),

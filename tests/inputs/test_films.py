@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import ExifTags, Image
 from scenes.films import av, write_film
 
 from warp_partdr.errors import InputError
 from warp_partdr.inputs import films
 from warp_partdr.inputs.film_reader import FilmReader
 from warp_partdr.inputs.films import film_facts, is_film, read_frames
+from warp_partdr.inputs.part_labels import read_photo
 
 
 def shades(count: int, height: int = 32, width: int = 64) -> list[np.ndarray]:
@@ -83,6 +85,19 @@ def test_a_phone_s_matrix_is_read_as_players_do(tmp_path: Path) -> None:
     assert picture.shape == (64, 32, 3)
     assert picture[:24, :, 0].mean() > 220
     assert picture[40:, :, 0].mean() < 60
+
+
+@pytest.mark.parametrize("ending", ["png", "webp"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_photos_stand_as_their_exif_data_say_mirrored_or_not(tmp_path: Path, orientation: int, ending: str) -> None:
+    path, exif = tmp_path / f"photo.{ending}", Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    (picture,) = shades(1)
+    picture[:8, :, 1] = 200
+    Image.fromarray(picture).save(path, exif=exif, lossless=True)
+    (frame,) = read_frames(path)
+    np.testing.assert_array_equal(frame.picture, read_photo(path))
+    np.testing.assert_array_equal(films.FilmFrames(path).read(0), read_photo(path))
 
 
 def test_wide_pixels_become_square(tmp_path: Path) -> None:

@@ -149,7 +149,7 @@ def partbench(
     from ..evaluation.partbench.crossed import CASES, CROSSED_METHODS, crossed_samples
     from ..evaluation.partbench.methods import METHODS, QUICK
     from ..evaluation.partbench.report import compare_methods, write_report
-    from ..evaluation.partbench.samples import CROSSED, SCENES, partbench_samples
+    from ..evaluation.partbench.samples import CLIP, CROSSED, SCENES, partbench_samples
     from ..evaluation.partbench.scenes import SCENE_METHODS, partbench_scenes
     from ..results.result_sets import check_folder
     from ..synthetic.noise import LEVELS
@@ -159,6 +159,8 @@ def partbench(
     every: dict[str, Fitting] = {**METHODS, **CROSSED_METHODS, **SCENE_METHODS}
     methods = _choose(every, method or ([*QUICK, *CROSSED_METHODS, *SCENE_METHODS] if quick else every))
     levels = level or (QUICK_LEVELS if quick else tuple(LEVELS))
+    if mocap is not None and CLIP not in levels:
+        raise InputError(f"--mocap: {mocap}, without --level {CLIP}; expected both")
     where = _one_thread(device)
     processes = jobs or ((os.cpu_count() or 1) if where == "cpu" else 1)
     count = people or (QUICK_PEOPLE if quick else PEOPLE)

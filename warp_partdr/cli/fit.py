@@ -21,6 +21,7 @@ from .options import (
     OutOption,
     PhotoFiles,
     SettingOptions,
+    check_person,
     check_score,
     take_formats,
     take_whole,
@@ -89,6 +90,7 @@ def fit(
     """Fit a body to one person; see ``FIT_HELP``."""
     # Loaded here, so that --help is quick, and torch after the files, so that faults in them are found at once.
     values = settings.read()
+    check_person(files.person)
     if photo is not None and is_film(photo):
         from .fit_film import fit_motions
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -11,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..errors import InputError
-from ..inputs.films import film_facts
+from ..errors import InputError, told_as
+from ..inputs.films import film_facts, is_photo, read_frames
+from ..inputs.part_labels import read_focal, scan_photo
 from .loading import NO_MODEL, load_mesh_kernels
 from .options import EXIF, CameraOptions, NetworkOptions, PhotoFiles, take_formats, take_whole
 from .register import read_model
@@ -49,16 +51,18 @@ def fit_motions(
     files.networks.check()
     if model == NO_MODEL:
         raise InputError("--model: none, with a film; expected a detailed model")
-    check_film_view(view)
+    check_film_view(view, [film])
     film_facts(film)  # faults of the file are told before anything is loaded
 
     fit_films(FilmRun((film,), out, device, model, files.person, min_score, values, files.networks, view))
 
 
-def check_film_view(view: CameraOptions) -> None:
-    """Raise an InputError for what a film's camera can't be."""
-    if view.focal == EXIF:
-        raise InputError("--focal: exif, with a film; expected pixels, or --fov")
+def check_film_view(view: CameraOptions, films: Sequence[Path]) -> None:
+    """Raise an InputError for what cameras of films, or of photos among them, can't be."""
+    for film in films if view.focal == EXIF else ():
+        if not is_photo(film):
+            raise InputError("--focal: exif, with a film; expected pixels, or --fov")
+        read_focal(film)
     view.check()
 
 
@@ -102,7 +106,7 @@ def fit_films(run: FilmRun) -> None:
     from ..kernels.launch import set_num_threads
     from ..predictors.film_sights import GivenNetworks, find_film_sights
     from ..results.result_sets import check_folder, check_inputs
-    from ..results.save_film import overlay_name, save_film_fit
+    from ..results.save_film import CAMERAS, overlay_name, save_film_fit
     from ..scenes.film import fit_film
     from ..scenes.film_cameras import place_film_cameras
     from ..scenes.film_pieces import FilmPieces
@@ -117,8 +121,16 @@ def fit_films(run: FilmRun) -> None:
     formats = take_formats(run.values)
     options = read_section(SceneOptions, run.values, base=SceneOptions.film())
     check_folder(run.out)
-    check_inputs(run.out, films, [overlay_name(place) for place in range(len(films))])
+    check_inputs(run.out, (*films, run.cameras), [CAMERAS, *map(overlay_name, range(len(films)))])
     rig = None if run.cameras is None else cameras_of_films(run.cameras, films)
+    if rig is not None:  # faults are told before people are looked for
+        options.check_sights(1, len(films))
+        for film, camera in zip(films, rig, strict=True):
+            picture = next(read_frames(film)).picture
+            with told_as("picture", film):
+                camera.check_size((picture.shape[0], picture.shape[1]))
+    photos = [film for film in films if rig is None and is_photo(film)]
+    lenses = {film: run.view.of_photo(scan_photo(film), film) for film in photos}
     networks = GivenNetworks(**run.networks.load(where))
     detailed = read_model(run.model, where)
     with FitProgress() as progress:
@@ -136,22 +148,26 @@ def fit_films(run: FilmRun) -> None:
             else:
                 people, sights = pieces.people(place, partial(find_film_people, film, **look)), None
             if rig is None:
-                seen.append(SeenFilm.of(people, run.view.read(people.image_size, None), given=sights))
+                lens = lenses.get(film) or run.view.read(people.image_size, None)
+                seen.append(SeenFilm.of(people, lens, given=sights))
             else:
                 seen.append(SeenFilm.calibrated(people, rig[place], given=sights))
-        if run.align:
-            seen = pieces.aligned(seen, partial(align_films, seen, device=where, progress=progress))
-        if rig is None and len(films) > 1:
-            tall = {"stature": options.stature, "person": run.person}
-            how: dict[str, Any] = {**tall, "device": where, "progress": progress}
-            seen = pieces.placed(seen, partial(place_film_cameras, seen, **how))
-            options = replace(options, stature=None)  # cameras are as far away as it says
+        with ExitStack() as named:
+            for place, film in enumerate(films):
+                named.enter_context(told_as(f"films[{place}]", film))
+            if run.align:
+                seen = pieces.aligned(seen, partial(align_films, seen, device=where, progress=progress))
+            if rig is None and len(films) > 1:
+                tall = {"stature": options.stature, "person": run.person}
+                how: dict[str, Any] = {**tall, "device": where, "progress": progress}
+                seen = pieces.placed(seen, partial(place_film_cameras, seen, **how))
+                options = replace(options, stature=None)  # cameras are as far away as it says
         kind: dict[str, Any] = {"options": options, "model": detailed, "device": where}
         fit = fit_film(seen, person=run.person, progress=progress, pieces=pieces, **kind)
         report = save_film_fit(fit, run.out, films=films, formats=formats, progress=progress)
         pieces.remove()
     for warning in report["warnings"]:
-        typer.echo(f"partdr: warning: {warning}; frames before were fitted", err=True)
+        typer.echo(f"partdr: warning: {warning}", err=True)
     for film, each in zip(films, seen, strict=True):
         for gap in each.given.gaps if each.given is not None else ():
             typer.echo(f"partdr: warning: {film}: {gap}", err=True)

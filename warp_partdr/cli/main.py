@@ -72,7 +72,7 @@ def main() -> None:
         code = _complain(str(error))
     except _UsageError as error:
         command = error.ctx.command_path if error.ctx else "partdr"
-        code = _complain(f"{error.format_message().rstrip('.')}; see {command} --help")
+        code = _complain(f"{error.format_message().rstrip('.') or 'no command'}; see {command} --help")
     except typer.Abort:
         code = 130
     sys.exit(code)

@@ -86,6 +86,12 @@ def check_score(name: str, value: Any) -> float:
     return float(value)
 
 
+def check_person(person: int | None) -> None:
+    """Raise an InputError for a --person whom no picture has."""
+    if person is not None and person < 0:
+        raise InputError(f"--person: {person}; expected 0 or more")
+
+
 def people_at_a_time(batch: int | None, device: str) -> int:
     """The option --batch of networks; a CPU's caches hold less."""
     return batch or (16 if device == "cpu" else 64)
@@ -201,6 +207,9 @@ class NetworkOptions:
 class PhotoFiles(PersonFiles):
     """The same, or networks that see the people of a photo."""
 
+    person: Annotated[
+        int | None, Option(help="Whom, 0 = first; default: all, of keypoints the largest.", metavar="N")
+    ] = None
     parts_from: PartsFromOption = None
     keypoints_from: KeypointsFromOption = None
 

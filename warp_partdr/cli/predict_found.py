@@ -15,7 +15,7 @@ import typer
 from ..errors import InputError
 from ..inputs.films import check_pyav, film_facts, is_film
 from ..inputs.part_labels import PHOTO_SUFFIXES, read_photo
-from .options import EXIF, CameraOptions, check_score, people_at_a_time, say_people
+from .options import EXIF, CameraOptions, check_person, check_score, people_at_a_time, say_people
 
 if TYPE_CHECKING:
     from ..cameras import Crop
@@ -43,8 +43,7 @@ class Taken:
 
     def __post_init__(self) -> None:
         check_score("--min-score", self.min_score)
-        if self.person is not None and self.person < 0:
-            raise InputError(f"--person: {self.person}; expected 0 or more")
+        check_person(self.person)
 
 
 @dataclass(frozen=True)

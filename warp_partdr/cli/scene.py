@@ -10,9 +10,9 @@ from typer import Argument, Option
 
 from ..detection import MIN_SCORE
 from ..errors import InputError
-from ..inputs.films import film_facts
+from ..inputs.films import check_rates, film_facts
 from .fit_film import FilmRun, check_film_view, fit_films
-from .options import CameraOptions, DeviceOption, NetworkOptions, OutOption, SettingOptions, check_score
+from .options import CameraOptions, DeviceOption, NetworkOptions, OutOption, SettingOptions, check_person, check_score
 
 SCENE_HELP = """Fit motions to everyone in films of several cameras: with a second view, depth is no guess.
 
@@ -27,7 +27,7 @@ stature=1.78` (metres), or distances are as large as people seem.
 
 Results are those of `partdr fit film.mp4`, in the frame of the first film's camera, with an overlay of each film; a
 run that was ended goes on where it was. **Settings** for --set and --config are the same: `window=64`, `overlap=12`,
-`smoothing=0.15` seconds, `mesh.iterations=40`, and more.
+`smoothing=0.15` seconds, `mesh.iterations=60`, and more.
 """
 
 
@@ -60,9 +60,9 @@ def scene(
         raise InputError("FILM: the same one twice; expected films of different cameras")
     if rig.cameras is not None and view.given:
         raise InputError(f"--focal, --fov, --principal: with --cameras {rig.cameras}; expected one of them")
-    check_film_view(view)
+    check_person(person)
+    check_film_view(view, films)
     networks.check()
-    for film in films:
-        film_facts(film)  # faults of the files are told before anything is loaded
+    check_rates([film_facts(film).rate for film in films])  # faults are told before anything is loaded
     how = networks, view, rig.cameras, rig.align
     fit_films(FilmRun(tuple(films), out, device, model, person, score, values, *how))

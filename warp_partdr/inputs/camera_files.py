@@ -9,6 +9,7 @@ points are moved there::
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from .calibrated_camera import CalibratedCamera
 
 _EXPECTED = "calibrated cameras: Pose2Sim's .toml, or OpenCV's .yml, .yaml or .json, or a folder of these"
 _KINDS = (".toml", ".yml", ".yaml", ".json")
+_LARGEST_TURN = 2 * math.pi  # [rad], of Rodrigues' vectors
 _STEREO = ("intrinsics", "extrinsics")  # files of OpenCV's stereo_calib, together two cameras
 _OWN = ("size", "focal", "principal", "distortion", "rotation", "translation")
 # Names that OpenCV's samples, ROS and Pose2Sim write, without capitals and underscores.
@@ -68,17 +70,19 @@ def read_cameras(path: str | Path) -> dict[str, CalibratedCamera]:
     return found
 
 
-def cameras_of_films(path: str | Path, films: Sequence[Path]) -> list[CalibratedCamera]:
+def cameras_of_films(path: str | Path, films: Sequence[str | Path]) -> list[CalibratedCamera]:
     """Calibrated cameras of films, in the frame of the first: by the films' names, else in the order of the file.
 
     Raises:
         InputError: As of ``read_cameras``, or if it is not clear which camera took which film.
     """
     cameras = read_cameras(path)
-    names = [film.stem for film in films]
+    names = [Path(film).stem for film in films]
     if set(names) <= cameras.keys() and len(set(names)) == len(names):
         found = [cameras[name] for name in names]
-    elif len(cameras) == len(films):
+    elif len(cameras) == len(films) and all(
+        name == camera or name not in cameras for name, camera in zip(names, cameras, strict=True)
+    ):
         found = list(cameras.values())
     else:
         raise InputError(
@@ -228,6 +232,8 @@ def _rotation(node: Mapping[str, Any], where: str) -> np.ndarray:
     values = _numbers(node, _ROTATION, where, "a rotation, world to camera", (3, 3), (3,), (3, 1), (1, 3))
     if values.shape == (3, 3):
         return values
+    if (angle := float(np.linalg.norm(values))) > _LARGEST_TURN:
+        raise InputError(f"{where}: rotation by {angle:g} radians; expected {_LARGEST_TURN:g} at most, not degrees")
     return rotation_from_axis_angle(torch.from_numpy(values.reshape(3))).numpy()
 
 

@@ -6,7 +6,7 @@ import math
 import os
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError, cause
-from .part_labels import LARGEST_PICTURE
+from .part_labels import LARGEST_PICTURE, PHOTO_SUFFIXES, read_photo
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 FILM_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".mts", ".wmv")
 _NEAR = 32  # frames ahead to which a film is read on rather than opened anew, and that are kept for other threads
+
+
+_RATES = 0.01  # share by which rates of films may differ
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,13 @@ def film_facts(path: str | Path) -> FilmFacts:
         return FilmFacts(rate, stream.frames or max(round(seconds * rate), 0))
 
 
+def check_rates(rates: Sequence[float]) -> None:
+    """Raise an InputError if films of the same moments differ in their frames a second; 0 is unknown."""
+    known = [rate for rate in rates if rate]
+    if known and max(known) > (1 + _RATES) * min(known):
+        raise InputError(f"films: {', '.join(f'{rate:g}' for rate in rates)} frames a second; expected one rate")
+
+
 def read_frames(path: str | Path) -> Iterator[Frame]:
     """Frames of a film in their order, of which one at a time is in memory.
 
@@ -85,6 +95,9 @@ def read_frames(path: str | Path) -> Iterator[Frame]:
         InputError: If PyAV is not installed, the file can't be read as a film, it has no frame, or fewer than it says,
             or one is damaged; frames before that are given.
     """
+    if is_photo(path):
+        yield Frame(0, 0.0, read_photo(path))
+        return
     index, packets, start, size = 0, 0, 0.0, (0, 0)
     with _opened(path) as (container, stream):
         stream.thread_type = "AUTO"
@@ -170,6 +183,9 @@ class FilmFrames:
 
     def _decode(self, first: int) -> Iterator[tuple[int, np.ndarray]]:
         """Numbers and pictures of frames from the first one on."""
+        if is_photo(self.path):
+            yield 0, read_photo(self.path)
+            return
         places = None if self._times is None else {time: place for place, time in enumerate(self._times)}
         with _opened(self.path) as (container, stream):
             stream.thread_type = "AUTO"
@@ -179,6 +195,11 @@ class FilmFrames:
                 number = count if places is None or frame.pts is None else places.get(frame.pts)
                 if number is not None and number >= first:
                     yield number, _upright(frame, _square_size(self.path, stream, frame))
+
+
+def is_photo(path: str | Path) -> bool:
+    """True for a photo, which libav would read, too, but not turn as its EXIF data say where they mirror it."""
+    return Path(path).suffix.lower() in PHOTO_SUFFIXES
 
 
 @contextmanager

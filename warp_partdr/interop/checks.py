@@ -7,7 +7,7 @@ from typing import SupportsIndex
 
 import torch
 
-from ..errors import LARGEST, check_whole
+from ..errors import LARGEST, InputError, check_whole
 from .quick_checks import FRAMES, POSITIVE, ROTATIONS, VALUES, are_good
 
 FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)  # taken, and converted to float32
@@ -84,7 +84,7 @@ def check_image_size(image_size: Sequence[SupportsIndex], batch: int = 1) -> tup
     if pixels >= MAX_PICTURE:
         raise ValueError(f"image_size: 1 pictures of {(height, width)}; expected fewer than 2**28 pixels each")
     if batch * pixels >= MAX_PIXELS:
-        raise ValueError(
+        raise InputError(
             f"image_size: {batch} pictures of {(height, width)}; expected fewer than 2**31 pixels, split the batch"
         )
     return height, width

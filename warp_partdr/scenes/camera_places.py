@@ -17,6 +17,7 @@ import torch
 from ..body.landmarks import annotated
 from ..body.lens import placed_at
 from ..body.rotations import nearest_rotation, rotation_from_axis_angle, skew
+from ..body.stature import check_stature
 from ..body.template import MEAN_STATURE
 from ..errors import InputError
 from ..interop.gradient_mode import with_gradients
@@ -57,6 +58,7 @@ def place_cameras(
     Raises:
         InputError: If views have no moment in common, or the stature is of several people.
     """
+    check_stature(stature)
     if stature is not None and scene.num_people > 1:
         raise InputError(f"stature: {stature:g} m, of {scene.num_people} people; expected one")
     if len(scene.views) == 1:

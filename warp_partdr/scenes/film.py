@@ -19,8 +19,9 @@ from ..clothing.anny import anny
 from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
 from ..detection.film_people import FilmPeople
-from ..errors import InputError, check_each
+from ..errors import check_type
 from ..fit.fitting import Progress
+from ..inputs.films import check_rates
 from ..interop.ahead import made_ahead
 from .film_looks import FilmLooks
 from .film_pieces import FilmPieces
@@ -28,11 +29,9 @@ from .fitting import SceneFit, fit_scene
 from .looks import Looked
 from .options import SceneOptions
 from .photo import check_whose, person_place
-from .same_people import Track, match_people
+from .same_people import Track, check_films, match_people
 from .scene import PersonShape, Scene, Sight, View
 from .seen_film import SeenFilm
-
-_RATES = 0.01  # share by which rates of films may differ
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ class Motion:
     rotations: torch.Tensor
     translation: torch.Tensor
 
-    def bodies(self, rows: slice = slice(None)) -> Registered:
+    def bodies(self, rows: slice | np.ndarray = slice(None)) -> Registered:
         """Detailed bodies of some of the frames in the world; all of a long film's take memory."""
         rotations = self.rotations[rows]
         values = self.shape.values.expand(len(rotations), -1)
@@ -117,11 +116,12 @@ def fit_film(
         pieces: What an earlier run of the same fit has done already, and where this one keeps what it does.
 
     Raises:
-        InputError: If there are not so many people, films differ in their rates, or a stature is of several people or
-            before several cameras.
+        InputError: If there is no film, or not so many people, films differ in their rates, or a stature is of several
+            people or before several cameras.
         TypeError: If an argument is of another type.
     """
-    check_each("films", films, SeenFilm, "such as SeenFilm.of(find_film_people('walk.mp4'))")
+    check_films(films)
+    check_type("options", options, SceneOptions | None, "such as SceneOptions.film()")
     options, model = options or SceneOptions.film(), model or anny(device)
     everyone = dict(enumerate(match_people(films)))
     if person is not None:
@@ -187,9 +187,7 @@ class _Films:
     tracks: Mapping[int, tuple[Track, ...]]
 
     def __post_init__(self) -> None:
-        rates = [film.people.rate for film in self.films]
-        if max(rates) > (1 + _RATES) * min(rates):
-            raise InputError(f"films: {', '.join(f'{rate:g}' for rate in rates)} frames a second; expected one rate")
+        check_rates([film.people.rate for film in self.films])
 
     def span(self, person: int) -> range:
         """Frames from the first in which a person is seen to the last."""

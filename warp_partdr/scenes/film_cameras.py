@@ -15,13 +15,14 @@ from itertools import chain, product
 import numpy as np
 import torch
 
+from ..body.stature import check_stature
 from ..detection.film_people import areas
-from ..errors import InputError, check_each
+from ..errors import InputError
 from ..fit.fitting import Progress
 from .camera_places import Moments, Places, place_cameras
 from .looks import Looked, look_in_batches, looked_at_together
 from .photo import check_whose, person_place
-from .same_people import Track, match_people
+from .same_people import Track, check_films, match_people
 from .scene import Scene, Sight
 from .seen_film import SeenFilm
 
@@ -55,7 +56,8 @@ def place_film_cameras(
         InputError: If nobody is seen by two cameras at once, or the stature is of several people.
         TypeError: If an argument is of another type.
     """
-    check_each("films", films, SeenFilm, "such as SeenFilm.of(find_film_people('walk.mp4'))")
+    check_films(films)
+    check_stature(stature)
     tell = progress or (lambda name, done, total: None)
     tell("cameras", 0, len(films))
     looks = _look(films, device)
@@ -142,6 +144,8 @@ def _by_all(films: Sequence[SeenFilm], looks: _Looks, stature: float | None, per
     if not people:
         raise InputError("films: nobody is the same in two of them; expected films of the same moments, frame by frame")
     check_whose(stature, len(people))
+    if alone := set(range(len(films))) - {film for tracks in people for film, _ in tracks}:
+        raise InputError(f"films[{min(alone)}]: nobody to place it by; expected somebody who is in another one, too")
     seen = [
         replace(look, sight=replace(look.sight, person=number))
         for number, tracks in enumerate(people)

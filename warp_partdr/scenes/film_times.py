@@ -13,12 +13,13 @@ from itertools import product
 import numpy as np
 import torch
 
-from ..errors import InputError, check_each
+from ..errors import InputError
 from ..fit.fitting import Progress
 from ..network.landmarks import LANDMARKS
 from ..network.predicted import posed_landmarks
 from .film_cameras import look_at_frames, moments_of, spread
 from .looks import Looked
+from .same_people import check_films
 from .seen_film import SeenFilm
 
 _RATE = 10.0  # looks a second, at first
@@ -42,7 +43,7 @@ def align_films(
         InputError: If no person of the first film moves as one of another does, for half of the shorter film.
         TypeError: If an argument is of another type.
     """
-    check_each("films", films, SeenFilm, "such as SeenFilm.of(find_film_people('walk.mp4'))")
+    check_films(films)
     tell = progress or (lambda name, done, total: None)
     later = [0]
     for place in range(1, len(films)):
@@ -70,7 +71,7 @@ def _offset(films: tuple[SeenFilm, SeenFilm], place: int, device: torch.device |
     ]
     if not tried:
         told = "moves in the same way in both for long enough; expected films of the same moments"
-        raise InputError(f"films[{place}]: nobody of films[0] {told}")
+        raise InputError(f"films[{place}]: nobody of the first film {told}")
     _, rough, tracks = min(tried)
     energies = _energies(films, tracks, rough, range(-step, step + 1), device)
     return rough + min(energies, key=energies.__getitem__)

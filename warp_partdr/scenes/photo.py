@@ -270,7 +270,10 @@ def person_place(person: int, count: int) -> int:
     Raises:
         InputError: If there are not so many.
     """
-    index = check_whole("person", person, 0)
+    try:
+        index = check_whole("person", person, 0)
+    except ValueError as error:
+        raise InputError(str(error)) from None
     if index >= count:
         raise InputError(f"person: {index}; expected 0 to {count - 1}, of the people found")
     return index

@@ -10,6 +10,7 @@ import numpy as np
 from ..body.skeletons import skeleton
 from ..detection.film_people import areas
 from ..detection.person import SKELETON
+from ..errors import InputError, check_each
 from .seen_film import SeenFilm
 
 _FRAMES = 32  # that two tracks have in common and are compared in, at most
@@ -21,6 +22,13 @@ _LENGTHS = (0.5, 2.0)  # [m] together, of children and adults: what meets elsewh
 _BEHIND = 10.0  # [m], distance of rays that meet behind a camera
 
 Track = tuple[int, int]  # film, and number of a person in it
+
+
+def check_films(films: Sequence[SeenFilm]) -> None:
+    """Raise an InputError if there are no films, or a TypeError if they are none."""
+    check_each("films", films, SeenFilm, "such as SeenFilm.of(find_film_people('walk.mp4'))")
+    if not films:
+        raise InputError("films: none; expected at least one")
 
 
 def match_people(films: Sequence[SeenFilm]) -> list[tuple[Track, ...]]:
