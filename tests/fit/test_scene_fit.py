@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from warp_partdr.scenes.clusters import find_clusters
 from warp_partdr.scenes.depth_order import exchange, grown, order_people
 from warp_partdr.scenes.energy import SceneEnergy, SceneStarts
 from warp_partdr.scenes.fitting import fit_scene, scene_energy
-from warp_partdr.scenes.looks import look_at
+from warp_partdr.scenes.looks import Looked, look_at
 from warp_partdr.scenes.options import SceneOptions
 from warp_partdr.scenes.scene import Scene, Sight, View
 from warp_partdr.scenes.start import gather_scene, time_shares
@@ -32,9 +33,11 @@ from warp_partdr.synthetic.scene_people import LABELS, make_pair, make_views
 QUICK = SceneOptions(mesh=MeshOptions(iterations=30, size=96, vertices=800), together=160)
 
 
-def prepared(scene: Scene, device: str, options: SceneOptions = QUICK) -> tuple[SceneEnergy, SceneStarts]:
+def prepared(
+    scene: Scene, device: str, options: SceneOptions = QUICK, looks: Sequence[Looked] | None = None
+) -> tuple[SceneEnergy, SceneStarts]:
     model = anny(torch.device(device))
-    looks = look_at(scene, device)
+    looks = looks or look_at(scene, device)
     clusters = find_clusters(looks, scene.num_people)
     energy = scene_energy(mesh_energy(model, options.mesh, LABELS), options, clusters, LABELS.num_groups)
     with torch.no_grad():
@@ -165,10 +168,7 @@ def test_starts_keep_more_of_a_fast_move_than_moves_could_bring_back():
     looks = [replace(look, sight=sight) for sight in film.sights]
     body = look.body
     looks[7] = replace(look, sight=film.sights[7], body=replace(body, log_scale=body.log_scale + 0.01))
-    model = anny(torch.device("cpu"))
-    energy = scene_energy(mesh_energy(model, options.mesh, LABELS), options, find_clusters(looks, 1), LABELS.num_groups)
-    with torch.no_grad():
-        people = gather_scene(energy, model, film, looks)
+    _, people = prepared(film, "cpu", options, looks)
     kept = float(people.log_scale[7] - body.log_scale) / 0.01
     assert 1.3 * float(people.smooth[7, 7]) < kept < 0.5
 

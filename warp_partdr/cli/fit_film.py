@@ -14,7 +14,7 @@ import typer
 
 from ..errors import InputError, told_as
 from ..inputs.films import film_facts, is_photo, read_frames
-from ..inputs.part_labels import read_focal, scan_photo
+from ..inputs.part_labels import scan_photo
 from .loading import NO_MODEL, load_mesh_kernels
 from .options import EXIF, CameraOptions, NetworkOptions, PhotoFiles, take_formats, take_whole
 from .register import read_model
@@ -59,10 +59,8 @@ def fit_motions(
 
 def check_film_view(view: CameraOptions, films: Sequence[Path]) -> None:
     """Raise an InputError for what cameras of films, or of photos among them, can't be."""
-    for film in films if view.focal == EXIF else ():
-        if not is_photo(film):
-            raise InputError("--focal: exif, with a film; expected pixels, or --fov")
-        read_focal(film)
+    if view.focal == EXIF and not all(map(is_photo, films)):
+        raise InputError("--focal: exif, with a film; expected pixels, or --fov")
     view.check()
 
 

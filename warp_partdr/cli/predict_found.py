@@ -13,7 +13,7 @@ import numpy as np
 import typer
 
 from ..errors import InputError
-from ..inputs.films import check_pyav, film_facts, is_film
+from ..inputs.films import check_pyav, film_facts, is_film, is_photo
 from ..inputs.part_labels import PHOTO_SUFFIXES, read_photo
 from .options import EXIF, CameraOptions, check_person, check_score, people_at_a_time, say_people
 
@@ -318,7 +318,7 @@ def _sources(paths: Sequence[Path]) -> list[_Source]:
 
 
 def _is_picture(path: Path) -> bool:
-    return path.is_file() and not path.name.startswith(".") and (path.suffix.lower() in PHOTO_SUFFIXES or is_film(path))
+    return path.is_file() and not path.name.startswith(".") and (is_photo(path) or is_film(path))
 
 
 def _count(sources: Iterable[_Source]) -> int | None:

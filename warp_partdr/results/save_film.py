@@ -218,8 +218,7 @@ def _misfits(fit: FilmFit, films: Sequence[str | Path]) -> list[str]:
     for person, motion in fit.motions.items():
         model = motion.model
         names = annotated(skeleton(SKELETON).landmarks, model.landmark_names)
-        for place, film in enumerate(films):
-            rows, seen = fit.rows(person, place), fit.films[place]
+        for film, seen, rows in zip(films, fit.films, _seen(fit, person), strict=True):
             if not len(rows):
                 continue
             some = rows[np.linspace(0, len(rows) - 1, _COMPARED).round().astype(int)]
