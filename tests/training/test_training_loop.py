@@ -66,8 +66,6 @@ def tell(monkeypatch, step: int, number: int) -> None:
 
 @pytest.mark.parametrize(("number", "optimizer"), [(signal.SIGTERM, "adamw"), (signal.SIGINT, "muon")])
 def test_stopped_and_resumed_is_bit_for_bit_uninterrupted(tmp_path, monkeypatch, device, number, optimizer):
-    if optimizer == "muon" and not hasattr(torch.optim, "Muon"):
-        pytest.skip("torch before 2.9 has no Muon")
     numbers = {"accumulation": 2, "warm_up": 2, "optimizer": optimizer}
     whole = run_training(config(tmp_path / "whole", **numbers), device=device)
     assert (whole.step, whole.stopped) == (6, None)

@@ -55,8 +55,8 @@ class TrainingConfig:
     floor: float = 0.0  # share of the learning rate at the end of the cosine
     weight_decay: float = 0.0  # of AdamW, for matrices and convolutions; none for biases and normalisation
     betas: tuple[float, float] = (0.9, 0.999)  # of AdamW
-    # "muon" (Jordan et al., 2024) steps the matrices between a network's first and last layers, with the learning rate
-    # and decay of AdamW, which steps all else.
+    # "muon" (Jordan et al., 2024) steps matrices and convolutions between a network's first and last layers, with the
+    # learning rate and decay of AdamW, which steps all else.
     optimizer: Literal["adamw", "muon"] = "adamw"
     clip: float = 1.0  # largest norm of the gradient; larger ones are scaled down; inf leaves all as they are
     # Decay of the running mean of the weights, which is what is validated and released; it starts lower, as

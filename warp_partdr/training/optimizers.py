@@ -1,4 +1,4 @@
-"""Optimizers of a training run: AdamW, or Muon for matrices and AdamW for all else."""
+"""Optimizers of a training run: AdamW, or Muon for matrices and convolutions and AdamW for all else."""
 
 from __future__ import annotations
 
@@ -7,26 +7,22 @@ from typing import Any, cast
 
 import torch
 
-from ..errors import InputError
 from .config import TrainingConfig
+from .muon import Muon
 
-# Layers that say results, and tables: matrices that Muon is not for.
-_OTHERS = ("heads.", "uncertainty.layers.2.", "attention.names")
+# Layers that see pictures or say results, and tables: matrices that Muon is not for.
+_OTHERS = ("stem.", "heads.", "uncertainty.layers.2.", "attention.names")
 
 
 def make_optimizer(config: TrainingConfig, model: torch.nn.Module, device: torch.device) -> torch.optim.Optimizer:
-    """The run's optimizer of all parameters of ``model``.
-
-    Raises:
-        InputError: If this torch has no Muon.
-    """
+    """The run's optimizer of all parameters of ``model``."""
     named = dict(model.named_parameters())
     matrices = [value for name, value in named.items() if config.optimizer == "muon" and _is_matrix(name, value)]
     taken = set(matrices)
     rest = [value for value in named.values() if value not in taken]
     found: list[torch.optim.Optimizer] = []
     if matrices:
-        found.append(_muon(matrices, config))
+        found.append(Muon(matrices, lr=config.learning_rate, weight_decay=config.weight_decay))
     if rest:
         groups = _groups(rest, config.weight_decay)
         fused = device.type == "cuda"
@@ -35,15 +31,7 @@ def make_optimizer(config: TrainingConfig, model: torch.nn.Module, device: torch
 
 
 def _is_matrix(name: str, value: torch.Tensor) -> bool:
-    return value.ndim == 2 and not any(other in name for other in _OTHERS)
-
-
-def _muon(matrices: list[torch.nn.Parameter], config: TrainingConfig) -> torch.optim.Optimizer:
-    if not hasattr(torch.optim, "Muon"):
-        raise InputError(f"optimizer: muon; this is torch {torch.__version__}, expected 2.9 or later, or adamw")
-    return torch.optim.Muon(
-        matrices, lr=config.learning_rate, weight_decay=config.weight_decay, adjust_lr_fn="match_rms_adamw"
-    )
+    return value.ndim in (2, 4) and not any(other in name for other in _OTHERS)
 
 
 def _groups(parameters: Sequence[torch.nn.Parameter], decay: float) -> list[dict[str, Any]]:

@@ -30,10 +30,10 @@ class RunningMean:
         share = 1 - min(self._decay, (1 + self.steps) / (10 + self.steps))
         pairs = [(mean, new.detach()) for mean, new in zip(_tensors(self.module), _tensors(model), strict=True)]
         floats = [pair for pair in pairs if pair[0].is_floating_point()]
+        wholes = [pair for pair in pairs if not pair[0].is_floating_point()]
         torch._foreach_lerp_([mean for mean, _ in floats], [new for _, new in floats], share)
-        for mean, new in pairs:
-            if not mean.is_floating_point():
-                mean.copy_(new)
+        if wholes:
+            torch._foreach_copy_([mean for mean, _ in wholes], [new for _, new in wholes])
 
 
 def _tensors(model: torch.nn.Module) -> chain[torch.Tensor]:
