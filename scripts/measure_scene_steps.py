@@ -3,7 +3,7 @@
     python scripts/measure_scene_steps.py [cpu|cuda] [PEOPLExFRAMES ...]
 
 One of PartBench's people is everybody in all frames, for a step's time does not ask who is who. To look at sights and
-what comes after the steps are not in it.
+what comes after the steps are not in it. Then the mesh stage's steps of that person, in turn with a scene's of one.
 """
 
 from __future__ import annotations
@@ -12,14 +12,16 @@ import sys
 import time
 from dataclasses import replace
 from statistics import median
+from typing import Any
 
 import torch
 import warp as wp
 
 from warp_partdr.clothing.anny import anny
-from warp_partdr.fit.mesh_energy import mesh_energy
+from warp_partdr.fit.fitting import fit_body
+from warp_partdr.fit.mesh_energy import gather_starts, mesh_energy
 from warp_partdr.fit.mesh_options import MeshOptions
-from warp_partdr.fit.steps import find_steps
+from warp_partdr.fit.steps import Steps, find_steps
 from warp_partdr.interop.torch_threads import one_torch_thread
 from warp_partdr.scenes.fitting import scene_energy
 from warp_partdr.scenes.looks import look_at
@@ -28,12 +30,12 @@ from warp_partdr.scenes.scene import Scene
 from warp_partdr.scenes.start import gather_scene
 from warp_partdr.synthetic.scene_people import make_views
 
-_STEPS, _REPEATS = 50, 5
+MESH, _REPEATS = MeshOptions(iterations=50), 5
 
 
-def measure(people: int, frames: int, device: torch.device) -> float:
-    """Median seconds of all steps, after a first run."""
-    model, options = anny(device), SceneOptions(mesh=MeshOptions(iterations=_STEPS))
+def scene_steps(people: int, frames: int, device: torch.device) -> Steps[Any, Any]:
+    """Steps of so many people in so many frames."""
+    model, options = anny(device), SceneOptions(mesh=MESH)
     one = make_views(3, 1).scene
     sights = [replace(one.sights[0], person=p, frame=t) for p in range(people) for t in range(frames)]
     scene = Scene(one.views, sights)
@@ -41,16 +43,31 @@ def measure(people: int, frames: int, device: torch.device) -> float:
     labels = looks[0].seen.label_set
     energy = scene_energy(mesh_energy(model, options.mesh, labels), options, (tuple(range(people)),), labels.num_groups)
     with torch.no_grad():
-        starts = gather_scene(energy, model, scene, looks)
-    steps, found = find_steps(energy, starts, options.mesh), []
+        return find_steps(energy, gather_scene(energy, model, scene, looks), options.mesh)
+
+
+def mesh_steps(device: torch.device) -> Steps[Any, Any]:
+    """Steps of the mesh stage of one person."""
+    model, scene = anny(device), make_views(3, 1).scene
+    sight, camera = scene.sights[0], scene.views[0].camera
+    fit = fit_body(sight.keypoints, sight.parts, quality="fast", device=str(device), camera=camera)
+    energy = mesh_energy(model, MESH, fit.observation.label_set)
+    with torch.no_grad():
+        return find_steps(energy, gather_starts(energy, model, [fit]), MESH)
+
+
+def measure(*ways: Steps[Any, Any]) -> list[float]:
+    """Median seconds of all steps of each, in turn, after a first run."""
+    found: list[list[float]] = [[] for _ in ways]
     for _ in range(1 + _REPEATS):
-        started = time.perf_counter()
-        for _ in range(_STEPS):
-            steps.step(0.5)
-        if device.type == "cuda":
-            torch.cuda.synchronize()
-        found.append(time.perf_counter() - started)
-    return median(found[1:])
+        for steps, times in zip(ways, found, strict=True):
+            started = time.perf_counter()
+            for _ in range(MESH.iterations):
+                steps.step(0.5)
+            if torch.cuda.is_available():
+                torch.cuda.synchronize()
+            times.append(time.perf_counter() - started)
+    return [median(times[1:]) for times in found]
 
 
 def main(where: str = "cpu", *sizes: str) -> None:
@@ -59,8 +76,12 @@ def main(where: str = "cpu", *sizes: str) -> None:
     for size in sizes or ("1x1", "2x8"):
         people, frames = map(int, size.split("x"))
         with one_torch_thread():
-            seconds = measure(people, frames, device)
-        print(f"{where}, {people} people in {frames} frames: {_STEPS} steps take {1000 * seconds:.0f} ms")
+            (seconds,) = measure(scene_steps(people, frames, device))
+        print(f"{where}, {people} people in {frames} frames: {MESH.iterations} steps take {1000 * seconds:.0f} ms")
+    with one_torch_thread():
+        scene, mesh = measure(scene_steps(1, 1, device), mesh_steps(device))
+    times = f"as a scene {1000 * scene:.0f} ms, as a mesh stage {1000 * mesh:.0f}"
+    print(f"{where}, one person: {times}: ratio {scene / mesh:.2f}")
 
 
 if __name__ == "__main__":

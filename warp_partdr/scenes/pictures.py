@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
 from warp import mat33, vec2, vec2i, vec3
 
-from ..interop.arrays import contiguous, dense_rows, warp_array
+from ..interop.arrays import dense_rows, warp_array
+from ..interop.captured_function import Fixed, Prepare, call_captured
 from ..interop.derivatives import once
-from ..interop.streams import on_torch_stream
+from ..interop.graph_cache import Launch
+from ..interop.layouts import Tensors
 from ..kernels import scene_pictures as kernels
 
 
@@ -56,25 +59,46 @@ class _Placed(torch.autograd.Function):
     def forward(
         ctx: Any, vertices: torch.Tensor, pelvises: torch.Tensor, size: int, *views: torch.Tensor
     ) -> torch.Tensor:
-        own = [dense_rows(each) for each in (vertices, pelvises, *views)]
-        screen = vertices.new_empty(len(views[2]), views[4].shape[1] * vertices.shape[1], 3)
-        if screen.numel():
-            with on_torch_stream(screen.device):
-                kernels.launch_place(_inputs(own, size), warp_array(screen, vec3))
         ctx.size = size
-        ctx.save_for_backward(vertices, pelvises, *own)
-        return screen
+        ctx.save_for_backward(vertices, pelvises, *views)
+        shape = torch.Size((len(views[2]), views[4].shape[1] * vertices.shape[1], 3))
+        return _call(_prepare_place, (vertices, pelvises), shape, size, views)
 
     @staticmethod
     def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        vertices, pelvises, *own = ctx.saved_tensors
-        gradient = own[0].new_empty(own[0].shape)
-        if gradient.numel():
-            adjoint = warp_array(contiguous(adjoints[0]), vec3)
-            with on_torch_stream(gradient.device):
-                kernels.launch_place_adjoint(_inputs(own, ctx.size), adjoint, warp_array(gradient, vec3))
+        vertices, pelvises, *views = ctx.saved_tensors
+        given = vertices, pelvises, *adjoints
+        gradient = _call(_prepare_place_adjoint, given, vertices.shape, ctx.size, views)
         found = once("place_people", (gradient, gradient.sum(1)), *adjoints, vertices, pelvises)
-        return *found, *[None] * (1 + len(own) - 2)
+        return *found, *[None] * (1 + len(views))
+
+
+def _call(
+    prepare: Prepare, tensors: Tensors, shape: torch.Size, size: int, views: Sequence[torch.Tensor]
+) -> torch.Tensor:
+    """Result of one launch for a whole scene, whose pictures and bodies are no rows of one batch."""
+    rows, fixed = tuple([each[None] for each in tensors]), [Fixed(dense_rows(each)) for each in views]
+    return call_captured(prepare, rows, (torch.Size((1, *shape)),), size, *fixed)[0][0]
+
+
+def _prepare_place(inputs: Tensors, outputs: Tensors, size: int, *views: Fixed) -> Launch:
+    """Launch that fills pictures' vertices from vertices and pelvises."""
+    vertices, pelvises = (warp_array(each[0], vec3) for each in inputs)
+    scene = [vertices, pelvises, _gathered(views, size)]
+    return partial(kernels.launch_place, scene, warp_array(outputs[0][0], vec3))
+
+
+def _prepare_place_adjoint(inputs: Tensors, outputs: Tensors, size: int, *views: Fixed) -> Launch:
+    """Launch that fills the gradient of vertices."""
+    vertices, pelvises, adjoint = (warp_array(each[0], vec3) for each in inputs)
+    scene = [vertices, pelvises, _gathered(views, size)]
+    return partial(kernels.launch_place_adjoint, scene, adjoint, warp_array(outputs[0][0], vec3))
+
+
+def _gathered(views: Sequence[Fixed], size: int) -> Any:
+    kinds = mat33, vec3, vec3, None, None, vec2i
+    arrays = [warp_array(each.tensor, kind) for each, kind in zip(views, kinds, strict=True)]
+    return kernels.gather_views(arrays, size / 2)
 
 
 def pelvises_in_world(
@@ -93,30 +117,30 @@ class _Pelvises(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *given: torch.Tensor) -> torch.Tensor:
         ctx.save_for_backward(*given)
-        pelvises = given[2].new_empty(given[2].shape)
-        with on_torch_stream(pelvises.device):
-            kernels.launch_pelvises(*_of_pelvises(given), warp_array(pelvises, vec3))
-        return pelvises
+        return call_captured(_prepare_pelvises, given, (given[2].shape,))[0]
 
     @staticmethod
     def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         given = ctx.saved_tensors
-        found = tuple([each.new_empty(each.shape) for each in given[:2]])
-        arrays = warp_array(found[0]), warp_array(found[1], vec2)
-        with on_torch_stream(found[0].device):
-            adjoint = warp_array(contiguous(adjoints[0]), vec3)
-            kernels.launch_pelvises_adjoint(*_of_pelvises(given), adjoint, arrays)
+        shapes = given[0].shape, given[1].shape
+        found = call_captured(_prepare_pelvises_adjoint, (*given, *adjoints), shapes)
         return *once("pelvises_in_world", found, *adjoints, *given[:2]), None, None, None
+
+
+def _prepare_pelvises(inputs: Tensors, outputs: Tensors) -> Launch:
+    """Launch that fills pelvises."""
+    return partial(kernels.launch_pelvises, *_of_pelvises(inputs), warp_array(outputs[0], vec3))
+
+
+def _prepare_pelvises_adjoint(inputs: Tensors, outputs: Tensors) -> Launch:
+    """Launch that fills gradients of logarithms of scales and of shifts."""
+    *given, adjoint = inputs
+    gradients = warp_array(outputs[0]), warp_array(outputs[1], vec2)
+    return partial(kernels.launch_pelvises_adjoint, *_of_pelvises(given), warp_array(adjoint, vec3), gradients)
 
 
 def _of_pelvises(given: Sequence[torch.Tensor]) -> tuple[list[Any], list[Any]]:
     """Numbers and views."""
     kinds = None, vec2, vec3, mat33, vec3
-    arrays = [warp_array(dense_rows(each), kind) for each, kind in zip(given, kinds, strict=True)]
+    arrays = [warp_array(each, kind) for each, kind in zip(given, kinds, strict=True)]
     return arrays[:2], arrays[2:]
-
-
-def _inputs(own: list[torch.Tensor], size: int) -> list[Any]:
-    kinds = vec3, vec3, mat33, vec3, vec3, None, None, vec2i
-    vertices, pelvises, *views = (warp_array(each, kind) for each, kind in zip(own, kinds, strict=True))
-    return [vertices, pelvises, kernels.gather_views(views, size / 2)]
