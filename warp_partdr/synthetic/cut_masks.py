@@ -6,9 +6,12 @@ from functools import lru_cache
 
 import numpy as np
 import torch
+import warp as wp
 
-from ..body.labels import BACKGROUND, IGNORE
 from ..body.template import BONE_STARTS, MEAN_STATURE, NUM_PARTS, SHAPE_INDICES, template
+from ..interop.arrays import warp_array
+from ..interop.streams import launch_bodies_on
+from ..kernels import bone_cuts
 from ..network.heads import cell_centres
 
 _SHORT = 1e-4  # [half-sides of the crop]: shorter bones are points
@@ -27,23 +30,26 @@ def cut_mask(mask: torch.Tensor, joints: torch.Tensor, statures: torch.Tensor, u
         Labels 0 to 20, or 255 for unknown, shape (B, S, S), uint8.
     """
     radii = _radii(joints.device) * (statures / MEAN_STATURE)[:, None]
-    centres = cell_centres(mask.shape[-1], joints.device)
-    best = torch.full(mask.shape, torch.inf, device=joints.device)
-    labels = torch.zeros(mask.shape, dtype=torch.uint8, device=joints.device)
-    inside = torch.zeros(mask.shape, dtype=torch.int32, device=joints.device)  # a bit for each part
-    for part, start in enumerate(BONE_STARTS):
-        bone = joints[:, part + 1] - joints[:, start]
-        right, down = (centres - joints[:, start, axis, None] for axis in range(2))  # (B, S) each, from where it starts
-        right, down, along, across = right[:, None, :], down[:, :, None], *bone[:, :, None, None].unbind(1)
-        share = (right * along + down * across) / bone.square().sum(1).clamp_min(_SHORT**2)[:, None, None]
-        share = share.clamp(0.0, 1.0)
-        distance = torch.hypot(right - share * along, down - share * across) - radii[:, part, None, None]
-        labels = torch.where(distance < best, part + 1, labels)
-        best = torch.minimum(best, distance)
-        inside |= (distance < 0).int() << part
-    overlap = (inside & ~_close(joints.device)[labels.long()]) != 0
-    labels = torch.where(overlap & unsure[:, None, None], IGNORE, labels)
-    return torch.where(mask, labels, BACKGROUND).to(torch.uint8)
+    starts = joints[:, _starts(joints.device)]
+    bones = joints[:, 1:] - starts
+    squares = bones.square().sum(2).clamp_min(_SHORT**2)
+    centres, close = cell_centres(mask.shape[-1], joints.device), _close(joints.device)
+    labels = torch.empty(mask.shape, dtype=torch.uint8, device=joints.device)
+
+    def launch(part: slice) -> None:
+        points = [warp_array(each[part], wp.vec2) for each in (starts, bones)]
+        numbers = [warp_array(each[part]) for each in (squares, radii, unsure)]
+        arrays = [*points, *numbers, warp_array(close)]
+        bone_cuts.launch_cuts(warp_array(mask[part]), arrays, warp_array(centres), warp_array(labels[part]))
+
+    launch_bodies_on(joints.device, launch, len(mask), [bone_cuts])
+    return labels
+
+
+@lru_cache(maxsize=8)
+def _starts(device: torch.device) -> torch.Tensor:
+    """Joints that the parts' bones start from, shape (20,), int64."""
+    return torch.tensor(BONE_STARTS, device=device)
 
 
 @lru_cache(maxsize=8)

@@ -6,7 +6,7 @@ Strength 1 is about a good network on a clear photo; each sample has one of its 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from functools import lru_cache
 
 import torch
@@ -14,6 +14,9 @@ import torch
 from ..body.labels import BACKGROUND, IGNORE, LABEL_SETS, LabelSet
 from ..body.landmarks import mirror_name
 from ..body.template import NUM_PARTS, PARENTS, PART_NAMES
+from ..interop.arrays import warp_array
+from ..interop.streams import launch_bodies_on
+from ..kernels import label_noise
 from .noise import LIMBS
 from .rng import TorchRng
 
@@ -113,8 +116,7 @@ class LabelNoise:
         """
         table = self._labels_taken_for(parts, strength, self._clothed[label_sets])
         table = self.tables(label_sets).gather(1, table)
-        wandered = self._wander(parts, strength)
-        groups = _majority(look_up(table, wandered), strength > 0)
+        groups = _majority(self._wander(parts, table, strength), strength > 0)
         rough = self.rng.chance(0.25 * strength, len(strength))
         return self._grow(_majority(groups, rough, 2), strength)
 
@@ -122,7 +124,7 @@ class LabelNoise:
         """Labels by what they are mistaken for: 0 to 20, or 21 for unknown, shape (B, 22), int64."""
         rng, count = self.rng, len(parts)
         scale = strength[:, None]
-        areas = torch.stack([(parts == label).sum((1, 2)) for label in range(1, NUM_PARTS + 1)], dim=1)
+        areas = _areas(parts)
         small = torch.nn.functional.pad(areas < _SMALL * areas.sum(1, keepdim=True), (1, 1))
         lost = small & rng.chance(scale * _LOSS, count, _UNKNOWN + 1)
         heirs = torch.where(rng.chance(0.5, count, 1), self._heirs, BACKGROUND)
@@ -142,31 +144,30 @@ class LabelNoise:
         covered = (worn[:, :, None] & self._clothes).any(1) & clothed[:, None]
         return torch.where(covered.gather(1, table), _UNKNOWN, table)
 
-    def _wander(self, parts: torch.Tensor, strength: torch.Tensor) -> torch.Tensor:
-        """Labels taken from a little beside, so that boundaries wander, shape (B, S, S), uint8."""
+    def _wander(self, parts: torch.Tensor, table: torch.Tensor, strength: torch.Tensor) -> torch.Tensor:
+        """Labels taken from a little beside, so that boundaries wander, through tables (B, 22), shape (B, S, S)."""
         rng, (count, size, _) = self.rng, parts.shape
-        field = torch.zeros(count, 2, size, size, device=rng.device)
+        fields = []
         for deviation, waves in _WAVES:
             spread = _spread(size, waves, rng.device)
             scale = strength * rng.uniform(count, low=0.5, high=1.5) * deviation * size
-            field += spread @ (scale[:, None, None, None] * rng.normal(count, 2, waves, waves)) @ spread.T
-        places = torch.arange(size, device=rng.device)
-        rows = (places[:, None] + field[:, 0]).round_().clamp_(0, size - 1)
-        columns = (places + field[:, 1]).round_().clamp_(0, size - 1)
-        index = rows.mul_(size).add_(columns).long().flatten(1)
-        return parts.flatten(1).gather(1, index).view_as(parts)
+            fields.append(spread @ (scale[:, None, None, None] * rng.normal(count, 2, waves, waves)) @ spread.T)
+        found = torch.empty_like(parts)
+
+        def launch(part: slice) -> None:
+            labels, coarse, fine, names, taken = (warp_array(each[part]) for each in (parts, *fields, table, found))
+            label_noise.launch_from_beside(labels, (coarse, fine), names, taken)
+
+        launch_bodies_on(parts.device, launch, count, [label_noise])
+        return found
 
     def _grow(self, groups: torch.Tensor, strength: torch.Tensor) -> torch.Tensor:
         """Persons that are a few pixels wider or narrower."""
         size = groups.shape[-1]
         reach = strength * _GROWTH * size
-        pixels = (reach * self.rng.uniform(len(groups), low=-1.0, high=1.0)).round()[:, None, None]
+        pixels = (reach * self.rng.uniform(len(groups), low=-1.0, high=1.0)).round()
         for step in range(max(1, round(MAX_STRENGTH * _GROWTH * size))):
-            beside = torch.stack(_neighbours(groups, [(-1, 0), (1, 0), (0, -1), (0, 1)]))
-            wider = torch.where(groups == BACKGROUND, torch.where(beside == IGNORE, 0, beside).amax(0), groups)
-            edge = (beside == BACKGROUND).any(0) & (groups != IGNORE)
-            narrower = groups.masked_fill(edge, BACKGROUND)
-            groups = torch.where(pixels > step, wider, torch.where(pixels < -step, narrower, groups))
+            groups = _grown(groups, pixels, step)
         return groups
 
 
@@ -178,36 +179,39 @@ def _spread(size: int, waves: int, device: torch.device) -> torch.Tensor:
     return torch.nn.functional.normalize(weights, dim=1)
 
 
+def _areas(parts: torch.Tensor) -> torch.Tensor:
+    """Number of pixels of each part in images (B, S, S), shape (B, 20), int32."""
+    counts = torch.zeros(len(parts), NUM_PARTS, dtype=torch.int32, device=parts.device)
+
+    def launch(part: slice) -> None:
+        label_noise.launch_areas(warp_array(parts[part]), warp_array(counts[part]))
+
+    launch_bodies_on(parts.device, launch, len(parts), [label_noise])
+    return counts
+
+
 def _majority(groups: torch.Tensor, chosen: torch.Tensor, apart: int = 1) -> torch.Tensor:
     """The commonest label of nine, ``apart`` pixels from each other, in the chosen images; a tie goes to the first."""
-    steps = (0, -apart, apart)
-    nine = torch.stack(_neighbours(groups, [(down, right) for down in steps for right in steps]))
-    counts = torch.ones_like(nine)
-    for i in range(9):
-        for j in range(i):
-            same = (nine[i] == nine[j]).view(torch.uint8)
-            counts[i] += same
-            counts[j] += same
-    best, most = nine[0], counts[0]
-    for label, votes in zip(nine[1:], counts[1:], strict=True):
-        more = votes > most
-        best, most = torch.where(more, label, best), torch.where(more, votes, most)
-    return torch.where(chosen[:, None, None], best, groups)
+    found = torch.empty_like(groups)
+
+    def launch(part: slice) -> None:
+        labels, yes, taken = (warp_array(each[part]) for each in (groups, chosen, found))
+        label_noise.launch_commonest(labels, yes, apart, taken)
+
+    launch_bodies_on(groups.device, launch, len(groups), [label_noise])
+    return found
 
 
-def _neighbours(images: torch.Tensor, steps: Sequence[tuple[int, int]]) -> list[torch.Tensor]:
-    """The pixels so many rows below and columns to the right of each; borders repeat themselves."""
-    reach, (height, width) = max(max(map(abs, step)) for step in steps), images.shape[1:]
-    for axis, size in ((1, height), (2, width)):
-        images = images.index_select(axis, torch.arange(-reach, size + reach, device=images.device).clamp(0, size - 1))
-    return [
-        images[:, reach + down : reach + down + height, reach + right : reach + right + width] for down, right in steps
-    ]
+def _grown(groups: torch.Tensor, pixels: torch.Tensor, step: int) -> torch.Tensor:
+    """Persons that are to grow by ``pixels`` (B,), or to shrink if negative, after ``step`` of these another one."""
+    found = torch.empty_like(groups)
 
+    def launch(part: slice) -> None:
+        labels, reach, taken = (warp_array(each[part]) for each in (groups, pixels, found))
+        label_noise.launch_growth(labels, reach, step, taken)
 
-def look_up(table: torch.Tensor, parts: torch.Tensor) -> torch.Tensor:
-    """Each image through its own table (B, 22) of part labels; 255 is the last entry."""
-    return table.gather(1, parts.clamp(max=_UNKNOWN).flatten(1).long()).view(parts.shape)
+    launch_bodies_on(groups.device, launch, len(groups), [label_noise])
+    return found
 
 
 def _group_table(labels: LabelSet) -> torch.Tensor:

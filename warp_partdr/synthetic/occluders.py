@@ -6,11 +6,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
+import warp as wp
 
 from ..body.labels import BACKGROUND, IGNORE
 from ..body.template import NUM_PARTS
+from ..interop.arrays import warp_array
+from ..interop.streams import launch_bodies_on
+from ..kernels import occluders
 from ..network.heads import cell_centres
-from .label_noise import look_up
 from .rng import TorchRng
 
 _STRANGER = 0.12  # chance at strength 1
@@ -26,6 +29,8 @@ class _Thing(NamedTuple):
 
 _HOLE = _Thing(0.2, (0.02, 0.09), 0.0, 0.3, hides=False)
 _OCCLUDER = _Thing(0.12, (0.06, 0.4), 0.2, 0.6, hides=True)
+_HOLES = 4  # so many of these come first
+_THINGS = *[_HOLE] * _HOLES, *[_OCCLUDER] * 2
 
 
 @dataclass(frozen=True)
@@ -45,45 +50,51 @@ def draw_occluders(
     strength: torch.Tensor,  # (B,)
 ) -> Occluders:
     """Strangers, things before the person, and holes; a sample's stranger is the one before it."""
-    count, size, _ = parts.shape
-    there, column = _stranger(rng, parts)
-    stranger = parts.roll(1, 0).gather(2, column[:, None].expand(-1, size, -1))
-    mask = there[:, None] & (stranger > 0) & (stranger <= NUM_PARTS)
-    mask &= rng.chance(strength * _STRANGER, count)[:, None, None]
-    behind = rng.chance(0.3, count)[:, None, None]
-    mask &= ~(behind & (parts != BACKGROUND))
-    ignored = rng.chance(0.75, count)[:, None, None]
-    groups = torch.where(ignored, IGNORE, look_up(tables, stranger)).to(torch.uint8)
+    count = len(parts)
+    shifts = _shifts(rng, parts)
+    there = rng.chance(strength * _STRANGER, count)
+    behind = rng.chance(0.3, count)
+    ignored = rng.chance(0.75, count)
+    things = [_draw_thing(rng, thing, place, strength) for place, thing in zip(places.unbind(1), _THINGS, strict=True)]
+    middles, radii, present, boxes, shown = (torch.stack(each, dim=1) for each in zip(*things, strict=True))
+    centres = cell_centres(parts.shape[-1], rng.device)
+    mask, hiding = (torch.empty_like(parts, dtype=torch.bool) for _ in range(2))
+    groups = torch.empty_like(parts, dtype=torch.uint8)
 
-    hiding = mask.clone()
-    centres = cell_centres(size, rng.device)
-    for place, thing in zip(places.unbind(1), (*[_HOLE] * 4, *[_OCCLUDER] * 2), strict=True):
-        place = place + thing.aside * rng.normal(count, 2)
-        radii = rng.uniform(count, 2, low=thing.radii[0], high=thing.radii[1])
-        radii = radii if thing.hides else radii[:, :1].expand(-1, 2)
-        across, down = ((centres - place[:, i, None]).div(radii[:, i, None]).square() for i in range(2))
-        inside = across[:, None, :] + down[:, :, None] < 1
-        if thing.hides:
-            box = (across[:, None, :] < 1) & (down[:, :, None] < 1)
-            inside = torch.where(rng.chance(0.5, count)[:, None, None], box, inside)
-        inside &= rng.chance(strength * thing.chance, count)[:, None, None]
-        shown = torch.where(rng.chance(thing.unknown, count), IGNORE, BACKGROUND).to(torch.uint8)
-        groups = torch.where(inside, shown[:, None, None], groups)
-        mask |= inside
-        if thing.hides:
-            hiding |= inside
+    def launch(part: slice) -> None:
+        strangers = [warp_array(each[part]) for each in (shifts, there, behind, ignored, tables)]
+        points = [warp_array(each[part], wp.vec2) for each in (middles, radii)]
+        flags = [warp_array(each[part]) for each in (present, boxes, shown)]
+        found = [warp_array(each[part]) for each in (mask, hiding, groups)]
+        labels, numbers = warp_array(parts), (part.start, NUM_PARTS, _HOLES)
+        occluders.launch_drawing(labels, numbers, strangers, [*points, *flags], warp_array(centres), found)
+
+    launch_bodies_on(parts.device, launch, count, [occluders])
     return Occluders(mask, hiding, groups)
 
 
-def _stranger(rng: TorchRng, parts: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Column of the other's crop that comes to each column, and True where there is one, shape (B, S) each."""
+def _draw_thing(rng: TorchRng, thing: _Thing, places: torch.Tensor, strength: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Middles and radii, (B, 2) each, who has one, which are boxes, and their groups, (B,) each, about ``places``."""
+    count = len(places)
+    middles = places + thing.aside * rng.normal(count, 2)
+    radii = rng.uniform(count, 2, low=thing.radii[0], high=thing.radii[1])
+    radii = radii if thing.hides else radii[:, :1].expand(-1, 2)
+    boxes = rng.chance(0.5, count) if thing.hides else torch.zeros(count, dtype=torch.bool, device=rng.device)
+    present = rng.chance(strength * thing.chance, count)
+    shown = torch.where(rng.chance(thing.unknown, count), IGNORE, BACKGROUND).to(torch.uint8)
+    return middles, radii, present, boxes, shown
+
+
+def _shifts(rng: TorchRng, parts: torch.Tensor) -> torch.Tensor:
+    """Columns that the person of the sample before each is moved to the right by, beside its own, (B,), int32."""
     count, size, _ = parts.shape
-    columns = torch.arange(size, device=rng.device)
-    shown = ((parts > 0) & (parts <= NUM_PARTS)).any(1)
-    low = torch.where(shown, columns, size).amin(1)
-    high = torch.where(shown, columns, -1).amax(1)
+    low, high = (torch.full((count,), end, dtype=torch.int32, device=rng.device) for end in (size, -1))
+
+    def launch(part: slice) -> None:
+        labels, first, last = (warp_array(each[part]) for each in (parts, low, high))
+        occluders.launch_columns(labels, NUM_PARTS, first, last)
+
+    launch_bodies_on(parts.device, launch, count, [occluders])
     overlap = rng.uniform(count, low=0.05, high=0.35) * (high - low)
     left, right = low + overlap - high.roll(1), high - overlap - low.roll(1)
-    shift = torch.where(rng.chance(0.5, count), left, right).round().long()
-    source = columns - shift[:, None]
-    return (source >= 0) & (source < size), source.clamp(0, size - 1)
+    return torch.where(rng.chance(0.5, count), left, right).round().int()

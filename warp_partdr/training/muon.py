@@ -39,7 +39,7 @@ class Muon(torch.optim.Optimizer):
                     raise ValueError(f"parameters: one of shape {tuple(value.shape)}; expected 2 or 4 axes")
 
     @torch.no_grad()
-    def step(self, closure: Any = None) -> Any:  # type: ignore[override]
+    def step(self, closure: Any = None) -> Any:
         """One step of all parameters that have a gradient."""
         loss = None
         if closure is not None:
