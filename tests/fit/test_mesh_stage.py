@@ -84,6 +84,11 @@ def test_the_network_holds_depth_and_turns(first, kind):
     assert moved(0.2) < 0.5 * moved(5.0)
 
 
+def test_labels_count_alike_at_whatever_size_they_are_drawn(first):
+    small, large = (refine_mesh(first, options=MeshOptions(iterations=1, size=size)) for size in (96, 256))
+    assert float(small.body.losses["seg"]) == pytest.approx(float(large.body.losses["seg"]), rel=0.1)
+
+
 def test_without_labels_keypoints_pull_alone(sample):
     alone = fit_body(sample.keypoints, None, options=FitOptions.at("fast"))
     off = []

@@ -54,6 +54,7 @@ def test_one_body_in_one_picture_has_the_mesh_stage_s_energy(device):
         depth_spreads=people.depth_weights[:, 0].rsqrt(),
         turn_spreads=people.turn_weights[..., 0].rsqrt(),
         target=people.alone.target,
+        borders=people.alone.borders,
         lens=people.lens,
     )
     moves = 0.02 * torch.randn(energy.rates(people).shape, generator=torch.Generator().manual_seed(0)).to(device)
@@ -63,6 +64,23 @@ def test_one_body_in_one_picture_has_the_mesh_stage_s_energy(device):
     for name, cost in costs.items():
         own, other = energy.factors(people)[name], energy.one.factors(alone)[name]
         torch.testing.assert_close(own * cost.sum(), other * expected[name].sum(), rtol=2e-3, atol=1e-4)
+
+
+def test_several_pictures_of_a_body_count_twice_or_plainly(monkeypatch):
+    def refuse(*_: object) -> torch.Tensor:
+        raise AssertionError
+
+    monkeypatch.setattr("warp_partdr.scenes.energy.noise_costs", refuse)
+    for views, times in ((1, 1), (2, 2)):
+        energy, people = prepared(make_views(3, views).scene, "cpu", QUICK)
+        factors = energy.factors(people)
+        mesh = QUICK.mesh.factors(QUICK.mesh.apart, QUICK.mesh.size)
+        assert (factors["proj"], factors["seg"]) == (times * mesh["proj"], times * mesh["seg"])
+        if views > 1:
+            energy(people, energy.at_rest(people))
+        else:
+            with pytest.raises(AssertionError):
+                energy(people, energy.at_rest(people))
 
 
 def test_two_cameras_find_where_somebody_stands(device):

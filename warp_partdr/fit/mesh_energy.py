@@ -36,6 +36,7 @@ from .landmark_costs import LandmarkAims, landmark_costs
 from .mesh_options import MeshOptions
 from .mesh_unknowns import Posing, Starts, Unknowns
 from .result import FitResult
+from .unknown_noise import USUAL_DISTANCE, USUAL_STRIP, border_lengths, noise_costs
 
 # Where no network said how sure it is, and of joints that it says nothing of: depth [m] and turns [rad].
 _DEPTH_SPREAD, _TURN_SPREAD, _LOCKED_SPREAD = 0.1, 0.3, 0.05
@@ -88,7 +89,7 @@ class MeshEnergy:
         )
         seen, deep = landmark_costs(points + away, camera, aims)
         costs = {
-            "proj": seen,
+            "proj": noise_costs(seen, people.votes.sum(1), USUAL_DISTANCE),
             "depth": deep,
             "turns": unknowns.turns.square() / people.turn_spreads.square()[..., None],
             "shape": (unknowns.shape - people.shape).square(),
@@ -97,9 +98,9 @@ class MeshEnergy:
             costs["clothes"] = clothes_costs(unknowns.clothes)
         if self.capsules is not None:
             costs["apart"] = self.capsules.overlap(self.capsules.of(posed, unknowns.shape))
-        if people.target is not None and self.mesh is not None:
+        if people.target is not None and people.borders is not None and self.mesh is not None:
             camera, _ = self._camera(people, unknowns, options.size)
-            costs["seg"], _ = mesh_label_loss(
+            wrong, _ = mesh_label_loss(
                 drawn + away,
                 self.mesh,
                 camera,
@@ -109,6 +110,7 @@ class MeshEnergy:
                 depth_weight=options.depth_weight if self.hides else 0.0,
                 validate=False,
             )
+            costs["seg"] = noise_costs(wrong, people.borders, USUAL_STRIP * options.size / REFERENCE_SIZE)
         return costs
 
     def rates(self, people: Starts) -> torch.Tensor:
@@ -242,10 +244,11 @@ def gather_starts(
     seen = [each.observation for each in results]
     places, points, votes = gather_keypoints(energy.model, seen)
     depth_spreads, turn_spreads = gather_spreads(energy, [each.uncertainty for each in results], shape)
-    target = lens = None
+    target = borders = lens = None
     if energy.mesh is not None:
         labels = torch.stack([each.labels for each in seen if each.labels is not None])
         target = resize_nearest(labels, energy.options.size)
+        borders = border_lengths(target)
     if seen[0].lens is not None:
         lens = torch.stack([each.lens for each in seen if each.lens is not None])
     people = Starts(
@@ -261,6 +264,7 @@ def gather_starts(
         depth_spreads=depth_spreads,
         turn_spreads=turn_spreads,
         target=target,
+        borders=borders,
         lens=lens,
     )
     return replace(people, depths=energy.start_depths(people))

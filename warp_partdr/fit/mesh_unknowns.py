@@ -32,6 +32,7 @@ class Starts(Tensors):
         depth_spreads: How sure these are [m], shape (B, 20).
         turn_spreads: How sure the turn of each free joint is [rad], shape (B, N).
         target: Labels of the crop as it is drawn, shape (B, size, size), uint8; None: without labels.
+        borders: Of the labels, their lengths [px], shape (B,); None: without labels.
         lens: As of ``Observation``, shape (B, 3); None: weak perspective.
     """
 
@@ -47,6 +48,7 @@ class Starts(Tensors):
     depth_spreads: torch.Tensor
     turn_spreads: torch.Tensor
     target: torch.Tensor | None
+    borders: torch.Tensor | None
     lens: torch.Tensor | None
 
 

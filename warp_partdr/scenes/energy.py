@@ -18,6 +18,8 @@ from ..fit.landmark_costs import LandmarkAims, landmark_costs
 from ..fit.mesh_energy import MeshEnergy
 from ..fit.mesh_unknowns import CLOTHES_RATE, SHAPE_RATE, Unknowns
 from ..fit.steps import Tensors
+from ..fit.unknown_noise import USUAL_DISTANCE, USUAL_STRIP, noise_costs
+from ..inputs.observation import REFERENCE_SIZE
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh
 from .clusters import Clusters
@@ -25,6 +27,7 @@ from .feet import POINTS, slides
 from .options import SceneOptions
 from .pictures import PictureViews, pelvises_in_world, place_people
 
+_SEVERAL_CAMERAS = 2.0  # factor of keypoints and labels: rays that meet tell more than the network's guesses do
 _STILL = 0.1  # [m/s], speed of a foot that costs 1
 
 
@@ -34,12 +37,14 @@ class Sheet(Tensors):
 
     Attributes:
         target: Labels: slot G + group, shape (K T V, size, size), uint8.
+        borders: Of the labels, their lengths [px], shape (K T V,).
         lenses: Of the crops, shape (K T V, 3).
         slots: As of ``PictureViews``, like ``places``, shape (K, C), int32.
         places: Shape (P, 2), int32.
     """
 
     target: torch.Tensor
+    borders: torch.Tensor
     lenses: torch.Tensor
     slots: torch.Tensor
     places: torch.Tensor
@@ -137,7 +142,9 @@ class SceneEnergy:
         """Weights of all costs, by name."""
         apart = self.options.apart if len(people.shape) > 1 else self.options.mesh.apart
         feet = {"ground": self.options.ground, "sliding": self.options.sliding}
-        return self.options.mesh.factors(apart, self.options.mesh.size) | feet
+        factors = self.options.mesh.factors(apart, self.options.mesh.size) | feet
+        seen = _SEVERAL_CAMERAS if len(people.view_rotations) > 1 else 1.0
+        return factors | {name: seen * factors[name] for name in ("proj", "seg")}
 
     def __call__(self, people: SceneStarts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
         """Costs by name, of any shape each."""
@@ -156,7 +163,7 @@ class SceneEnergy:
             LandmarkAims(places, at, votes, one.ends, depths, weights),
         )
         costs = {
-            "proj": seen,
+            "proj": noise_costs(seen, votes.sum(1), USUAL_DISTANCE) if self._in_one_picture(people) else seen,
             "depth": deep,
             "turns": unknowns.turns.square() * people.turn_weights,
             "shape": (unknowns.shape - people.shape).square(),
@@ -196,7 +203,18 @@ class SceneEnergy:
             depth_weight=options.depth_weight,
             validate=False,
         )
+        if self._in_one_picture(people):
+            loss = noise_costs(loss, sheet.borders, USUAL_STRIP * sheet.size / REFERENCE_SIZE)
         return loss if sheet.size == options.size else loss * (options.size / sheet.size) ** 2
+
+    @staticmethod
+    def _in_one_picture(people: SceneStarts) -> bool:
+        """True if one camera sees one frame: costs are the mesh stage's, of noise that nobody knows.
+
+        With several pictures of a body they gained nothing where inputs are noisy: noise is not all that keeps the body
+        from agreeing with all of them.
+        """
+        return len(people.view_rotations) == 1 and len(people.shift) == len(people.shape)
 
     def pictured(self, people: SceneStarts, unknowns: Unknowns, sheet: Sheet) -> torch.Tensor:
         """Vertices of people in each picture of a sheet, as of ``place_people``."""

@@ -19,6 +19,7 @@ from ..clothing.model import DetailedModel
 from ..clothing.pose import pose_from_ellipbody
 from ..clothing.registration import shape_from_lengths
 from ..fit.mesh_energy import gather_keypoints, gather_spreads
+from ..fit.unknown_noise import border_lengths
 from ..inputs.observation import REFERENCE_SIZE, crop_lens, resize_nearest
 from ..interop.checks import FLOATS, check_tensor
 from .clusters import Clusters, of_one, of_several, slots_of
@@ -287,7 +288,7 @@ def _sheet(clusters: Clusters, size: int, scene: Scene, looks: Sequence[Looked])
             target[picture], lenses[picture] = labels, look.seen.lens
         else:
             target[picture], lenses[picture] = _together(group, places, size, scene.views[group[0].sight.view], like)
-    return Sheet(target, lenses, slots, rows)
+    return Sheet(target, border_lengths(target), lenses, slots, rows)
 
 
 def _shifted(labels: torch.Tensor, look: Looked, places: Sequence[Sequence[int]]) -> torch.Tensor:

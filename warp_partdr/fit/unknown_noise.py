@@ -1,0 +1,30 @@
+"""Costs of what was seen with noise that nobody knows: the better a body agrees with it, the more it counts.
+
+The likelihood of errors with a Laplace distribution, over all its widths: with as many errors as there are, that is a
+power of their sum (Gelman et al., Bayesian Data Analysis, on unknown scales), so costs are its logarithm.
+"""
+
+from __future__ import annotations
+
+import torch
+
+from ..body.labels import IGNORE
+
+# Errors of a fit's end at which costs are as steep as their sum [px of ``REFERENCE_SIZE``]: distances of keypoints, and
+# widths of the strips of wrong labels along the labels' borders. Medians of PartBench's people at "clothed".
+USUAL_DISTANCE, USUAL_STRIP = 2.9, 1.5
+_LEAST = 0.02  # of the usual errors: smaller ones are not believed to be noise
+
+
+def noise_costs(errors: torch.Tensor, counts: torch.Tensor, usual: float) -> torch.Tensor:
+    """Costs of sums of errors (B,), of so many each (B,), whose usual size is known; slopes are 1 at that size."""
+    usually = counts * usual
+    return (1 + _LEAST) * usually * torch.log1p(errors / (_LEAST * usually).clamp_min(torch.finfo(usually.dtype).tiny))
+
+
+def border_lengths(labels: torch.Tensor) -> torch.Tensor:
+    """Numbers of neighbours in pictures (B, H, W) that have different labels, none of them ignored, shape (B,)."""
+    known = labels != IGNORE
+    down = (labels[:, 1:] != labels[:, :-1]) & known[:, 1:] & known[:, :-1]
+    across = (labels[..., 1:] != labels[..., :-1]) & known[..., 1:] & known[..., :-1]
+    return (down.sum((1, 2)) + across.sum((1, 2))).float()
