@@ -89,6 +89,14 @@ def test_labels_count_alike_at_whatever_size_they_are_drawn(first):
     assert float(small.body.losses["seg"]) == pytest.approx(float(large.body.losses["seg"]), rel=0.1)
 
 
+def test_of_usual_noise_losses_are_plain_sums(first):
+    options = MeshOptions(iterations=1)
+    unknown, usual = (refine_mesh(first, options=replace(options, noise=noise)).body for noise in ("unknown", "usual"))
+    assert {name for name, loss in usual.losses.items() if loss != unknown.losses[name]} == {"proj", "seg"}
+    votes = first.observation.confidence.sum()
+    assert 0.1 < float(usual.losses["proj"]) / (options.proj * float(votes)) < 30  # px
+
+
 def test_without_labels_keypoints_pull_alone(sample):
     alone = fit_body(sample.keypoints, None, options=FitOptions.at("fast"))
     off = []
@@ -278,6 +286,8 @@ def test_wrong_arguments_are_named(first):
         MeshOptions(clothes=-1.0)
     with pytest.raises(ValueError, match="apart: nan"):
         MeshOptions(apart=float("nan"))
+    with pytest.raises(ValueError, match="noise: 'loud'; expected 'unknown' or 'usual'"):
+        MeshOptions(noise="loud")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="vertices"):
         replace(QUICK, vertices=10)
 

@@ -27,7 +27,9 @@ from warp_partdr.network.checkpoint import packaged_network
 KEYPOINTS = read_keypoints(EXAMPLE / "keypoints.json")[0]
 PARTS = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
 FAST = replace(FitOptions.at("fast"), search=())
-QUICK = replace(FAST, stages=(replace(FAST.stages[0], iterations=5, size=64), Stage(OUTLINE, 1, 3, 0.01, 48)))
+# Rates so low that rounding, by which batches differ, does not turn small gradients, and with them Adam's steps.
+_STAGES = replace(FAST.stages[0], iterations=5, size=64, learning_rate=5e-4), Stage(OUTLINE, 1, 3, 5e-4, 48)
+QUICK = replace(FAST, stages=_STAGES)
 
 
 def cut(keypoints: Keypoints2D, parts: PartLabels | None, device: str, camera: Perspective | None = None) -> CutPerson:

@@ -125,7 +125,7 @@ def _refine(
 ) -> None:
     """Refine another method's body and write it; the files are those of the command line."""
     from ..fit.given_files import read_given
-    from ..fit.given_start import body_keypoints, refine_given
+    from ..fit.given_start import refine_given
     from ..inputs.keypoint_files import read_keypoints
     from ..inputs.keypoints import choose_person
     from ..inputs.part_labels import check_sizes
@@ -142,7 +142,7 @@ def _refine(
     check_inputs(out, [None if name is None else Path(name) for name in files], (*DETAILED_FILES, SMPLX_FILE))
     given, camera = read_given(body, read_model(model, where), (height, width))
     people = [] if keypoints is None else read_keypoints(keypoints)
-    person = choose_person(people, parts.groups) if people else body_keypoints(given, camera)
+    person = choose_person(people, parts.groups) if people else None
     others = [other for other in people if other is not person]
     started = time.perf_counter()
     with FitProgress() as progress:

@@ -43,7 +43,8 @@ def refine_given(
         body: One body in the camera frame, of ``read_given`` or ``ungrown``.
         camera: Of the picture; a perspective one counts as known.
         parts: The picture's part labels.
-        keypoints: The person's in the picture; None: where the body has them, which hold it there.
+        keypoints: The person's in the picture; None: where the body has them, which hold it there, and count as if
+            they had usual noise.
         others: Other people's keypoints, which keep their labels apart from the person's.
         options: Of the mesh stage.
         progress: As of ``refine_mesh``.
@@ -60,6 +61,8 @@ def refine_given(
         keypoints or body_keypoints(body, camera), parts, others=others, options=_NO_STAGES, device=device, camera=known
     )
     result, body = begin_at(result, body, camera)
+    if keypoints is None:  # its own agree with it, whoever is right
+        options = replace(options or MeshOptions(), noise="usual")
     return refine_meshes([result], body.model, options=options, starts=[body], progress=progress)[0]
 
 

@@ -89,7 +89,7 @@ class MeshEnergy:
         )
         seen, deep = landmark_costs(points + away, camera, aims)
         costs = {
-            "proj": noise_costs(seen, people.votes.sum(1), USUAL_DISTANCE),
+            "proj": noise_costs(seen, people.votes.sum(1), USUAL_DISTANCE) if options.noise == "unknown" else seen,
             "depth": deep,
             "turns": unknowns.turns.square() / people.turn_spreads.square()[..., None],
             "shape": (unknowns.shape - people.shape).square(),
@@ -110,7 +110,9 @@ class MeshEnergy:
                 depth_weight=options.depth_weight if self.hides else 0.0,
                 validate=False,
             )
-            costs["seg"] = noise_costs(wrong, people.borders, USUAL_STRIP * options.size / REFERENCE_SIZE)
+            if options.noise == "unknown":
+                wrong = noise_costs(wrong, people.borders, USUAL_STRIP * options.size / REFERENCE_SIZE)
+            costs["seg"] = wrong
         return costs
 
     def rates(self, people: Starts) -> torch.Tensor:

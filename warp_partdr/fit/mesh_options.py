@@ -33,6 +33,7 @@ class MeshOptions:
         turns: Weight of the squares of joints' turns, in such spreads.
         shape: Weight of half the squares of changes of the shape values.
         clothes: Weight of the clothes' thicknesses, in their mean; None: the person wears none.
+        noise: Of keypoints and labels: "unknown", so that those that the body agrees with count more, or "usual".
         apart: Weight of the squares of depths [cm] by which parts that are no neighbours stand in one another, beyond
             what flesh gives way; 0 leaves them out. 0.1 changes few people's parts, and no joints on average.
         gradient: Of L_seg, "edges" or "partdr", as ``mesh_label_loss``; "partdr" pulls about thrice as hard.
@@ -50,6 +51,7 @@ class MeshOptions:
     turns: float = 4.0
     shape: float = 1.0
     clothes: float | None = 1.0
+    noise: Literal["unknown", "usual"] = "unknown"
     apart: float = 0.0
     gradient: MeshGradient = "edges"
     max_distance: float = 3.0
@@ -60,6 +62,8 @@ class MeshOptions:
         check_whole("size", self.size, 1, math.isqrt(MAX_PICTURE) - 1)
         if self.vertices != "auto":
             check_whole("vertices", self.vertices, LEAST_VERTICES)
+        if self.noise not in ("unknown", "usual"):
+            raise ValueError(f"noise: {self.noise!r}; expected 'unknown' or 'usual'")
         check_mesh_rule(self.gradient, self.max_distance, self.depth_weight)
         for name in ("proj", "seg", "depth", "turns", "shape", "clothes", "apart"):
             weight = getattr(self, name)

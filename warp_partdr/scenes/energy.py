@@ -163,7 +163,7 @@ class SceneEnergy:
             LandmarkAims(places, at, votes, one.ends, depths, weights),
         )
         costs = {
-            "proj": noise_costs(seen, votes.sum(1), USUAL_DISTANCE) if self._in_one_picture(people) else seen,
+            "proj": noise_costs(seen, votes.sum(1), USUAL_DISTANCE) if self._of_unknown_noise(people) else seen,
             "depth": deep,
             "turns": unknowns.turns.square() * people.turn_weights,
             "shape": (unknowns.shape - people.shape).square(),
@@ -203,18 +203,18 @@ class SceneEnergy:
             depth_weight=options.depth_weight,
             validate=False,
         )
-        if self._in_one_picture(people):
+        if self._of_unknown_noise(people):
             loss = noise_costs(loss, sheet.borders, USUAL_STRIP * sheet.size / REFERENCE_SIZE)
         return loss if sheet.size == options.size else loss * (options.size / sheet.size) ** 2
 
-    @staticmethod
-    def _in_one_picture(people: SceneStarts) -> bool:
+    def _of_unknown_noise(self, people: SceneStarts) -> bool:
         """True if one camera sees one frame: costs are the mesh stage's, of noise that nobody knows.
 
         With several pictures of a body they gained nothing where inputs are noisy: noise is not all that keeps the body
         from agreeing with all of them.
         """
-        return len(people.view_rotations) == 1 and len(people.shift) == len(people.shape)
+        one = len(people.view_rotations) == 1 and len(people.shift) == len(people.shape)
+        return one and self.options.mesh.noise == "unknown"
 
     def pictured(self, people: SceneStarts, unknowns: Unknowns, sheet: Sheet) -> torch.Tensor:
         """Vertices of people in each picture of a sheet, as of ``place_people``."""
