@@ -70,7 +70,8 @@ def test_several_pictures_of_a_body_count_twice_or_plainly(monkeypatch):
     def refuse(*_: object) -> torch.Tensor:
         raise AssertionError
 
-    monkeypatch.setattr("warp_partdr.scenes.energy.noise_costs", refuse)
+    for name in ("keypoint_costs", "label_costs"):
+        monkeypatch.setattr(f"warp_partdr.scenes.energy.{name}", refuse)
     for views, times in ((1, 1), (2, 2)):
         energy, people = prepared(make_views(3, views).scene, "cpu", QUICK)
         factors = energy.factors(people)

@@ -36,7 +36,7 @@ from .landmark_costs import LandmarkAims, landmark_costs
 from .mesh_options import MeshOptions
 from .mesh_unknowns import Posing, Starts, Unknowns
 from .result import FitResult
-from .unknown_noise import USUAL_DISTANCE, USUAL_STRIP, border_lengths, noise_costs
+from .unknown_noise import border_lengths, keypoint_costs, label_costs
 
 # Where no network said how sure it is, and of joints that it says nothing of: depth [m] and turns [rad].
 _DEPTH_SPREAD, _TURN_SPREAD, _LOCKED_SPREAD = 0.1, 0.3, 0.05
@@ -89,7 +89,7 @@ class MeshEnergy:
         )
         seen, deep = landmark_costs(points + away, camera, aims)
         costs = {
-            "proj": noise_costs(seen, people.votes.sum(1), USUAL_DISTANCE) if options.noise == "unknown" else seen,
+            "proj": keypoint_costs(seen, people.votes) if options.noise == "unknown" else seen,
             "depth": deep,
             "turns": unknowns.turns.square() / people.turn_spreads.square()[..., None],
             "shape": (unknowns.shape - people.shape).square(),
@@ -111,7 +111,7 @@ class MeshEnergy:
                 validate=False,
             )
             if options.noise == "unknown":
-                wrong = noise_costs(wrong, people.borders, USUAL_STRIP * options.size / REFERENCE_SIZE)
+                wrong = label_costs(wrong, people.borders, options.size)
             costs["seg"] = wrong
         return costs
 

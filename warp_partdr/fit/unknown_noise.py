@@ -9,11 +9,22 @@ from __future__ import annotations
 import torch
 
 from ..body.labels import IGNORE
+from ..inputs.observation import REFERENCE_SIZE
 
 # Errors of a fit's end at which costs are as steep as their sum [px of ``REFERENCE_SIZE``]: distances of keypoints, and
 # widths of the strips of wrong labels along the labels' borders. Medians of PartBench's people at "clothed".
-USUAL_DISTANCE, USUAL_STRIP = 2.9, 1.5
+_DISTANCE, _STRIP = 2.9, 1.5
 _LEAST = 0.02  # of the usual errors: smaller ones are not believed to be noise
+
+
+def keypoint_costs(distances: torch.Tensor, votes: torch.Tensor) -> torch.Tensor:
+    """Costs of weighted sums of distances from keypoints [px of ``REFERENCE_SIZE``] (B,), whose weights are (B, L)."""
+    return noise_costs(distances, votes.sum(1), _DISTANCE)
+
+
+def label_costs(wrong: torch.Tensor, borders: torch.Tensor, size: int) -> torch.Tensor:
+    """Costs of numbers of wrong pixels (B,) beside borders so long (B,), of labels drawn so large [px]."""
+    return noise_costs(wrong, borders, _STRIP * size / REFERENCE_SIZE)
 
 
 def noise_costs(errors: torch.Tensor, counts: torch.Tensor, usual: float) -> torch.Tensor:

@@ -18,8 +18,7 @@ from ..fit.landmark_costs import LandmarkAims, landmark_costs
 from ..fit.mesh_energy import MeshEnergy
 from ..fit.mesh_unknowns import CLOTHES_RATE, SHAPE_RATE, Unknowns
 from ..fit.steps import Tensors
-from ..fit.unknown_noise import USUAL_DISTANCE, USUAL_STRIP, noise_costs
-from ..inputs.observation import REFERENCE_SIZE
+from ..fit.unknown_noise import keypoint_costs, label_costs
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh
 from .clusters import Clusters
@@ -163,7 +162,7 @@ class SceneEnergy:
             LandmarkAims(places, at, votes, one.ends, depths, weights),
         )
         costs = {
-            "proj": noise_costs(seen, votes.sum(1), USUAL_DISTANCE) if self._of_unknown_noise(people) else seen,
+            "proj": keypoint_costs(seen, votes) if self._of_unknown_noise(people) else seen,
             "depth": deep,
             "turns": unknowns.turns.square() * people.turn_weights,
             "shape": (unknowns.shape - people.shape).square(),
@@ -204,7 +203,7 @@ class SceneEnergy:
             validate=False,
         )
         if self._of_unknown_noise(people):
-            loss = noise_costs(loss, sheet.borders, USUAL_STRIP * sheet.size / REFERENCE_SIZE)
+            loss = label_costs(loss, sheet.borders, sheet.size)
         return loss if sheet.size == options.size else loss * (options.size / sheet.size) ** 2
 
     def _of_unknown_noise(self, people: SceneStarts) -> bool:

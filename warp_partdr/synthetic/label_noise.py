@@ -6,7 +6,7 @@ Strength 1 is about a good network on a clear photo; each sample has one of its 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
 
 import torch
@@ -192,25 +192,23 @@ def _areas(parts: torch.Tensor) -> torch.Tensor:
 
 def _majority(groups: torch.Tensor, chosen: torch.Tensor, apart: int = 1) -> torch.Tensor:
     """The commonest label of nine, ``apart`` pixels from each other, in the chosen images; a tie goes to the first."""
-    found = torch.empty_like(groups)
-
-    def launch(part: slice) -> None:
-        labels, yes, taken = (warp_array(each[part]) for each in (groups, chosen, found))
-        label_noise.launch_commonest(labels, yes, apart, taken)
-
-    launch_bodies_on(groups.device, launch, len(groups), [label_noise])
-    return found
+    return _passed(label_noise.launch_commonest, groups, chosen, apart)
 
 
 def _grown(groups: torch.Tensor, pixels: torch.Tensor, step: int) -> torch.Tensor:
     """Persons that are to grow by ``pixels`` (B,), or to shrink if negative, after ``step`` of these another one."""
+    return _passed(label_noise.launch_growth, groups, pixels, step)
+
+
+def _passed(launch: Callable[..., None], groups: torch.Tensor, of_each: torch.Tensor, number: int) -> torch.Tensor:
+    """New labels by a launch for labels (B, S, S), a number of each image (B,), and one of all."""
     found = torch.empty_like(groups)
 
-    def launch(part: slice) -> None:
-        labels, reach, taken = (warp_array(each[part]) for each in (groups, pixels, found))
-        label_noise.launch_growth(labels, reach, step, taken)
+    def work(part: slice) -> None:
+        labels, own, taken = (warp_array(each[part]) for each in (groups, of_each, found))
+        launch(labels, own, number, taken)
 
-    launch_bodies_on(groups.device, launch, len(groups), [label_noise])
+    launch_bodies_on(groups.device, work, len(groups), [label_noise])
     return found
 
 
