@@ -87,7 +87,7 @@ def test_a_film_that_breaks_off_is_fitted_as_far_as_it_goes(run: Run, film: Path
         ("fit stand.mp4 --model none", ["--model: none, with a film"]),
         ("fit stand.mp4 --focal exif", ["--focal: exif, with a film"]),
         ("fit stand.mp4 --set windw=3", ["windw: unknown; expected one of mesh, smoothing"]),
-        ("fit stand.mp4 --set overlap=64", ["overlap: 64"]),
+        ("fit stand.mp4 --set overlap=128", ["overlap: 128"]),
         ("fit gray.mp4 --person -1", ["--person: -1; expected 0 or more"]),
         ("fit stand.mp4 --person 3", ["person: 3; expected 0 to 0"]),
         ("fit gray.mp4", ["gray.mp4: nobody found in 4 frames"]),

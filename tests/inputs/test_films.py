@@ -14,7 +14,7 @@ from scenes.films import av, write_film
 from warp_partdr.errors import InputError
 from warp_partdr.inputs import films
 from warp_partdr.inputs.film_reader import FilmReader
-from warp_partdr.inputs.films import film_facts, is_film, read_frames
+from warp_partdr.inputs.films import film_facts, is_film, read_frames, scaled
 from warp_partdr.inputs.part_labels import read_photo
 
 
@@ -63,6 +63,19 @@ def test_frames_in_any_order(tmp_path: Path, ending: str) -> None:
 def test_times_are_the_film_s_and_begin_at_0(tmp_path: Path) -> None:
     path = write_film(tmp_path / "film.mkv", shades(4), rate=10, times=[20, 21, 25, 40])
     np.testing.assert_allclose([frame.time for frame in read_frames(path)], [0, 0.1, 0.5, 2.0], atol=2e-3)
+
+
+@pytest.mark.parametrize("turned", [0, 90])
+def test_pictures_have_the_size_that_is_asked_for(tmp_path: Path, turned: int) -> None:
+    """Upright, whichever way the film was taken, and in the places where the whole picture's are."""
+    path = write_film(tmp_path / "film.mp4", shades(3), turned=turned)
+    for whole, small in zip(read_frames(path), read_frames(path, size=(24, 40)), strict=True):
+        assert small.picture.shape == (24, 40, 3)
+        expected = scaled(whole.picture, (24, 40)).astype(float)
+        assert np.abs(small.picture - expected).mean() < 3
+    Image.fromarray(shades(1)[0]).save(tmp_path / "photo.png")
+    (photo,) = read_frames(tmp_path / "photo.png", size=(24, 40))
+    assert photo.picture.shape == (24, 40, 3)
 
 
 @pytest.mark.parametrize(("turned", "red"), [(90, "bottom"), (-90, "top"), (180, "right")])

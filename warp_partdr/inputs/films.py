@@ -88,17 +88,22 @@ def check_rates(rates: Sequence[float]) -> None:
         raise InputError(f"films: {', '.join(f'{rate:g}' for rate in rates)} frames a second; expected one rate")
 
 
-def read_frames(path: str | Path) -> Iterator[Frame]:
+def read_frames(path: str | Path, *, size: tuple[int, int] | None = None) -> Iterator[Frame]:
     """Frames of a film in their order, of which one at a time is in memory.
+
+    Args:
+        path: The film, or a photo.
+        size: (H, W) of the pictures [px], to which libav scales while it converts colours; None: the film's.
 
     Raises:
         InputError: If PyAV is not installed, the file can't be read as a film, it has no frame, or fewer than it says,
             or one is damaged; frames before that are given.
     """
     if is_photo(path):
-        yield Frame(0, 0.0, read_photo(path))
+        photo = read_photo(path)
+        yield Frame(0, 0.0, photo if size is None else scaled(photo, size))
         return
-    index, packets, start, size = 0, 0, 0.0, (0, 0)
+    index, packets, start, square = 0, 0, 0.0, (0, 0)
     with _opened(path) as (container, stream):
         stream.thread_type = "AUTO"
         rate = float(stream.average_rate or stream.guessed_rate or 0)
@@ -106,11 +111,13 @@ def read_frames(path: str | Path) -> Iterator[Frame]:
             packets += bool(packet.size)
             for frame in packet.decode():
                 if not index:
-                    size = _square_size(path, stream, frame)
+                    square = _square_size(path, stream, frame)
+                    if size is not None:
+                        square = size if _quarters(frame) % 2 else (size[1], size[0])
                     start = frame.time or 0.0
                 time = index / rate if frame.time is None and rate else (frame.time or 0.0) - start
                 # Films of several sizes exist; what follows people wants one.
-                yield Frame(index, time, _upright(frame, size))
+                yield Frame(index, time, _upright(frame, square))
                 index += 1
         said = stream.frames
     if not index:
@@ -197,6 +204,13 @@ class FilmFrames:
                     yield number, _upright(frame, _square_size(self.path, stream, frame))
 
 
+def scaled(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A picture, RGB, uint8, at another size, (H, W) [px]."""
+    from PIL import Image
+
+    return np.asarray(Image.fromarray(picture).resize((size[1], size[0]), Image.Resampling.BILINEAR))
+
+
 def is_photo(path: str | Path) -> bool:
     """True for a photo, which libav would read, too, but not turn as its EXIF data say where they mirror it."""
     return Path(path).suffix.lower() in PHOTO_SUFFIXES
@@ -237,4 +251,9 @@ def _square_size(path: str | Path, stream: VideoStream, frame: VideoFrame) -> tu
 def _upright(frame: VideoFrame, size: tuple[int, int]) -> np.ndarray:
     """Pixels of a frame, of a width and height before it is turned."""
     pixels = frame.to_ndarray(format="rgb24", width=size[0], height=size[1])
-    return np.ascontiguousarray(np.rot90(pixels, round(frame.rotation / 90)))
+    return np.ascontiguousarray(np.rot90(pixels, _quarters(frame)))
+
+
+def _quarters(frame: VideoFrame) -> int:
+    """Quarter turns, counterclockwise, that make a frame upright."""
+    return round(frame.rotation / 90)

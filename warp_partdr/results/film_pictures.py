@@ -11,6 +11,7 @@ from ..cameras import Perspective, zoomed
 from ..clothing.model import Detailed, detailed_mesh
 from ..clothing.registration import Registered
 from ..inputs.calibrated_camera import CalibratedCamera
+from ..inputs.films import scaled
 from ..scenes.film import Motion
 from ..scenes.scene import View
 from .palette import PART_COLOURS
@@ -50,9 +51,7 @@ def zoomed_view(view: View, zoom: float, size: tuple[int, int]) -> View:
 
 def resized(picture: np.ndarray, size: tuple[int, int], lens: CalibratedCamera | None = None) -> np.ndarray:
     """A picture, RGB, uint8, at another size, (H, W) [px], without the distortion of the lens that took it."""
-    from PIL import Image
-
-    shown = np.asarray(Image.fromarray(picture).resize(size[::-1], Image.Resampling.BILINEAR))
+    shown = scaled(picture, size)
     return shown if lens is None else lens.resized(size).undistort_picture(shown)
 
 

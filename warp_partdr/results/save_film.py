@@ -126,7 +126,7 @@ def draw_film(fit: FilmFit, film: str | Path, place: int = 0) -> Iterator[np.nda
     seen = fit.films[place]
     zoom, size = shown_at(seen.people.image_size, _SIDE)
     view, posed = zoomed_view(seen.view, zoom, size), PosedMotions(fit.motions)
-    frames = enumerate(islice(read_frames(film), seen.skipped, seen.skipped + len(seen.people.times)))
+    frames = enumerate(islice(read_frames(film, size=size), seen.skipped, seen.skipped + len(seen.people.times)))
     for index, picture in made_ahead((index, resized(frame.picture, size, seen.lens)) for index, frame in frames):
         yield draw_bodies(picture, posed.at(index), fit.motions, view)
 

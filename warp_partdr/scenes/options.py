@@ -45,7 +45,7 @@ class SceneOptions:
     stature: float | None = None
     exchanges: bool = True
     together: int = 256
-    window: int = 64
+    window: int = 128
     overlap: int = 12
     shape_frames: int = 16
 
