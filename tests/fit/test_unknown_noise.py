@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
-from warp_partdr.fit.unknown_noise import border_lengths, noise_costs
+from warp_partdr.fit.unknown_noise import blob_costs, border_lengths, noise_costs
 
 
-def slopes(errors: torch.Tensor, counts: torch.Tensor, usual: float) -> torch.Tensor:
+def slopes(errors: torch.Tensor, counts: torch.Tensor, usual: float, costs=noise_costs) -> torch.Tensor:
     errors = errors.clone().requires_grad_()
-    noise_costs(errors, counts, usual).sum().backward()
+    costs(errors, counts, usual).sum().backward()
     assert errors.grad is not None
     return errors.grad
 
@@ -37,10 +37,23 @@ def test_costs_are_the_logarithm_of_a_power_of_the_sum():
     torch.testing.assert_close(found.diff(), expected.diff(), rtol=0.03, atol=0)
 
 
-def test_who_was_not_seen_costs_nothing(device):
-    nothing = torch.zeros(2, device=device)
-    assert (noise_costs(nothing, nothing, 3.0) == 0).all()
-    assert (slopes(nothing, nothing, 3.0) == 0).all()
+def test_wide_blobs_count_the_less_the_fewer_of_them_there_are(device):
+    counts = torch.tensor([12.0, 12.0, 12.0, 5.0], device=device)
+    mean = torch.tensor([0.5, 3.0, 12.0, 3.0], device=device)
+    found = slopes(mean * counts, counts, 3.0, blob_costs).cpu()
+    small, large = 1 / 6, 4.0
+    expected = [2 * 1.02 / ((small + 0.02) * (small + 1)), 1.0, 2 * 1.02 / ((large + 0.02) * (large + 1)), 1.0]
+    torch.testing.assert_close(found, torch.tensor(expected))
+    most = slopes(torch.zeros(1, device=device), counts[:1], 3.0, blob_costs)
+    torch.testing.assert_close(most.cpu(), torch.tensor([102.0]))
+
+
+@pytest.mark.parametrize("costs", [noise_costs, blob_costs])
+def test_what_was_not_seen_costs_nothing(device, costs):
+    nothing, something = torch.zeros(2, device=device), torch.full((2,), 1e4, device=device)
+    for errors in (nothing, something):  # wrong pixels of labels without a border
+        assert (costs(errors, nothing, 3.0) == 0).all()
+        assert (slopes(errors, nothing, 3.0, costs) == 0).all()
 
 
 @pytest.mark.parametrize("sort", [torch.uint8, torch.int32])
