@@ -25,7 +25,7 @@ from warp_partdr.errors import InputError
 from warp_partdr.inputs.observation import observe, resize_nearest
 from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.interop.checks import rotation_error
-from warp_partdr.network.checkpoint import load_label_network, save_label_network
+from warp_partdr.network.checkpoint import known_network, load_label_network, packaged_network, save_label_network
 from warp_partdr.network.label_network import (
     NUM_CHANNELS,
     LabelNetwork,
@@ -239,6 +239,19 @@ def test_a_network_comes_back_from_its_file(network, tmp_path, bits, monkeypatch
     shares, keypoints = torch.rand(2, NUM_CHANNELS, 64, 64), torch.rand(2, len(LANDMARKS), 3)
     want, have = network(shares, keypoints, torch.zeros(2, 4)), back(shares, keypoints, torch.zeros(2, 4))
     assert torch.allclose(want.rotations, have.rotations, atol={32: 0, 16: 1e-2, 8: 3e-2}[bits])
+
+
+def test_a_file_is_read_once_while_it_stays_as_it_is(network, tmp_path):
+    path = tmp_path / "network.safetensors"
+    save_label_network(path, network.state_dict(), SMALL, {}, bits=32)
+    first = known_network(path, "cpu")
+    assert known_network(str(path), "cpu") is first
+    save_label_network(path, network.state_dict(), SMALL, {}, bits=16)
+    assert known_network(path, "cpu") is not first
+    assert known_network(None, "cpu") is packaged_network("cpu")
+    path.unlink()
+    with pytest.raises(InputError, match="No such file"):
+        known_network(path, "cpu")
 
 
 def test_weights_in_bytes_are_as_near_as_their_row_allows(network, tmp_path, monkeypatch):

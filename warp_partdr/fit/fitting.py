@@ -23,7 +23,7 @@ from ..inputs.observation import Observation, crop_evidence, crop_lens
 from ..inputs.part_labels import PartLabels
 from ..interop.gradient_mode import with_gradients
 from ..interop.torch_threads import one_torch_thread
-from ..network.checkpoint import load_label_network, packaged_network
+from ..network.checkpoint import known_network
 from ..network.label_network import LabelNetwork
 from ..network.predict import ask_network
 from ..network.predicted import Predicted
@@ -160,8 +160,8 @@ class _Fit:
 
     def looked_at(self) -> _Fit:
         """The same with what the network says of the person, before a camera that is guessed of it if none is known."""
-        device, path = self.seen.points.device, self.options.network
-        network = packaged_network(str(device)) if path is None else load_label_network(path, device=device)
+        device = self.seen.points.device
+        network = known_network(self.options.network, str(device))
         started = time.perf_counter()
         predicted, camera, fit = self._ask(network), None, self
         picture = self.evidence.picture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -157,3 +158,23 @@ def load_label_network(path: Path | str | None = None, *, device: torch.device |
 def packaged_network(device: str) -> LabelNetwork:
     """The packaged network, loaded once for each device; not to be changed."""
     return load_label_network(device=device)
+
+
+def known_network(path: Path | str | None, device: str) -> LabelNetwork:
+    """The network of a file, read once while the file stays as it is, or the packaged one; not to be changed.
+
+    Raises:
+        InputError: As of ``load_label_network``.
+    """
+    if path is None:
+        return packaged_network(device)
+    try:
+        found = os.stat(path)
+    except OSError:
+        return load_label_network(path, device=device)  # which says what is wrong
+    return _network_of(str(path), device, found.st_mtime_ns, found.st_size)
+
+
+@lru_cache(maxsize=4)
+def _network_of(path: str, device: str, *state: int) -> LabelNetwork:
+    return load_label_network(path, device=device)
