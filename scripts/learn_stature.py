@@ -31,7 +31,7 @@ def main(count: str = "4000") -> None:
     rows: list[np.ndarray] = []
     for _ in range(-(-2 * int(count) // _BATCH)):
         phenotypes = rng.uniform(*people.PHENOTYPE_RANGES.T, size=(_BATCH, len(people.PHENOTYPE_RANGES)))
-        shape = anny_shape(torch.from_numpy(phenotypes).float())
+        shape = anny_shape(phenotypes)
         lengths = measure_ellipbody(ungrown(model, shape, still, torch.zeros(_BATCH, 3), {}))[3]
         rows.append(torch.cat([lengths, statures(model, shape)[:, None]], dim=1).double().numpy())
     own = [LENGTH_NAMES.index(name) for name in SHARES]

@@ -33,7 +33,7 @@ def main(first: str = "300", last: str = "339") -> None:
     found: dict[str, list[np.ndarray]] = {"fitted": [], "fitted, known stature": [], "registered": []}
     truths: list[np.ndarray] = []
     for index in people:
-        shape = anny_shape(torch.from_numpy(draw_phenotypes(index)[0])[None].float())
+        shape = anny_shape(draw_phenotypes(index)[0][None])
         truth = measure_body(model, model.rest(shape))[0].numpy()
         sample = make_sample(index, "realistic")
         fitted, known = (

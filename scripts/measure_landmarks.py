@@ -41,7 +41,7 @@ def main() -> None:
     wp.config.log_level = wp.LOG_WARNING
     model, upright = anny(), torch.eye(3).expand(PEOPLE, 3, 3)
     phenotypes = np.random.default_rng(SEED).uniform(*people.PHENOTYPE_RANGES.T, (PEOPLE, len(people.PHENOTYPES)))
-    shape = anny_shape(torch.from_numpy(phenotypes).float())
+    shape = anny_shape(phenotypes)
     vectors, _ = PoseSampler(PoseBank.of_prior(seed=SEED), seed=SEED).draw(PEOPLE)
     posed = mean_body(rotation_from_axis_angle(vectors), upright)
     person = people.pose_anny(model, shape, posed)

@@ -55,7 +55,7 @@ def true_body(index: int) -> Truth:
     """Person ``index`` as ``make_person`` draws it."""
     person, model = make_person(index), anny()
     phenotypes, rng = draw_phenotypes(index)
-    shape = anny_shape(torch.from_numpy(phenotypes)[None].float())
+    shape = anny_shape(phenotypes[None])
     pose = draw_pose(pose_kind(index), rng)
     values = (pose.up, pose.yaw, np.radians(rng.uniform(*_PITCH)), 0.0)
     up, yaw, pitch, roll = (torch.tensor(value, dtype=torch.float64)[None] for value in values)

@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 import warp as wp
 from measure_camera import interval
 
@@ -51,7 +50,7 @@ def figures_of(score: Score) -> list[float]:
 
 def true_stature(index: int) -> float:
     """A person's [m]."""
-    return float(statures(anny(), anny_shape(torch.from_numpy(draw_phenotypes(index)[0])[None].float())))
+    return float(statures(anny(), anny_shape(draw_phenotypes(index)[0][None])))
 
 
 def of_clips(people: range, mocap: Path) -> Found:

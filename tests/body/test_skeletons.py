@@ -179,7 +179,7 @@ def test_annotators_marks_are_those_of_annys_regressor() -> None:
     """On people that the table was not measured on, each mark is nearer to COCO's place than the joint is."""
     count, model = 60, anny()
     rng = np.random.default_rng(7)
-    shape = anny_shape(torch.from_numpy(rng.uniform(*people.PHENOTYPE_RANGES.T, (count, 6))).float())
+    shape = anny_shape(rng.uniform(*people.PHENOTYPE_RANGES.T, (count, 6)))
     posed = mean_body(rotation_from_axis_angle(PoseBank.of_prior(count, seed=7).rotations))
     person = people.pose_anny(model, shape, posed)
     body = measure_landmarks.ellipbody_of(

@@ -16,7 +16,7 @@ from warp_partdr.synthetic import people
 def test_bones_say_how_tall_somebody_stands():
     model, rng = anny(), np.random.default_rng(5)
     phenotypes = rng.uniform(*people.PHENOTYPE_RANGES.T, size=(24, len(people.PHENOTYPE_RANGES)))
-    shape = anny_shape(torch.from_numpy(phenotypes).float())
+    shape = anny_shape(phenotypes)
     at_rest = torch.eye(3).expand(24, model.num_joints, 3, 3)
     lengths = measure_ellipbody(ungrown(model, shape, at_rest, torch.zeros(24, 3), {}))[3]
     true = statures(model, shape)

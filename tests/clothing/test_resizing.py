@@ -14,7 +14,7 @@ from warp_partdr.synthetic import people
 def test_bodies_are_enlarged_as_they_are(device):
     model, rng = anny(torch.device(device)), np.random.default_rng(3)
     phenotypes = rng.uniform(*people.PHENOTYPE_RANGES.T, size=(4, len(people.PHENOTYPE_RANGES)))
-    shape = anny_shape(torch.from_numpy(phenotypes).float()).to(device)
+    shape = anny_shape(phenotypes).to(device)
     shares = torch.tensor([0.93, 1.0, 1.04, 1.1], device=device)
     wanted = shares * statures(model, shape)
     resized, found = resize_shapes(model, shape, wanted)

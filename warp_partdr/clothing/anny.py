@@ -70,13 +70,13 @@ def anny(device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32)
     )
 
 
-def anny_shape(phenotypes: torch.Tensor) -> torch.Tensor:
+def anny_shape(phenotypes: torch.Tensor | np.ndarray) -> torch.Tensor:
     """Shape values of people with these phenotype values.
 
     Args:
         phenotypes: gender (0 male, 1 female), age (-1/3 newborn, 0 baby, 1/3 child, 2/3 young, 1 old), muscle, weight,
             height and proportions (0 ideal), each 0 to 1 but for the age, shape (B, 6). Values outside are moved to the
-            nearest inside.
+            nearest inside. Of an array the shape values are float32.
 
     Returns:
         Shape values for ``anny().pose``, shape (B, 20), differentiable between the anchors.
@@ -84,6 +84,8 @@ def anny_shape(phenotypes: torch.Tensor) -> torch.Tensor:
     Raises:
         ValueError: If the shape is not (B, 6).
     """
+    if isinstance(phenotypes, np.ndarray):
+        phenotypes = torch.from_numpy(phenotypes).float()
     if phenotypes.ndim != 2 or phenotypes.shape[1] != len(PHENOTYPE_ANCHORS):
         raise ValueError(f"phenotypes: shape {tuple(phenotypes.shape)}; expected (B, {len(PHENOTYPE_ANCHORS)})")
     table = torch.from_numpy(_asset()["corner_shapes"]).to(phenotypes.device, phenotypes.dtype)

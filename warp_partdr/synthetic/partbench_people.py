@@ -87,7 +87,7 @@ def make_person(index: int, setting: Setting = "usual") -> Person:
     """
     beside, tilted = _BESIDE.get(setting), setting == "tilted"
     phenotypes, rng = draw_phenotypes(index)
-    shape = anny_shape(torch.from_numpy(phenotypes)[None].float())
+    shape = anny_shape(phenotypes[None])
     kind = pose_kind(index, setting)
     pose = draw_pose(kind, rng)
     degrees = rng.uniform(np.negative(_TILT), _TILT) if tilted else (rng.uniform(*_PITCH), 0.0)

@@ -162,7 +162,7 @@ def make_clip(
     """Person of PartBench's shape ``index`` who moves as a clip says, before cameras; noise lasts some frames."""
     rng = np.random.default_rng([SEED, index, _CLIP])
     phenotypes, _ = draw_phenotypes(index)
-    shape = anny_shape(torch.from_numpy(phenotypes)[None].float())
+    shape = anny_shape(phenotypes[None])
     world = torch.from_numpy(clip.global_orient).float()
     zero = torch.zeros(1, dtype=world.dtype)
     posed = mean_body(torch.from_numpy(clip.rotations).float(), people.seen_by_camera(world, zero.expand(len(world))))
@@ -185,7 +185,7 @@ def make_clip(
 def _draw_body(index: int) -> tuple[Detailed, float]:
     """A body in PartBench's shape and kind of pose, upright in a world with y down, and its stature [m]."""
     phenotypes, rng = draw_phenotypes(index)
-    shape = anny_shape(torch.from_numpy(phenotypes)[None].float())
+    shape = anny_shape(phenotypes[None])
     pose = draw_pose(pose_kind(index), rng)
     up, yaw, level = (torch.tensor(value, dtype=torch.float64)[None] for value in (pose.up, pose.yaw, 0.0))
     orientation = people.seen_by_camera(people.upright(up, yaw), level).float()
