@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,7 +94,7 @@ def test_rows_are_those_of_single_fits(run: Run) -> None:
     assert run(f"{FOLDER} --out out --quality mesh --batch 2 --set half=false")[0] == 0
     table = pq.read_table("out")
     table = table.filter(table["person"].is_valid())
-    options = FitOptions(guess_camera=False)
+    options = replace(FitOptions.at("balanced"), guess_camera=False)
     alone = fit_photo(read_photo("photos/more/two.png"), options=options).fits
     for row, place in ((1, 0), (2, 1)):
         assert table["person"][row].as_py() == place
