@@ -27,6 +27,7 @@ from warp_partdr.bulk import run as bulk_run
 from warp_partdr.bulk.rows import columns
 from warp_partdr.clothing.anny import anny
 from warp_partdr.errors import InputError
+from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.interop import precision
 from warp_partdr.scenes.photo import fit_photo
@@ -91,15 +92,16 @@ def test_every_picture_has_its_rows(run: Run) -> None:
 def test_rows_are_those_of_single_fits(run: Run) -> None:
     """With the mesh stage, in a batch as alone; in float32, as single fits are, no camera guessed."""
     write_folder(Path("photos"))
-    assert run(f"{FOLDER} --out out --quality mesh --batch 2 --set half=false")[0] == 0
+    assert run(f"{FOLDER} --out out --quality mesh --batch 2 --set half=false --set mesh.iterations=20")[0] == 0
     table = pq.read_table("out")
     table = table.filter(table["person"].is_valid())
-    options = replace(FitOptions.at("balanced"), guess_camera=False)
+    few = MeshOptions(iterations=20)  # more steps multiply what a batch rounds otherwise
+    options = replace(FitOptions.at("balanced"), guess_camera=False, mesh=few)
     alone = fit_photo(read_photo("photos/more/two.png"), options=options).fits
     for row, place in ((1, 0), (2, 1)):
         assert table["person"][row].as_py() == place
         expected = alone[place]
-        np.testing.assert_allclose(arrays(table, "joints")[row], expected.ellipbody.posed.joints[0], atol=1e-2)
+        np.testing.assert_allclose(arrays(table, "joints")[row], expected.ellipbody.posed.joints[0], atol=5e-3)
         np.testing.assert_allclose(arrays(table, "mesh_shape")[row], expected.body.shape[0], atol=0.05)
         np.testing.assert_allclose(arrays(table, "mesh_rotations")[row], expected.body.rotations[0], atol=0.05)
     assert np.array(table["stature"]) == pytest.approx(1.8, abs=0.15)
