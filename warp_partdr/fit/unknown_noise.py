@@ -16,7 +16,7 @@ from ..inputs.observation import REFERENCE_SIZE
 # widths of the strips of wrong labels along the labels' borders. Medians of PartBench's people at "clothed".
 _DISTANCE, _STRIP = 2.9, 1.5
 _LEAST = 0.02  # of the usual errors: smaller ones are not believed to be noise
-_NO_COUNT = 1e-6
+_NO_COUNT = 1e-6  # stands for 0, by which nothing can be divided
 
 
 def keypoint_costs(distances: torch.Tensor, votes: torch.Tensor) -> torch.Tensor:

@@ -205,7 +205,9 @@ class FilmFrames:
 
 
 def scaled(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """A picture, RGB, uint8, at another size, (H, W) [px]."""
+    """A picture, RGB, uint8, at a size, (H, W) [px]; itself if it has that already."""
+    if picture.shape[:2] == size:
+        return picture
     from PIL import Image
 
     return np.asarray(Image.fromarray(picture).resize((size[1], size[0]), Image.Resampling.BILINEAR))
