@@ -28,10 +28,12 @@ TILE_ROWS = wp.constant(4)
 TILE_COLUMNS = wp.constant(32)
 
 # On CUDA the rows of one face are shared by some threads, so that a large face does not hold up its warp: by more where
-# few faces would leave the device idle. Measured on an H200: docs/performance.md.
+# few faces would leave the device idle, by none where there are so many that a face's own work counts. On an H200 (Warp
+# 1.19, 2026-11-27) 0.8 to 3.3 million faces of 3 to 13 px take 70 to 97 % of the time of two threads a face.
 _MIN_ROW_LANE_BITS = 1
 _MAX_ROW_LANE_BITS = 4
 _THREADS_TO_FILL = 1 << 17
+_ONE_THREAD_EACH = 1 << 19  # faces
 
 # On CUDA, threads a block and blocks a multiprocessor: enough threads to hide the memory's latency.
 _DRAW_FACES_BOUNDS = (256, 5)
@@ -130,6 +132,6 @@ def launch_bodies(
 
 def row_lane_bits(count: int, device: wp.Device) -> int:
     """Base-2 logarithm of the number of threads that share the rows of one of ``count`` faces: 0 on the CPU."""
-    if device.is_cpu:
+    if device.is_cpu or count >= _ONE_THREAD_EACH:
         return 0
     return min(max((_THREADS_TO_FILL // max(count, 1)).bit_length() - 1, _MIN_ROW_LANE_BITS), _MAX_ROW_LANE_BITS)
