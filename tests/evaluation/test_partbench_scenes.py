@@ -147,6 +147,19 @@ def test_smoothing_takes_jitter_away() -> None:
     assert rough.acceleration > 10  # [mm/frame²]
 
 
+def test_frames_that_are_fitted_apart_are_one_film() -> None:
+    sample = make_clip(3, standing(3), 30.0, "clean")
+    shown = SCENE_METHODS["frames apart, smoothed by 3"].fit_sample(sample, "cpu")
+    assert [fit.scene.num_frames for fit in shown.fits] == [1, 1, 1]
+    assert shown.vertices.shape == sample.vertices.shape
+    found, alone = shown.landmarks(MPJPE_JOINTS), [fit.landmarks(MPJPE_JOINTS).numpy() for fit in shown.fits]
+    np.testing.assert_allclose(found.mean((0, 1)), np.concatenate(alone).mean((0, 1)), atol=0.02)  # smooth, in order
+    assert shown.statures == pytest.approx(np.mean([fit.statures.numpy() for fit in shown.fits]))
+    off = score_scene(sample, "", shown, 0.0)
+    assert off.mpjpe < 60
+    assert np.ptp([fit.statures.item() for fit in shown.fits]) > 0
+
+
 def test_half_of_the_pairs_start_in_the_wrong_order() -> None:
     sample = pair()
     looks = look_at(sample.scene, "cpu")

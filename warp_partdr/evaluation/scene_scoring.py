@@ -32,15 +32,17 @@ _STANDS, _LOW = 0.3, 0.05
 
 @dataclass(frozen=True)
 class SceneBodies:
-    """Bodies of a scene's people: of one fit, or of several, each of some of the people.
+    """Bodies of a scene's people: of one fit, or of several, each of some of the people or one of the frames.
 
     Attributes:
-        fits: In the order of people.
+        fits: In the order of people, or of frames.
         smoothing: Standard deviation of the Gaussian by which all points are smoothed in time [frames]; 0: not at all.
+        by_frame: Fits are of one frame each.
     """
 
     fits: Sequence[SceneFit]
     smoothing: float = 0.0
+    by_frame: bool = False
 
     def landmarks(self, names: tuple[str, ...]) -> np.ndarray:
         """Landmarks in the world [m], shape (P, T, L, 3)."""
@@ -53,11 +55,12 @@ class SceneBodies:
 
     @property
     def statures(self) -> np.ndarray:
-        """Of people standing [m], shape (P,)."""
-        return torch.cat([each.statures for each in self.fits]).cpu().numpy()
+        """Of people standing [m], the mean of frames that were fitted apart, shape (P,)."""
+        each = [fit.statures for fit in self.fits]
+        return (torch.stack(each).mean(0) if self.by_frame else torch.cat(each)).cpu().numpy()
 
     def _joined(self, points: list[torch.Tensor]) -> torch.Tensor:
-        every = torch.cat(points).cpu()
+        every = torch.cat(points, dim=1 if self.by_frame else 0).cpu()
         if self.smoothing > 0:
             shares = time_shares(torch.ones(1, every.shape[1], dtype=torch.bool), self.smoothing)[0].to(every)
             every = torch.einsum("ts,ps...->pt...", shares, every)

@@ -28,7 +28,7 @@ from .crossed import CROSSED_METHODS, MIRRORED
 from .methods import KNOWN_CAMERA, NO_FLIPS
 from .samples import source_name
 from .scene_pictures import draw_scene_case
-from .scenes import SMOOTHED
+from .scenes import SMOOTHED, SMOOTHED_APART
 
 WORST = 10
 DRAWN = ("parts", MIRRORED, "scene")  # methods whose worst fits are drawn
@@ -48,7 +48,7 @@ ORDER = (
     ("scene", "scene, no exchanges"),
     ("scene, z gradient, no exchanges", "scene, no z gradient, no exchanges"),
     ("scene", "scene, feet slide"),
-    *(("scene", name) for name in SMOOTHED),
+    *(("scene", name) for name in (*SMOOTHED, *SMOOTHED_APART)),
     ("scene", "first camera alone"),
 )
 _GAINS = (  # figure, field of ``Score``, factor, unit

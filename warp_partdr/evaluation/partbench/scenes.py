@@ -28,6 +28,7 @@ CAMERAS = (2, 4)  # of the level "views"
 _SECONDS = 2.0  # of a clip
 # Standard deviations [frames] of 1/30 s, of the usual smoothing after fits of single frames.
 SMOOTHED = {f"frames alone, smoothed by {width:g}": width for width in (1.0, 2.0, 3.0, 4.5, 6.0)}
+SMOOTHED_APART = {f"frames apart, smoothed by {width:g}": width for width in (3.0, 4.5, 6.0)}
 # PartDR's rule, which alone has a z gradient, pulls about thrice as hard.
 _PARTDR = MeshOptions(gradient="partdr", seg=0.033)
 
@@ -130,6 +131,16 @@ def fit_first_view(sample: SceneSample, device: str) -> SceneBodies:
     return SceneBodies([fit_scene(replace(scene, sights=[s for s in scene.sights if s.view == 0]), device=device)])
 
 
+def fit_frames_apart(sample: SceneSample, device: str, *, smoothing: float) -> SceneBodies:
+    """Fit each frame as if there were no other, shape and size too, and smooth the bodies afterwards."""
+    scene = sample.scene
+    fits = [
+        fit_scene(replace(scene, sights=[replace(s, frame=0) for s in scene.sights if s.frame == frame]), device=device)
+        for frame in range(scene.num_frames)
+    ]
+    return SceneBodies(fits, smoothing, by_frame=True)
+
+
 def fit_places_too(sample: SceneSample, device: str) -> SceneBodies:
     """Fit the scene without knowing where any camera but the first stands."""
     first, *others = sample.scene.views
@@ -159,6 +170,9 @@ SCENE_METHODS: dict[str, SceneMethod] = {
     **{
         name: SceneMethod(partial(fit_all_together, options=_FRAMES_ALONE, smoothing=width), (CLIP,))
         for name, width in SMOOTHED.items()
+    },
+    **{
+        name: SceneMethod(partial(fit_frames_apart, smoothing=width), (CLIP,)) for name, width in SMOOTHED_APART.items()
     },
     "first camera alone": SceneMethod(fit_first_view, (VIEWS,)),
     "cameras found": SceneMethod(fit_places_too, (VIEWS,)),
