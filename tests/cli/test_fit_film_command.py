@@ -40,10 +40,10 @@ def test_a_film_s_people_become_motions(run: Run, film: Path) -> None:
     assert (code, complaint) == (0, "")
     first, last = said.splitlines()
     assert first.startswith("person0: frames 0 to 5, seen in 6; about ")
-    assert Path("out", "person0.glb").as_posix() in last
+    assert Path("out", "scene.glb").as_posix() in last
     assert not list(Path().glob(".partdr-*"))
     report = json.loads(Path("out", "people.json").read_text())
-    assert report["files"].keys() == {"overlay.mp4", "person0.npz", "person0.glb", "person0.bvh"} | (
+    assert report["files"].keys() == {"overlay.mp4", "scene.glb", "person0.npz", "person0.glb", "person0.bvh"} | (
         {"person0.usdz"} if usd else set()
     )
     assert (report["rate"], report["frames"]) == (10, 6)
@@ -58,7 +58,7 @@ def test_a_film_s_people_become_motions(run: Run, film: Path) -> None:
     keypoints = bodies.rows["keypoints"][0]
     assert np.abs(seen.mean(0) - keypoints[keypoints[:, 2] > 0.5, :2].mean(0)).max() < 40
     assert "Frames: 6\nFrame Time: 0.1000000\n" in Path("out/person0.bvh").read_text()
-    assert len(trimesh.load("out/person0.glb").geometry) == 1
+    assert len(trimesh.load("out/person0.glb").geometry) == len(trimesh.load("out/scene.glb").geometry) == 1
     assert film_facts("out/overlay.mp4").rate == 10
     pictures = [frame.picture for frame in read_frames("out/overlay.mp4")]
     assert len(pictures) == 6

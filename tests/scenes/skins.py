@@ -31,6 +31,32 @@ def read_glb(data: bytes) -> tuple[dict, list[np.ndarray]]:
     return document, arrays
 
 
+def placed(node: dict) -> np.ndarray:
+    """Matrix of a node, shape (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(node["rotation"]).as_matrix()
+    matrix[:3, 3] = node["translation"]
+    return matrix
+
+
+def posed_vertices(document: dict, arrays: list[np.ndarray], skin: int) -> np.ndarray:
+    """Vertices of a skin's mesh as its nodes stand, by glTF 2.0's description, shape (V, 3)."""
+    nodes, given = document["nodes"], document["skins"][skin]
+    above = {child: parent for parent, node in enumerate(nodes) for child in node.get("children", [])}
+
+    def world(node: int) -> np.ndarray:
+        own = placed(nodes[node])
+        return world(above[node]) @ own if node in above else own
+
+    matrices = np.stack([world(joint) for joint in given["joints"]])
+    inverse_bind = arrays[given["inverseBindMatrices"]].reshape(-1, 4, 4).transpose(0, 2, 1)
+    (mesh,) = [node["mesh"] for node in nodes if node.get("skin") == skin]
+    attributes = document["meshes"][mesh]["primitives"][0]["attributes"]
+    bind, bones, weights = (arrays[attributes[name]] for name in ("POSITION", "JOINTS_0", "WEIGHTS_0"))
+    blended = np.einsum("vk,vkij->vij", weights, (matrices @ inverse_bind)[bones])
+    return (blended[:, :3] @ np.column_stack([bind, np.ones(len(bind))])[..., None])[..., 0]
+
+
 def standing(registered: Registered, points: torch.Tensor) -> np.ndarray:
     """Camera frame to the files': y up, the lowest vertex at 0."""
     highest = float(registered.detailed.vertices[0, :, 1].max())  # y is down

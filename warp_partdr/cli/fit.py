@@ -56,7 +56,7 @@ keypoints alone are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file 
 
 **Results**: overlay.png (look at it first), parts.png, loss.png, body.json (measurements), body.npz, ellipbody.glb
 (for Blender), report.json; detailed.png, detailed.glb, detailed.obj, detailed.ply, detailed.bvh, detailed.npz,
-registration.json; of films overlay.mp4, and a .npz, .glb and .bvh each. Older ones are replaced.
+registration.json; of films overlay.mp4, scene.glb, and a .npz, .glb and .bvh each. Older ones are replaced.
 
 **Settings** (docs/fitting.md): `stature=1.78` (one person's height [m], in films too), `trust_background=true`,
 `weights.prior=5`, `labels.size=256`, `mesh.apart=0.1`, `threads=4`, `min_score=0.6` (how sure that there is a person,

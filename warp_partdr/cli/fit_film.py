@@ -175,7 +175,7 @@ def fit_films(run: FilmRun) -> None:
 def _tell(run: FilmRun, seen: Sequence[SeenFilm], report: dict[str, Any]) -> None:
     """Say in lines what was found, and where it is."""
     from ..body.rotations import rotation_to_axis_angle
-    from ..results.save_film import CAMERAS, overlay_name
+    from ..results.save_film import CAMERAS, SCENE, overlay_name
 
     several, films, out = len(seen) > 1, run.films, run.out
     about = "about " if run.cameras is None and (several or not run.view.given) else ""
@@ -192,4 +192,4 @@ def _tell(run: FilmRun, seen: Sequence[SeenFilm], report: dict[str, Any]) -> Non
             away = f"about {float(each.view.eye.norm()):.1f} m from the camera of {films[0].name}"
             typer.echo(f"{film.name}: {away}, turned by {turn:.0f} degrees")
         typer.echo(f"{out / CAMERAS} says so, --cameras takes it")
-    typer.echo(f"{out / overlay_name(0)} shows all bodies, {out / report['people'][0]['files'][1]} moves in Blender")
+    typer.echo(f"{out / overlay_name(0)} shows all bodies, {out / SCENE} moves in Blender")

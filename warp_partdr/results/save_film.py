@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -33,9 +34,10 @@ from .further_files import check_formats, save_further
 from .predictions import ROW, FilmBodies
 from .result_sets import PEOPLE_REPORT, replacing
 from .save import shown_at
+from .scene_file import Actor, NamedView, scene_glb
 from .skinned_files import Poses, bvh, glb
 
-OVERLAY, CAMERAS = "overlay.mp4", "cameras.json"
+OVERLAY, SCENE, CAMERAS = "overlay.mp4", "scene.glb", "cameras.json"
 _CHUNK = 64  # frames whose meshes are in memory at a time, to measure
 _COMPARED = 16  # frames of a person in a film, at most, whose keypoints are compared with the body's
 # Mean distance [person's size in the picture]. Shaded people and real photos ended at 0.01 to 0.05, two people who were
@@ -53,13 +55,14 @@ def save_film_fit(
     formats: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Write overlay.mp4 and people.json, and of each person N personN.npz, personN.glb and personN.bvh.
+    """Write overlay.mp4, people.json, scene.glb, and of each person N personN.npz, personN.glb and personN.bvh.
 
     ``personN.npz`` is as ``predictions`` has it, with ``detailed_model`` (), ``detailed_shape`` (S,),
     ``detailed_rotations`` (T, J, 3, 3) and ``detailed_translation`` (T, 3) [m], and ``clothes`` (8,) [m]; its
     EllipBodies are measured from these. All is in the world, of one film its camera's frame; keypoints and camera are
-    the first film's. GLB and BVH hold the motion at the film's rate. Further films have overlay1.mp4 and so on, and all
-    of them cameras.json, which ``read_cameras`` reads.
+    the first film's. GLB and BVH hold motions at the film's rate: of a person from its first frame on, standing on
+    y = 0, ``scene.glb`` of everybody when and where they are, with the cameras. Further films have overlay1.mp4 and so
+    on, and all of them cameras.json, which ``read_cameras`` reads.
     ``people.json`` has the cameras under ``views``: X_camera = rotation X_world + translation, in pixels without
     distortion, ``lens``, the distortion that was taken away (k1, k2, p1, p2, k3, ...), ``skipped_frames`` (left out
     at the start), and the names of the networks that saw ``keypoints`` and ``parts``.
@@ -88,12 +91,20 @@ def save_film_fit(
     report: dict[str, Any] = {"rate": fit.people.rate, "frames": len(fit.times), "warnings": told, "people": []}
     report["views"] = [_view(Path(film).name, seen) for film, seen in zip(films, fit.films, strict=True)]
     with replacing(Path(folder), PEOPLE_REPORT, report, outdates=(PEOPLE_REPORT,)) as temporary:
+        actors: list[Actor] = []
         for place, (person, motion) in enumerate(fit.motions.items()):
             tell("writing motions", place, len(fit.motions))
+            rows, actor = _acted(fit, person, motion)
+            actors.append(actor)
             by = [each["film"] for each, rows in zip(report["views"], _seen(fit, person), strict=True) if len(rows)]
-            report["people"].append({**_save_motion(fit, person, motion, temporary, formats), "seen_by": by})
+            report["people"].append({**_save_motion(fit, person, rows, actor, temporary, formats), "seen_by": by})
+        names = camera_names(films)
+        views = [
+            NamedView(name, seen.view, seen.people.image_size) for name, seen in zip(names, fit.films, strict=True)
+        ]
+        (temporary / SCENE).write_bytes(scene_glb(actors, views))
         if len(films) > 1:
-            data = camera_data(dict(zip(camera_names(films), (seen.camera for seen in fit.films), strict=True)))
+            data = camera_data(dict(zip(names, (seen.camera for seen in fit.films), strict=True)))
             (temporary / CAMERAS).write_text(json.dumps(data, indent=1))
         total, done = sum(len(seen.people.times) for seen in fit.films), 0
         for place, film in enumerate(films):
@@ -155,10 +166,21 @@ def _told(picture: np.ndarray, number: int, total: int, tell: Progress) -> np.nd
     return picture
 
 
-def _save_motion(fit: FilmFit, person: int, motion: Motion, folder: Path, formats: Sequence[str]) -> dict[str, Any]:
-    """Files of a person, and what the report says."""
+def _acted(fit: FilmFit, person: int, motion: Motion) -> tuple[np.ndarray, Actor]:
+    """Rows of ``FilmBodies`` of a person, and the motion in even time: in frames that no window had, the body waits."""
     rows, lowest = _rows(fit, person, motion)
-    name = f"person{person}"
+    first, last = motion.frames[[0, -1]]
+    even = np.searchsorted(motion.frames, np.arange(first, last + 1), side="right") - 1
+    rate = fit.people.rate
+    poses = Poses(motion.rotations[even], motion.translation[even], rate, lowest, float(first) / rate)
+    return rows, Actor(f"person{person}", motion.bodies(slice(0, 1)), poses)
+
+
+def _save_motion(
+    fit: FilmFit, person: int, rows: np.ndarray, actor: Actor, folder: Path, formats: Sequence[str]
+) -> dict[str, Any]:
+    """Files of a person, and what the report says."""
+    motion, name = fit.motions[person], actor.name
     numbers = {"shape": motion.shape.values, "rotations": motion.rotations, "translation": motion.translation}
     FilmBodies(rows, fit.people.image_size, True).save(
         folder / f"{name}.npz",
@@ -166,21 +188,18 @@ def _save_motion(fit: FilmFit, person: int, motion: Motion, folder: Path, format
         clothes=motion.shape.clothes.cpu().numpy(),
         **{f"detailed_{key}": value.cpu().numpy() for key, value in numbers.items()},
     )
-    # Files of even time: in frames that no window had, the body waits.
-    even = np.searchsorted(motion.frames, np.arange(motion.frames[0], motion.frames[-1] + 1), side="right") - 1
-    poses = Poses(motion.rotations[even], motion.translation[even], fit.people.rate, lowest)
-    first = motion.bodies(slice(0, 1))
-    (folder / f"{name}.glb").write_bytes(glb(first, poses))
-    (folder / f"{name}.bvh").write_text(bvh(first, poses))
-    further = save_further(first, folder / name, formats, poses)
+    poses = replace(actor.poses, start=0.0)
+    (folder / f"{name}.glb").write_bytes(glb(actor.body, poses))
+    (folder / f"{name}.bvh").write_text(bvh(actor.body, poses))
+    further = save_further(actor.body, folder / name, formats, poses)
     seen = _seen(fit, person)
     return {
         "person": person,
         "files": [*(f"{name}.{kind}" for kind in ("npz", "glb", "bvh")), *further],
-        "score": round(float(np.concatenate([rows["scores"] for rows in seen]).mean()), 3),
+        "score": round(float(np.concatenate([each["scores"] for each in seen]).mean()), 3),
         "first_frame": int(motion.frames[0]),
         "last_frame": int(motion.frames[-1]),
-        "frames_seen": len(np.unique(np.concatenate([rows["frames"] for rows in seen]))),
+        "frames_seen": len(np.unique(np.concatenate([each["frames"] for each in seen]))),
         "distance_m": round(float(rows["translation"][:, 2].mean()), 2),
         "lengths_cm": dict(zip(LENGTH_NAMES, _centimetres(rows["lengths"][0]), strict=True)),
         "clothes_cm": dict(zip(CLOTHED, _centimetres(motion.shape.clothes.cpu().numpy()), strict=True)),

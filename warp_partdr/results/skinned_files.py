@@ -7,8 +7,6 @@ shows the posed body and Blender can pose it further.
 
 from __future__ import annotations
 
-import json
-import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +19,7 @@ from ..clothing.normals import vertex_normals
 from ..clothing.registration import Registered
 from .binding import Binding, from_rest, numbers_of, to_quaternions
 from .ellipbody_files import GLTF_FROM_CAMERA
+from .gltf import Document
 from .palette import PART_COLOURS
 
 if TYPE_CHECKING:
@@ -32,8 +31,6 @@ SKIN_LOOK: dict[str, Any] = {  # by glTF's names
     "metallicFactor": 0.0,
     "roughnessFactor": 0.8,
 }
-_DTYPES = {"float32": 5126, "uint16": 5123, "uint32": 5125}  # glTF's component types
-_KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _USUAL_RATE = 30.0  # poses a second of a file with one
 _STILL = 1e-5  # of a rotation's entries: joints that turn less do not move
 _INDICES = 34963  # glTF's ELEMENT_ARRAY_BUFFER
@@ -65,18 +62,25 @@ class Poses:
         translation: Position of the root joint in the camera frame [m], shape (T, 3).
         rate: Poses a second.
         lowest: Of all, the y of the lowest vertex, y up [m].
+        start: Of the first one [s].
     """
 
     rotations: torch.Tensor
     translation: torch.Tensor
     rate: float
     lowest: float
+    start: float = 0.0
 
     @classmethod
     def first(cls, registered: Registered) -> Poses:
         """The pose of the first body."""
         lowest = float(_upright(registered)[1])
         return cls(registered.rotations[:1], registered.translation[:1], _USUAL_RATE, lowest)
+
+    @property
+    def times(self) -> np.ndarray:
+        """Of the poses [s], shape (T,)."""
+        return self.start + np.arange(len(self.rotations)) / self.rate
 
     def numbers(self) -> tuple[np.ndarray, np.ndarray]:
         """``rotations`` and ``translation`` in double precision."""
@@ -86,70 +90,62 @@ class Poses:
 
 def glb(registered: Registered, poses: Poses | None = None) -> bytes:
     """The first body as binary glTF 2.0: mesh, skeleton, skin weights, and its pose; of several poses, an animation."""
-    poses = poses or Poses.first(registered)
+    document = Document()
+    add_body(document, registered, poses or Poses.first(registered), name="body")
+    return document.glb()
+
+
+def add_body(document: Document, registered: Registered, poses: Poses, *, name: str) -> int:
+    """Add the first body to a glTF file, in its pose, and the way it moves; returns the node that carries it."""
     model, faces = registered.model, registered.model.faces.cpu().numpy()
     binding = Binding.of(registered, SKIN_WEIGHTS)
-    rest, bind = binding.joints, binding.points
+    rest, bind, nodes = binding.joints, binding.points, document.nodes
 
-    nodes: list[dict[str, Any]] = []
+    first = len(nodes)
     rotations, translation = numbers_of(registered.rotations), numbers_of(registered.translation)
-    for joint, (name, parent) in enumerate(zip(model.joint_names, model.parents, strict=True)):
+    for joint, (joint_name, parent) in enumerate(zip(model.joint_names, model.parents, strict=True)):
         offset = translation if parent < 0 else rest[joint] - rest[parent]
         nodes.append(
             {
-                "name": name,
+                "name": joint_name,
                 "translation": offset.tolist(),
                 "rotation": to_quaternions(rotations[joint][None])[0].tolist(),
             }
         )
         if children := _children(model, joint):
-            nodes[-1]["children"] = children
-    lift = -poses.lowest
+            nodes[-1]["children"] = [first + child for child in children]
+    body, lift = len(nodes), -poses.lowest
     # Half a turn about x: from the camera frame to glTF's.
-    nodes.append({"name": "body", "rotation": [1.0, 0.0, 0.0, 0.0], "translation": [0.0, lift, 0.0], "children": [0]})
-    nodes.append({"name": model.name, "mesh": 0, "skin": 0})
+    nodes.append({"name": name, "rotation": [1.0, 0.0, 0.0, 0.0], "translation": [0.0, lift, 0.0], "children": [first]})
+    nodes.append({"name": model.name, "mesh": len(document.meshes), "skin": len(document.skins)})
+    document.roots += [body, body + 1]
 
-    buffer = _Buffer()
     attributes = {
-        "POSITION": buffer.add(bind.astype(np.float32), bounds=True),
-        "NORMAL": buffer.add(_any_way(vertex_normals(bind, faces)).astype(np.float32)),
-        "JOINTS_0": buffer.add(binding.bones.astype(np.uint16)),
-        "WEIGHTS_0": buffer.add(binding.shares.astype(np.float32)),
+        "POSITION": document.add(bind.astype(np.float32), bounds=True),
+        "NORMAL": document.add(_any_way(vertex_normals(bind, faces)).astype(np.float32)),
+        "JOINTS_0": document.add(binding.bones.astype(np.uint16)),
+        "WEIGHTS_0": document.add(binding.shares.astype(np.float32)),
     }
-    indices = buffer.add(faces.astype(np.uint32).reshape(-1), target=_INDICES)
+    indices = document.add(faces.astype(np.uint32).reshape(-1), target=_INDICES)
     # glTF's matrices are stored column by column.
-    matrices = buffer.add(from_rest(rest).transpose(0, 2, 1).astype(np.float32))
-    primitive = {"attributes": attributes, "indices": indices, "material": 0}
-    body = len(nodes) - 2
-    animation = {"animations": [_animation(buffer, poses)]} if len(poses.rotations) > 1 else {}
-    return buffer.glb(
-        {
-            "asset": {"version": "2.0", "generator": "warp-partdr"},
-            "scene": 0,
-            "scenes": [{"nodes": [body, body + 1]}],
-            "nodes": nodes,
-            "materials": [{"name": "skin", "pbrMetallicRoughness": SKIN_LOOK}],
-            "meshes": [{"name": model.name, "primitives": [primitive]}],
-            "skins": [{"joints": list(range(body)), "inverseBindMatrices": matrices, "skeleton": body}],
-            **animation,
-        }
-    )
+    matrices = document.add(from_rest(rest).transpose(0, 2, 1).astype(np.float32))
+    primitive = {"attributes": attributes, "indices": indices, "material": len(document.materials)}
+    document.materials.append({"name": "skin", "pbrMetallicRoughness": SKIN_LOOK})
+    document.meshes.append({"name": model.name, "primitives": [primitive]})
+    document.skins.append({"joints": list(range(first, body)), "inverseBindMatrices": matrices, "skeleton": body})
+    if len(poses.rotations) > 1:
+        _animate(document, first, poses)
+    return body
 
 
-def _animation(buffer: _Buffer, poses: Poses) -> dict[str, Any]:
-    """glTF's animation of the joints that move."""
+def _animate(document: Document, first: int, poses: Poses) -> None:
+    """Move the joints that move, of which the root's node is the ``first``."""
     rotations, translation = poses.numbers()
-    times = buffer.add((np.arange(len(rotations))[:, None] / poses.rate).astype(np.float32).reshape(-1), bounds=True)
-    samplers: list[dict[str, Any]] = []
-    channels: list[dict[str, Any]] = []
-    values = {(0, "translation"): translation}
+    times = document.add_times(poses.times)
+    document.animate(first, "translation", times, translation)
     for joint in range(rotations.shape[1]):
         if np.ptp(rotations[:, joint], axis=0).max() > _STILL:
-            values[joint, "rotation"] = to_quaternions(rotations[:, joint])
-    for (joint, path), track in values.items():
-        channels.append({"sampler": len(samplers), "target": {"node": joint, "path": path}})
-        samplers.append({"input": times, "output": buffer.add(track.astype(np.float32)), "interpolation": "LINEAR"})
-    return {"name": "motion", "channels": channels, "samplers": samplers}
+            document.animate(first + joint, "rotation", times, to_quaternions(rotations[:, joint]))
 
 
 def bvh(registered: Registered, poses: Poses | None = None) -> str:
@@ -178,42 +174,6 @@ def bvh(registered: Registered, poses: Poses | None = None) -> str:
     frames = [_numbers(row) for row in np.concatenate(columns, axis=1)]
     timing = f"Frames: {len(frames)}", f"Frame Time: {1 / poses.rate:.7f}"
     return "\n".join([*lines, "MOTION", *timing, *frames, ""])
-
-
-class _Buffer:
-    """The binary part of a GLB and what describes it."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-        self.views: list[dict[str, int]] = []
-        self.accessors: list[dict[str, Any]] = []
-
-    def add(self, values: np.ndarray, *, target: int | None = None, bounds: bool = False) -> int:
-        """Append an array; returns its accessor's index."""
-        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": values.nbytes}
-        self.views.append(view if target is None else {**view, "target": target})
-        self.data += values.tobytes()
-        self.data += bytes(-len(self.data) % 4)
-        accessor = {
-            "bufferView": len(self.views) - 1,
-            "componentType": _DTYPES[values.dtype.name],
-            "count": len(values),
-            "type": _KINDS[values.shape[1:]],
-        }
-        low, high = (np.atleast_1d(edge(axis=0)).tolist() for edge in (values.min, values.max))
-        extent = {"min": low, "max": high} if bounds else {}
-        self.accessors.append({**accessor, **extent})
-        return len(self.accessors) - 1
-
-    def glb(self, document: dict[str, Any]) -> bytes:
-        """The file: a header, a chunk of JSON and a chunk of numbers."""
-        buffers = [{"byteLength": len(self.data)}]
-        whole = {**document, "buffers": buffers, "bufferViews": self.views, "accessors": self.accessors}
-        text = json.dumps(whole, separators=(",", ":")).encode()
-        text += b" " * (-len(text) % 4)
-        chunks = struct.pack("<I4s", len(text), b"JSON") + text
-        chunks += struct.pack("<I4s", len(self.data), b"BIN\0") + bytes(self.data)
-        return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
 def _children(model: DetailedModel, joint: int) -> list[int]:

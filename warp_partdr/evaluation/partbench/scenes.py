@@ -28,7 +28,7 @@ CAMERAS = (2, 4)  # of the level "views"
 _SECONDS = 2.0  # of a clip
 # Standard deviations [frames] of 1/30 s, of the usual smoothing after fits of single frames.
 SMOOTHED = {f"frames alone, smoothed by {width:g}": width for width in (1.0, 2.0, 3.0, 4.5, 6.0)}
-SMOOTHED_APART = {f"frames apart, smoothed by {width:g}": width for width in (3.0, 4.5, 6.0)}
+SMOOTHED_APART = {f"frames apart, smoothed by {width:g}": width for width in (2.0, 3.0, 4.5)}
 # PartDR's rule, which alone has a z gradient, pulls about thrice as hard.
 _PARTDR = MeshOptions(gradient="partdr", seg=0.033)
 
