@@ -16,6 +16,7 @@ from warp_partdr.body.template import JOINT_NAMES
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.fit.depth_flips import flip_depths, repair_depth_order, repair_depth_orders
 from warp_partdr.inputs.observation import resize_nearest
+from warp_partdr.network.uncertainty import Uncertainty
 from warp_partdr.refinement.batch import Batch
 from warp_partdr.refinement.energy import Energy
 from warp_partdr.results.save import make_report
@@ -89,6 +90,27 @@ def test_labels_repair_a_mirrored_arm_and_leave_a_right_one(device):
     assert stays is truth
 
 
+def test_flips_farther_than_the_network_believes_are_not_tried(device):
+    truth, prior = arm_before_trunk(device), PosePrior().to(device)
+    flips, names = flip_depths(truth, prior)
+    wrong, seen = (
+        flips.select(torch.tensor([1 + names.index("left arm: upper_arm")], device=device)),
+        observation_of(truth),
+    )
+    elbow, wrist = (JOINT_NAMES.index(f"left_{name}") for name in ("elbow", "wrist"))
+    depths = torch.stack([body.posed().joints[0, :, 2] for body in (wrong, truth)])
+    for joint, away in ((elbow, 5.2), (wrist, 5.2), (wrist, 4.8)):
+        spreads = torch.full((1, len(JOINT_NAMES) - 1), 1.0, device=device)
+        spreads[0, joint - 1] = (depths[1] - depths[0])[joint].abs() / away
+        said = Uncertainty(spreads, torch.ones(1, 19, device=device), torch.zeros(1, device=device))
+        order = repair_depth_order(wrong, seen, prior, said)[1]
+        assert ("left arm: upper_arm" in order.tried) == (order.flipped == "left arm: upper_arm") == (away < 5)
+        both = BodyParameters.joined([wrong, wrong])
+        several = Uncertainty(*(torch.cat([each, each]) for each in vars(said).values()))
+        orders = repair_depth_orders(both, [seen, seen], prior, said=several)[1]
+        assert [each.flipped for each in orders] == [order.flipped] * 2
+
+
 def test_of_finer_labels_flips_see_what_fits_keep(device):
     """So that people whose labels are kept at 128 px end where they would with all of them."""
     truth, prior = arm_before_trunk(device), PosePrior().to(device)
@@ -122,7 +144,7 @@ def test_people_side_by_side_are_repaired_as_each_alone(device):
 
 
 def test_a_fit_says_what_was_tried(device):
-    sample = make_sample(0, "clean")  # sits, so that legs overlap, whatever the network makes of them
+    sample = make_sample(392, "realistic")  # a forearm goes along the view, toward or away: the network is not sure
     keypoints, parts = sample.keypoints, sample.parts
     result = fit_body(keypoints, parts, quality="fast", device=device)
     assert result.depth_order is not None

@@ -183,14 +183,14 @@ class _Fit:
         body = self._turned(predicted.parameters()) if self.body is None else self._sized(self.body)
         seconds = {"network": self.seconds}
         seen = replace(self.seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])
-        order = None
+        said, order = predicted.uncertainty, None
+        assert said is not None
         several = seen.label_set is not None and seen.label_set.num_groups > 1  # of one, nothing hides another
         if self.stages and several and self.options.depth_flips:
             started = time.perf_counter()
-            body, order = repair_depth_order(body, seen, self.prior)
+            # What the network says of its own body it does not say of others.
+            body, order = repair_depth_order(body, seen, self.prior, said if self.body is None else None)
             seconds["depth order"] = time.perf_counter() - started
-        said = predicted.uncertainty
-        assert said is not None
         seen = replace(seen, depths=body.posed().centres[0, :, 2], depth_spreads=said.centre_depths()[0])
         found = self._refine(body, seen, "network")
         return replace(

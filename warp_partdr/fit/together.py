@@ -165,7 +165,7 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
     orders: Sequence[DepthOrder | None] = [None] * len(people)
     several = first.label_set is not None and first.label_set.num_groups > 1
     if stages and several and options.depth_flips:
-        bodies, orders = repair_depth_orders(bodies, [first], prior, everyone)
+        bodies, orders = repair_depth_orders(bodies, [first], prior, everyone, said=said)
     depths, spreads = bodies.posed().centres[..., 2], said.centre_depths()
     first = replace(first, depths=depths[0], depth_spreads=spreads[0])
     everyone = replace(everyone, depths=depths, depth_scales=1 / spreads)
