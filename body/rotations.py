@@ -67,7 +67,8 @@ def rotation_from_6d(columns: torch.Tensor) -> torch.Tensor:
     first, second = columns[..., :3], columns[..., 3:]
     axes = torch.eye(3, dtype=columns.dtype, device=columns.device)
     first = _normalise_or(first, axes[0])
-    least = axes[first.detach().abs().argmin(-1)]  # the coordinate axis that the first column points along least
+    # The coordinate axis that the first column points along least. Not by an index of no dimension, which torch reads.
+    least = axes[first.detach().abs().argmin(-1, keepdim=True)].squeeze(-2)
     rest = second - (first * second).sum(-1, keepdim=True) * first
     fallback = least - (first * least).sum(-1, keepdim=True) * first
     # What is left after the projection is rounding where the columns were collinear: measure it against the column.

@@ -86,6 +86,11 @@ def test_6d_without_direction_is_a_rotation(columns):
     assert torch.isfinite(columns.grad).all()
 
 
+def test_6d_of_one_rotation_reads_no_number():
+    """What has no numbers, as while torch compiles, has a shape."""
+    assert rotation_from_6d(torch.empty(6, device="meta")).shape == (3, 3)
+
+
 def test_6d_round_trip():
     rotation = torch.from_numpy(Rotation.random(20, rng=0).as_matrix())
     torch.testing.assert_close(rotation_from_6d(rotation_to_6d(rotation)), rotation)
