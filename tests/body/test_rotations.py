@@ -87,7 +87,7 @@ def test_6d_without_direction_is_a_rotation(columns):
 
 
 def test_6d_of_one_rotation_reads_no_number():
-    """What has no numbers, as while torch compiles, has a shape."""
+    """A tensor without numbers, as while torch compiles, has a shape."""
     assert rotation_from_6d(torch.empty(6, device="meta")).shape == (3, 3)
 
 

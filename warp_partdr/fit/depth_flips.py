@@ -170,11 +170,11 @@ def _propose(
         if not over.any():
             continue
         for upper, lower in ((True, False), (False, True), (True, True)):
-            turned, moves, good_ones = _mirrored(posed, parts, (upper, lower), view)
+            turned, moves, steep = _mirrored(posed, parts, (upper, lower), view)
             found.append(torch.where(_is_one_of(parts, turned), turned, bodies.rotations))
-            if said is not None:  # depths of a part's end are those of the joint after it
-                good_ones = good_ones & (moves <= _BELIEVED * said.depths[:, list(parts[:2])]).all(1)
-            good.append(over & good_ones)
+            good.append(over & steep)
+            if said is not None:  # depths leave out the pelvis, so those of a part's end have the part's own index
+                good[-1] = good[-1] & (moves <= _BELIEVED * said.depths[:, list(parts[:2])]).all(1)
             bones = [
                 PART_NAMES[part].split("_", 1)[1]
                 for part, flipped in zip(parts[:2], (upper, lower), strict=True)
@@ -203,15 +203,16 @@ def _is_one_of(parts: tuple[int, ...], like: torch.Tensor) -> torch.Tensor:
 def _mirrored(
     posed: Posed, parts: tuple[int, ...], flipped: tuple[bool, bool], view: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Local rotations with bones of a limb mirrored, (B, 20, 3).
+    """Mirror bones of a limb.
 
-    And by how much that moves the ends of its two bones along the view [m], (B, 2); and False where one hardly changes,
-    (B,).
+    Returns:
+        Local rotations, shape (B, 20, 3); by how much the ends of the limb's two bones move along the view [m], (B, 2);
+        and False where a bone hardly changes, (B,).
     """
     world = torch.cat([posed.rotations[:, :1], posed.rotations], dim=1).clone()  # of the pelvis, whose hips don't turn
     still = torch.eye(3, device=world.device).expand(len(world), 3, 3)
     turn, steep = still, torch.ones(len(world), dtype=torch.bool, device=world.device)
-    moves = [torch.zeros_like(view[:, 0])]
+    moved, moves = torch.zeros_like(view[:, 0]), []
     for part, flip in zip(parts[:2], flipped, strict=True):
         turn = still
         if flip:
@@ -221,13 +222,12 @@ def _mirrored(
             slope = (bone * view).sum(-1, keepdim=True)
             steep = steep & (slope[:, 0].abs() >= _FLAT)
             turn = rotation_between(bone, bone - 2 * slope * view)
-            moves.append(moves[-1] - 2 * (slope * length)[:, 0])
-        else:
-            moves.append(moves[-1])
+            moved = moved - 2 * (slope * length)[:, 0]
+        moves.append(moved)
         world[:, part + 1] = turn @ world[:, part + 1]
     world[:, parts[2] + 1] = turn @ world[:, parts[2] + 1]
     turned = rotation_to_axis_angle(world[:, BONE_STARTS].mT @ world[:, 1:])
-    return turned, torch.stack(moves[1:], dim=1).abs(), steep
+    return turned, torch.stack(moves, dim=1).abs(), steep
 
 
 def _crossing(posed: Posed, view: torch.Tensor) -> torch.Tensor:

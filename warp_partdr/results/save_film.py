@@ -96,7 +96,7 @@ def save_film_fit(
             tell("writing motions", place, len(fit.motions))
             rows, actor = _acted(fit, person, motion)
             actors.append(actor)
-            by = [each["film"] for each, rows in zip(report["views"], _seen(fit, person), strict=True) if len(rows)]
+            by = [each["film"] for each, own in zip(report["views"], _seen(fit, person), strict=True) if len(own)]
             report["people"].append({**_save_motion(fit, person, rows, actor, temporary, formats), "seen_by": by})
         names = camera_names(films)
         views = [
