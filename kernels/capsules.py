@@ -64,11 +64,12 @@ def overlap_costs(
     slack: float,  # the same between bodies [m]
     num_capsules: int,  # C
     num_people: int,  # P: body b shares its place with b + B / P, b + 2 B / P, ...
+    first: int,  # number of the first thread
     costs: wp.array[float],  # (B C P,) half the squares of depths [cm^2]  OUTPUT
     gradients: wp.array[float],  # (B C P 7,)  OUTPUT
 ):
     """One thread a capsule and a person: all who meet in one thread's loop would take too few of a GPU's."""
-    thread = wp.tid()
+    thread = first + wp.tid()
     i = thread // num_people
     person = thread - i * num_people
     places = costs.shape[0] // num_people // num_capsules // num_people

@@ -15,6 +15,7 @@ import warp as wp
 
 from ..errors import check_whole
 
+_LEAST_TO_SHARE = 2**17  # numbers of threads' work, more than graphs are captured for on the CPU
 _MIN_BODIES = 2  # a thread; for less, starting it costs more than it saves
 
 _num_threads = 0  # 0: as many as there are cores
@@ -55,6 +56,16 @@ def launch_in_slices(
         for module in modules:
             wp.load_module(module, device=device)
     run_slices(launch, slices)
+
+
+def share_rows(
+    launch: Callable[[slice], None], rows: int, size: int, device: wp.Device, modules: Sequence[ModuleType]
+) -> None:
+    """Call ``launch`` as ``launch_in_slices`` does where the rows take so much work that threads pay, else once."""
+    if size < _LEAST_TO_SHARE:
+        launch(slice(0, rows))
+    else:
+        launch_in_slices(launch, rows, device, modules=modules)
 
 
 def split_batch(batch: int, *, on_cpu: bool) -> list[slice]:

@@ -6,11 +6,13 @@ Body ``p T + t`` is person p in frame t. People who may hide one another are a c
 that of cluster k in frame t and view v, and holds its people in slots, one after another.
 """
 
+import sys
 from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
 
+from .launch import share_rows
 from .mesh.screen import project_depth
 
 wp.set_module_options({"enable_backward": False})
@@ -84,10 +86,12 @@ def place_scene(
     vertices: wp.array2d[wp.vec3],  # (N, n) about the pelvis [m]
     pelvises: wp.array[wp.vec3],  # (N,) in the world [m]
     views: SceneViews,
+    first: int,  # picture of the first thread
     screen: wp.array2d[wp.vec3],  # (K T V, C n) u [px], v [px], z [m]  OUTPUT
 ):
     """One thread a vertex of a picture."""
     picture, column = wp.tid()
+    picture += first
     count, num_views = vertices.shape[1], views.rotations.shape[0]
     frames, row, slot = vertices.shape[0] // views.places.shape[0], picture // num_views, column // count
     view, cluster = picture - row * num_views, row // frames
@@ -110,20 +114,22 @@ def place_scene_adjoint(
     pelvises: wp.array[wp.vec3],
     views: SceneViews,
     adj_screen: wp.array2d[wp.vec3],  # (K T V, C n)
+    first: int,  # body of the first thread
     gradient: wp.array2d[wp.vec3],  # (N, n) of the vertices, whose sums are the pelvises'  OUTPUT
 ):
     """One thread a vertex of a body, which adds its pictures in their order."""
     body, i = wp.tid()
+    body += first
     count, num_views = vertices.shape[1], views.rotations.shape[0]
     frames = vertices.shape[0] // views.places.shape[0]
     person = body // frames
     place = views.places[person]
-    first = (place[0] * frames + body - person * frames) * num_views
+    pictures = (place[0] * frames + body - person * frames) * num_views
     world = vertices[body, i] + pelvises[body]
     pull = wp.vec3()
     for view in range(num_views):
         if place[0] >= 0 and views.shown[body, view]:
-            picture = first + view
+            picture = pictures + view
             adjoint = adj_screen[picture, place[1] * count + i]
             seen = views.rotations[view] * world + views.translations[view]
             focal, depth = camera_of(views.lenses[picture], views.half_size)[0], project_depth(seen[2])
@@ -145,12 +151,22 @@ def gather_views(arrays: Sequence[wp.array], half_size: float) -> Any:
 
 def launch_place(inputs: Sequence[Any], screen: wp.array) -> None:
     """Fill ``screen`` from vertices, pelvises and views."""
-    wp.launch(place_scene, screen.shape, [*inputs, screen], device=screen.device)
+    _launch_rows(place_scene, inputs, screen)
 
 
 def launch_place_adjoint(inputs: Sequence[Any], adjoint: wp.array, gradient: wp.array) -> None:
     """Fill the ``gradient`` with respect to vertices from the ``adjoint`` of what ``launch_place`` filled."""
-    wp.launch(place_scene_adjoint, gradient.shape, [*inputs, adjoint, gradient], device=gradient.device)
+    _launch_rows(place_scene_adjoint, [*inputs, adjoint], gradient)
+
+
+def _launch_rows(kernel: wp.Kernel, inputs: Sequence[Any], found: wp.array) -> None:
+    """Fill ``found``, whose rows threads of the CPU share where they are many."""
+    (rows, columns), device = found.shape, found.device
+
+    def launch(part: slice) -> None:
+        wp.launch(kernel, (part.stop - part.start, columns), [*inputs, part.start, found], device=device)
+
+    share_rows(launch, rows, rows * columns, device, (sys.modules[__name__],))
 
 
 def launch_pelvises(numbers: Sequence[wp.array], views: Sequence[wp.array], pelvises: wp.array) -> None:

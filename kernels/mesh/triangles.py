@@ -21,6 +21,7 @@ class MeshArrays:
     edges: wp.array2d[int]  # (E, 6): vertex, vertex, face, face or -1, opposite vertex of either face
     near: float  # [m]
     perspective: bool
+    cull_backfaces: bool
 
 
 @wp.struct
@@ -51,7 +52,7 @@ class Triangle:
     b: wp.vec3
     c: wp.vec3
     index: wp.vec3i  # of the vertices
-    valid: int  # 0: no area, or behind the near plane
+    valid: int  # 0: no area, before the near plane, or seen from behind where that is not drawn
 
 
 @wp.struct
@@ -65,7 +66,7 @@ class Edges:
 
 @wp.func
 def load_triangle(mesh: MeshArrays, b: int, face: int):
-    """Load a face of a body; it is not valid if a vertex is nearer than ``near``."""
+    """Load a face of a body; see ``Triangle.valid``."""
     vertices = mesh.vertices[b]
     index = mesh.faces[face]
     t = Triangle()
@@ -79,7 +80,8 @@ def load_triangle(mesh: MeshArrays, b: int, face: int):
         t.c = vertices[index[1]]
         t.index = wp.vec3i(index[0], index[2], index[1])
     nearest = wp.min(t.a[2], wp.min(t.b[2], t.c[2]))
-    if area != 0.0 and nearest > mesh.near:
+    # v points down, so what winds counterclockwise in the picture has a negative area.
+    if area != 0.0 and nearest > mesh.near and (area < 0.0 or not mesh.cull_backfaces):
         t.valid = 1
     return t
 

@@ -39,7 +39,7 @@ def operations_of(kind, device):
     scene = new_scene(device)
     if kind == "mesh":
         tensors = [*scene.leaves("mesh"), scene.mesh.faces, scene.mesh.face_labels, scene.mesh.edges]
-        settings = [20, 1], "partdr", [0.01, INF, 1.0]
+        settings = [20, 0, 1], "partdr", [0.01, INF, 1.0]
     else:
         leaf, *others = scene.leaves("coverage")
         tensors = [leaf, *(tensor.detach() for tensor in others), scene.camera.intrinsics]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -32,7 +34,7 @@ from warp_partdr.render.part_mesh import PartMesh
 SIZES = [(21, 34), (30, 17)]
 
 
-def random_scene(seed: int, size: tuple[int, int], device: str) -> tuple[torch.Tensor, PartMesh]:
+def random_scene(seed: int, size: tuple[int, int], device: str, cull: bool = False) -> tuple[torch.Tensor, PartMesh]:
     """Two bodies of overlapping triangles of four parts, some far outside the picture."""
     rng = np.random.default_rng(seed)
     corners = rng.uniform(-0.3, 1.3, (2, 10, 3, 2)) * size[::-1]
@@ -40,16 +42,17 @@ def random_scene(seed: int, size: tuple[int, int], device: str) -> tuple[torch.T
     vertices = np.concatenate([corners, rng.uniform(1, 3, (2, 10, 3, 1))], -1).reshape(2, -1, 3)
     index = np.arange(30).reshape(-1, 3)
     index[1::2, :2] = index[::2, [2, 1]]  # every other pair of faces shares an edge
-    mesh = PartMesh.from_faces(index, np.repeat(rng.integers(1, 5, 5), 2), device=device)
+    mesh = PartMesh.from_faces(index, np.repeat(rng.integers(1, 5, 5), 2), cull_backfaces=cull, device=device)
     return torch.tensor(vertices, dtype=torch.float32, device=device, requires_grad=True), mesh
 
 
+@pytest.mark.parametrize("cull", [False, True])
 @pytest.mark.parametrize("perspective", CAMERAS)
 @pytest.mark.parametrize("size", SIZES)
-def test_forward_is_the_reference(device, size, perspective):
+def test_forward_is_the_reference(device, size, perspective, cull):
     flips = pixels = 0
     for seed in range(4):
-        vertices, mesh = random_scene(seed, size, device)
+        vertices, mesh = random_scene(seed, size, device, cull)
         image = draw_on_screen(vertices, mesh, size, perspective=perspective)
         for b in range(len(vertices)):
             want = reference.rasterize(mesh_scene(vertices[b], mesh, perspective), size)
@@ -84,11 +87,11 @@ def check_gradient(leaf, scene, image, g, b=0, **rule):
     assert relative_error(have[:, 2], want[:, 2]) < 1e-4
 
 
-@pytest.mark.parametrize("max_distance", [np.inf, 2.5])
+@pytest.mark.parametrize(("max_distance", "cull"), [(np.inf, False), (2.5, False), (np.inf, True)])
 @pytest.mark.parametrize("perspective", CAMERAS)
-def test_dense_gradient_is_the_reference(device, perspective, max_distance):
+def test_dense_gradient_is_the_reference(device, perspective, max_distance, cull):
     for seed, size in enumerate(SIZES):
-        leaf, mesh = random_scene(seed, size, device)
+        leaf, mesh = random_scene(seed, size, device, cull)
         rule = {"max_distance": max_distance, "depth_weight": 0.7}
         image = draw_on_screen(leaf, mesh, size, perspective=perspective, num_maps=4, near=0.01, **rule)
         g = torch.randn(image.maps.shape, generator=torch.Generator().manual_seed(seed))
@@ -340,3 +343,32 @@ def test_fill_rule_of_borders_on_pixel_centres(device, order):
     turned = torch.tensor([[[8.5, 8.5, 1.0], [2.5, 8.5, 1.0], [8.5, 2.5, 1.0]]], device=device)
     inside = (columns <= 8) & (rows <= 8) & (columns + rows > 10)
     np.testing.assert_array_equal(draw_on_screen(turned, mesh, (12, 12)).labels[0].cpu().numpy(), inside)
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_nobody_sees_the_backfaces_of_closed_surfaces(device, perspective):
+    """The same picture, loss and gradient without them; of a mirrored body the insides show, of an open one all."""
+    size = (60, 50)
+    leaf, mesh = projected_bodies(4, size, device, perspective, subdivisions=1, batch=2)
+    culled = replace(mesh, cull_backfaces=True)
+    want, have = (draw_on_screen(leaf, each, size, perspective=perspective) for each in (mesh, culled))
+    assert torch.equal(want.face_index, have.face_index)
+    target = noisy_picture(want.labels, 20, 0)
+    found = []
+    for each in (mesh, culled):
+        again = leaf.detach().clone().requires_grad_()
+        loss, _ = push_on_screen(again, each, target, perspective=perspective, gradient="edges")
+        found.append((loss, again.grad))
+    assert torch.equal(found[0][0], found[1][0])
+    torch.testing.assert_close(found[0][1], found[1][1])
+
+    mirrored = leaf.detach().clone()
+    mirrored[..., 0] = size[1] - mirrored[..., 0]
+    inside = draw_on_screen(mirrored, culled, size, perspective=perspective)
+    outside = draw_on_screen(mirrored, mesh, size, perspective=perspective)
+    assert torch.equal(inside.labels > 0, outside.labels > 0)
+    assert (inside.depth[inside.labels > 0] > outside.depth[inside.labels > 0]).float().mean() > 0.9
+
+    assert culled.relabel(np.arange(21)).cull_backfaces
+    assert culled.repeated(2, 20, leaf.shape[1]).cull_backfaces
+    assert not culled.relabel(np.arange(21) * (np.arange(21) != 4)).cull_backfaces

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -132,6 +134,7 @@ def test_other_gradients_are_refused(device):
 @pytest.mark.parametrize("gradient", ["edges", "partdr"])
 def test_the_custom_operations_take_the_gradient_along(device, gradient):
     _, mesh = rectangle(device)
-    constants = (mesh.faces, mesh.face_labels, mesh.edges)
-    passes = mesh_passes(*constants, mesh.num_labels, False, 0.0, 3.0, 1.0, gradient)
-    assert MeshPasses.of(constants, *passes.settings()) is passes
+    for cull, perspective in ((False, True), (True, False)):
+        passes = mesh_passes(*replace(mesh, cull_backfaces=cull).constants, perspective, 0.0, 3.0, 1.0, gradient)
+        assert (passes.cull_backfaces, passes.perspective) == (cull, perspective)
+        assert MeshPasses.of((mesh.faces, mesh.face_labels, mesh.edges), *passes.settings()) is passes

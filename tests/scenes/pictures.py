@@ -191,7 +191,8 @@ def mesh_scene(vertices, mesh, perspective=False):
     """One body's vertices on the screen and its mesh as the reference takes them."""
     corners = vertices.detach().cpu().double().numpy()
     near = 0.01 if perspective else -np.inf
-    return MeshScene(corners, mesh.faces.cpu().numpy(), mesh.face_labels.cpu().numpy().astype(int), perspective, near)
+    topology = mesh.faces.cpu().numpy(), mesh.face_labels.cpu().numpy().astype(int)
+    return MeshScene(corners, *topology, perspective, near, mesh.cull_backfaces)
 
 
 def mesh_picture(image, b=0):

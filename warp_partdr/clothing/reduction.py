@@ -81,8 +81,11 @@ def reduce_model(model: DetailedModel, vertices: int) -> Reduced:
     kept, nearest = _spread(rest, vertex_normals(rest, faces), np.where(skin, part, -1), areas, count)
     corners = nearest[faces]
     whole = (corners != np.roll(corners, 1, axis=1)).all(1) & (corners >= 0).all(1)
-    first = np.unique(np.sort(corners[whole], axis=1), axis=0, return_index=True)[1]
-    corners, labels = corners[whole][first], model.face_parts.cpu().numpy()[whole][first]
+    corners = corners[whole]
+    # Each face once, from its lowest corner on: a flap has two, one for each side.
+    turned = np.take_along_axis(corners, (corners.argmin(1)[:, None] + np.arange(3)) % 3, axis=1)
+    corners, first = np.unique(turned, axis=0, return_index=True)
+    labels = model.face_parts.cpu().numpy()[whole][first]
     places, error = _settle(rest, areas, kept, nearest, corners)
 
     points, joints, weights = _landmark_points(model)

@@ -53,6 +53,14 @@ def skin_vertices(model: DetailedModel) -> torch.Tensor:
     return skin
 
 
+def is_closed(model: DetailedModel) -> bool:
+    """True if the model's surface has no hole and its faces wind counterclockwise as seen from outside."""
+    from trimesh import Trimesh  # whose import takes a while
+
+    vertices, faces = model.rest_vertices.detach().cpu().numpy(), model.faces.cpu().numpy()
+    return bool(Trimesh(vertices, faces, process=False).is_volume)
+
+
 def surface_samples(posed: Posed) -> tuple[torch.Tensor, torch.Tensor]:
     """Points on the ellipsoids' middles [m], shape (B, 20 N, 3), and their shares of the area, shape (B, 20 N).
 

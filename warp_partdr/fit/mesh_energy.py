@@ -26,6 +26,7 @@ from ..clothing.point_sums import sum_points
 from ..clothing.pose import free_joints, pose_from_ellipbody, turning_joints
 from ..clothing.reduction import reduce_model, reduce_within
 from ..clothing.registration import shape_from_lengths
+from ..clothing.surfaces import is_closed
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
 from ..network.uncertainty import Uncertainty
 from ..refinement.energy import split_votes
@@ -142,11 +143,15 @@ class MeshEnergy:
         return self.depths(self.landmarks(self.pose(people, at_rest))).detach()
 
     def pose(self, people: Posing, unknowns: Unknowns) -> Detailed:
-        """The body that is drawn, the pelvis about the origin."""
+        """The body that is drawn, the pelvis about the origin; a shape may be of several bodies, which follow it."""
         where = self.rotations(people, unknowns.turns), people.translation
-        if self.options.clothes is None:
-            return self.model.pose(unknowns.shape, *where)
-        return self.dressed.pose(torch.cat([unknowns.shape, bounded(unknowns.clothes)], dim=1), *where)
+        model, shape = self.model, unknowns.shape
+        if self.options.clothes is not None:
+            model, shape = self.dressed, torch.cat([shape, bounded(unknowns.clothes)], dim=1)
+        if len(shape) == len(where[0]):
+            return model.pose(shape, *where)
+        rest, frames = model.rest(shape), len(where[0]) // len(shape)
+        return model.carry(*(each.repeat_interleave(frames, 0) for each in (rest.vertices, rest.joints)), *where)
 
     def landmarks(self, posed: Detailed) -> torch.Tensor:
         """All of the model's, shape (B, L, 3)."""
@@ -189,7 +194,10 @@ def _mesh_energy(
         names = reduced.landmark_names
         indices = turning_joints(model), free_joints(reduced), [names.index(name) for name in JOINT_NAMES]
         turning, free, ends = (torch.tensor(each, device=basis.device) for each in indices)
-        mesh = None if groups is None else detailed_mesh(reduced, at_joints).relabel(np.array(groups))
+        mesh = None
+        if groups is not None:
+            whole = replace(detailed_mesh(reduced, at_joints), cull_backfaces=is_closed(model))
+            mesh = whole.relabel(np.array(groups))
         hides = len(set(groups or ()) - {BACKGROUND, IGNORE}) > 1
         weights = reduced.landmark_weights[:, first:].contiguous()
         capsules = measure_capsules(reduced) if options.apart > 0 else None

@@ -10,7 +10,7 @@ import torch
 from .arrays import dense_rows
 from .graph_cache import CapturedBodies, Launch, graphs
 from .layouts import Shapes, Tensors, split_blocks, total_length
-from .streams import on_torch_stream
+from .streams import launch_bodies_on, on_torch_stream
 
 Prepare = Callable[..., Launch]  # of inputs, outputs and options; allocates and returns launches that fill the outputs
 
@@ -56,10 +56,21 @@ def call_captured(prepare: Prepare, tensors: Tensors, outputs: Shapes, *options:
         graph = graphs.find(key, device, 2 * size, lambda: _Graph(*key))  # with what lies in between
         if graph is not None:
             return graph(tensors)
-    found = tuple([first.new_empty(shape) for shape in outputs])
-    with on_torch_stream(device):
-        prepare(tuple([dense_rows(each) for each in tensors]), found, *options)()
+    given, found = tuple([dense_rows(each) for each in tensors]), tuple([first.new_empty(shape) for shape in outputs])
+
+    def work(part: slice) -> None:
+        prepare(tuple([each[part] for each in given]), tuple([each[part] for each in found]), *options)()
+
+    if prepare in _launched:
+        launch_bodies_on(device, work, len(first), ())
+    else:
+        with on_torch_stream(device):
+            work(slice(None))
+        _launched.add(prepare)
     return found
+
+
+_launched: set[Prepare] = set()  # whose kernels are built: threads that share a batch would each build them
 
 
 class _Graph:

@@ -7,7 +7,8 @@ Forward
        which, with vertices in positive orientation, the edge goes down the picture (or, if level, to the left).
     2. Depth is linear in the plane of the picture (weak perspective) or 1/depth is (perspective). The nearest face
        shows; equal depths go to the lower index. Faces of no area, or with a vertex at or before the near plane, are
-       not drawn.
+       not drawn, nor, where they are culled, those seen from behind: in the picture, v down, their vertices turn to the
+       right.
 
 Backward
     3. An edge counts where it bounds its part: it belongs to one face, or its two faces lie on the same side of it.
@@ -41,6 +42,7 @@ class MeshScene:
         labels: Part of each face, 1 to K; 0 has no map.
         perspective: True: 1/depth is linear in the picture, not depth.
         near: Depth of the near plane [m].
+        cull_backfaces: Leave out faces seen from behind.
     """
 
     vertices: np.ndarray
@@ -48,6 +50,7 @@ class MeshScene:
     labels: np.ndarray
     perspective: bool = False
     near: float = -np.inf
+    cull_backfaces: bool = False
 
 
 class MeshPicture(NamedTuple):
@@ -85,9 +88,11 @@ def covers_place(triangle: np.ndarray, x: float, y: float) -> bool:
     return True
 
 
-def is_drawn(triangle: np.ndarray, near: float) -> bool:
-    """True for a face that has an area and lies behind the near plane."""
-    return bool(cross(*triangle) != 0 and triangle[:, 2].min() > near)
+def is_drawn(scene: MeshScene, face: np.ndarray) -> bool:
+    """True for a face that has an area, lies behind the near plane, and is not culled."""
+    triangle = scene.vertices[face]
+    area = cross(*triangle)
+    return bool(area != 0 and triangle[:, 2].min() > scene.near and not (scene.cull_backfaces and area > 0))
 
 
 def face_index_map(scene: MeshScene, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -99,7 +104,7 @@ def face_index_map(scene: MeshScene, size: tuple[int, int]) -> tuple[np.ndarray,
     index, depth = np.full(size, -1), np.full(size, np.inf)
     for f, face in enumerate(scene.faces):
         triangle = scene.vertices[face]
-        if not is_drawn(triangle, scene.near):
+        if not is_drawn(scene, face):
             continue
         for row, column in np.ndindex(size):
             x, y = column + 0.5, row + 0.5
@@ -201,7 +206,7 @@ def depth_gradient(scene: MeshScene, picture: MeshPicture, g: np.ndarray, depth_
         front_depth = front_weights @ vertices[front, 2]
         nearest: dict[int, tuple[float, np.ndarray, np.ndarray]] = {}
         for label, face in zip(scene.labels, scene.faces, strict=True):
-            if label == picture.labels[row, column] or not is_drawn(vertices[face], scene.near):
+            if label == picture.labels[row, column] or not is_drawn(scene, face):
                 continue
             if covers_place(vertices[face], x, y):
                 weights = weights_at(vertices[face], x, y, scene.perspective)

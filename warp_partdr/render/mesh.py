@@ -157,4 +157,4 @@ def _project(
     if validate and not torch.compiler.is_compiling():
         check_numbers({**given, "projected vertices": screen})
     options = camera.perspective, camera.near_plane, *rule
-    return mesh_passes(mesh.faces, mesh.face_labels, mesh.edges, mesh.num_labels, *options), screen.float()
+    return mesh_passes(*mesh.constants, *options), screen.float()

@@ -34,6 +34,7 @@ class MeshPasses:
     face_labels: torch.Tensor
     edges: torch.Tensor
     num_labels: int
+    cull_backfaces: bool
     perspective: bool
     near: float
     max_distance: float
@@ -52,7 +53,8 @@ class MeshPasses:
         cls, constants: Sequence[torch.Tensor], integers: Sequence[int], gradient: str, numbers: Sequence[float]
     ) -> MeshPasses:
         """Inverse of ``constants`` and ``settings``."""
-        return mesh_passes(*constants, integers[0], bool(integers[1]), *numbers, cast("MeshGradient", gradient))
+        num_labels, *flags = integers
+        return mesh_passes(*constants, num_labels, *map(bool, flags), *numbers, cast("MeshGradient", gradient))
 
     @property
     def constants(self) -> Tensors:
@@ -62,7 +64,7 @@ class MeshPasses:
     def settings(self) -> Settings:
         """Options as custom operations take them."""
         numbers = [self.near, self.max_distance, self.depth_weight]
-        return [self.num_labels, int(self.perspective)], self.gradient, numbers
+        return [self.num_labels, int(self.cull_backfaces), int(self.perspective)], self.gradient, numbers
 
     def draw(self, inputs: Tensors, size: Size) -> Picture:
         """Draw labels, depth and face-index map."""
@@ -206,7 +208,7 @@ class MeshPasses:
         arrays = MeshArrays()
         arrays.vertices = warp_array(contiguous(vertices), wp.vec3)
         arrays.faces, arrays.face_labels, arrays.edges = self._constant_arrays
-        arrays.near, arrays.perspective = self.near, self.perspective
+        arrays.near, arrays.perspective, arrays.cull_backfaces = self.near, self.perspective, self.cull_backfaces
         return arrays
 
 

@@ -23,6 +23,9 @@ class PartMesh(Movable):
         face_labels: Label 1 to 254 that a face shows, shape (F,), uint8.
         edges: (vertex, vertex, face, other face or -1, opposite vertex of either), shape (E, 6), int32. An edge between
             two labels, a border and each part of a non-manifold edge stand alone (other face -1).
+        cull_backfaces: Draw no face from behind: half of the work. Nobody sees those of a closed surface whose faces
+            wind counterclockwise as seen from outside. Nothing is checked: a hole, or a surface turned inside out as in
+            a mirror, shows what lies behind it.
         num_labels: The highest label of a face, 255 aside; 0 without faces.
         num_vertices: Least number of vertices that the faces need.
     """
@@ -30,6 +33,7 @@ class PartMesh(Movable):
     faces: torch.Tensor
     face_labels: torch.Tensor
     edges: torch.Tensor
+    cull_backfaces: bool = False
     num_labels: int = field(init=False)
     num_vertices: int = field(init=False)
 
@@ -40,12 +44,20 @@ class PartMesh(Movable):
         object.__setattr__(self, "num_vertices", int(self.faces.max()) + 1 if self.faces.numel() else 0)
 
     @classmethod
-    def from_faces(cls, faces: np.ndarray, face_labels: np.ndarray, *, device: torch.device | str = "cpu") -> PartMesh:
+    def from_faces(
+        cls,
+        faces: np.ndarray,
+        face_labels: np.ndarray,
+        *,
+        cull_backfaces: bool = False,
+        device: torch.device | str = "cpu",
+    ) -> PartMesh:
         """Build the edges of any triangle mesh.
 
         Args:
             faces: Vertex indices, shape (F, 3).
             face_labels: Label of each face, 1 to 254, shape (F,).
+            cull_backfaces: Draw no face from behind.
             device: Device of the tensors.
 
         Raises:
@@ -68,13 +80,20 @@ class PartMesh(Movable):
             faces=torch.from_numpy(faces).to(device),
             face_labels=torch.from_numpy(np.ascontiguousarray(face_labels, dtype=np.uint8)).to(device),
             edges=torch.from_numpy(_find_edges(faces, face_labels)).to(device),
+            cull_backfaces=cull_backfaces,
         )
+
+    @property
+    def constants(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, int, bool]:
+        """The mesh as the first of ``mesh_passes``."""
+        return self.faces, self.face_labels, self.edges, self.num_labels, self.cull_backfaces
 
     def relabel(self, table: np.ndarray | Mapping[int, int]) -> PartMesh:
         """Show groups of parts: ``table[label]`` is the new label, as ``LabelSet.part_groups`` gives it.
 
         A face with the new label 255 still hides what is behind it, but costs nothing where it shows; one with 0 is
-        left out. The edges stay those of the ellipsoids or parts that the mesh was built from.
+        left out, and then backfaces are no longer culled, for holes show them. The edges stay those of the ellipsoids
+        or parts that the mesh was built from.
         """
         old = self.face_labels.cpu().numpy()
         try:
@@ -112,7 +131,7 @@ class PartMesh(Movable):
             shown.append(
                 torch.where(self.face_labels <= MAX_LABEL, self.face_labels + place * labels, self.face_labels)
             )
-        return PartMesh(torch.cat(faces), torch.cat(shown).to(torch.uint8), torch.cat(edges))
+        return PartMesh(torch.cat(faces), torch.cat(shown).to(torch.uint8), torch.cat(edges), self.cull_backfaces)
 
 
 def ellipbody_mesh(subdivisions: int = DEFAULT_SUBDIVISIONS, *, device: torch.device | str = "cpu") -> PartMesh:

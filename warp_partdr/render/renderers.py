@@ -185,7 +185,7 @@ def _mesh_body_passes(renderer: RendererMesh, seeing: Seeing, device: torch.devi
     rule = check_mesh_rule(**renderer._rule)
     mesh = labelled_mesh(renderer.subdivisions, seeing.part_labels, device)
     options = seeing.perspective, seeing.near_plane, *rule
-    passes = mesh_passes(mesh.faces, mesh.face_labels, mesh.edges, mesh.num_labels, *options)
+    passes = mesh_passes(*mesh.constants, *options)
     return BodyPasses(passes, renderer.subdivisions, seeing.locked, seeing.half_size)
 
 

@@ -148,8 +148,7 @@ class SceneEnergy:
     def __call__(self, people: SceneStarts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
         """Costs by name, of any shape each."""
         options, one = self.options.mesh, self.one
-        numbers = self._of_frames(people, unknowns)
-        posed = one.pose(people, numbers)
+        posed = one.pose(people, unknowns)
         pelvises = self.pelvises(people, unknowns)
         drawn, marked = one.split(posed)
         points = sum_points(one.weights, marked, posed.joints) + pelvises[:, None]
@@ -170,7 +169,7 @@ class SceneEnergy:
         if options.clothes is not None:
             costs["clothes"] = clothes_costs(unknowns.clothes)
         if self.capsules is not None:
-            placed = self.capsules.of(posed, numbers.shape, by=pelvises)
+            placed = self.capsules.of(posed, self._of_frames(people, unknowns).shape, by=pelvises)
             costs["apart"] = self.capsules.overlap(placed, people=len(people.shape))
         if people.ground is not None and people.standing is not None:
             lowest = self.lowest_feet(points, people.ground)
@@ -217,13 +216,13 @@ class SceneEnergy:
 
     def pictured(self, people: SceneStarts, unknowns: Unknowns, sheet: Sheet) -> torch.Tensor:
         """Vertices of people in each picture of a sheet, as of ``place_people``."""
-        posed = self.one.pose(people, self._of_frames(people, unknowns))
+        posed = self.one.pose(people, unknowns)
         views = self._views(people, sheet)
         return place_people(self.one.split(posed)[0], self.pelvises(people, unknowns), views, sheet.size)
 
     def landmarks(self, people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:
         """All of the drawn model's, in the world [m], shape (N, L, 3)."""
-        posed = self.one.pose(people, self._of_frames(people, unknowns))
+        posed = self.one.pose(people, unknowns)
         return self.one.landmarks(posed) + self.pelvises(people, unknowns)[:, None]
 
     def lowest_feet(self, points: torch.Tensor, ground: torch.Tensor) -> torch.Tensor:

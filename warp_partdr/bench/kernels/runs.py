@@ -89,10 +89,7 @@ class MeshRun:
         self._points = scene.camera.project(scene.posed.vertices(subdivisions)).detach().contiguous()
         self._labels = torch.full_like(scene.targets, _POISON)
         nothing = (torch.empty(0, 0, 0, dtype=kind, device=device) for kind in (torch.float32, torch.int32))
-        passes = mesh_passes(
-            *(mesh.faces, mesh.face_labels, mesh.edges, mesh.num_labels),
-            *(False, -math.inf, math.inf, DEFAULT_DEPTH_WEIGHT),
-        )
+        passes = mesh_passes(*mesh.constants, *(False, -math.inf, math.inf, DEFAULT_DEPTH_WEIGHT))
         self.labels, _ = passes.prepare_raster(self._points, (self._labels, *nothing), background=False)
         self._buffers = buffers = Buffers.empty(passes, (self._points.shape,), scene.targets, needs_grad=True)
         buffers.numbers.fill_(math.nan)
