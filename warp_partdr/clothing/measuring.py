@@ -52,7 +52,14 @@ def measure_ellipbody(body: Registered) -> tuple[torch.Tensor, ...]:
 
 def statures(model: DetailedModel, shape: torch.Tensor) -> torch.Tensor:
     """Heights of standing people of shape values (B, S), shape (B,) [m]."""
-    return _heights(model.rest(shape))
+    return heights(model.rest(shape))
+
+
+def heights(rest: Detailed) -> torch.Tensor:
+    """Heights of bodies at rest, of ``model.rest``, shape (B,) [m]."""
+    places = rest.vertices[..., 1]
+    low, high = places.amin(1), places.amax(1)  # aminmax has no derivative in older PyTorch
+    return high - low
 
 
 def measure_body(model: DetailedModel, rest: Detailed) -> torch.Tensor:
@@ -77,7 +84,7 @@ def measure_body(model: DetailedModel, rest: Detailed) -> torch.Tensor:
     thighs = [sections((f"{side}_upper_leg",), knees, _THIGH).amax(1) for side in ("left", "right")]
     return torch.stack(
         [
-            _heights(rest),
+            heights(rest),
             sections(_TRUNK, shoulders, _CHEST)[:, 0],
             sections(_TRUNK, shoulders, _WAIST).amin(1),
             sections((*_TRUNK, "left_upper_leg", "right_upper_leg"), shoulders, _HIPS).amax(1),
@@ -100,12 +107,6 @@ def _rotations(body: Registered, joints: torch.Tensor) -> tuple[torch.Tensor, to
     found[:, list(LOCKED_PARTS)] = orientation[:, None]
     above = torch.stack([orientation if parent < 0 else found[:, parent] for parent in PARENTS], dim=1)
     return orientation, above.mT @ found
-
-
-def _heights(rest: Detailed) -> torch.Tensor:
-    heights = rest.vertices[..., 1]
-    low, high = heights.amin(1), heights.amax(1)  # aminmax has no derivative in older PyTorch
-    return high - low
 
 
 def _edges(model: DetailedModel, parts: tuple[str, ...]) -> torch.Tensor:

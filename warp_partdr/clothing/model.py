@@ -151,15 +151,20 @@ class DetailedModel(Movable):
             ValueError: If a shape, dtype or device does not fit the model.
         """
         self._check("shape", shape, None, self.num_shapes)
-        batch = shape.shape[0]
+        return self.carry(*self._at_rest(shape, offsets, stretches), rotations, translation)
+
+    def carry(
+        self, vertices: torch.Tensor, joints: torch.Tensor, rotations: torch.Tensor, translation: torch.Tensor
+    ) -> Detailed:
+        """Pose bodies whose vertices (B, V, 3) and joints (B, J, 3) at rest are known; the rest as of ``pose``."""
+        batch = len(joints)
         self._check("rotations", rotations, batch, self.num_joints, 3, 3)
         self._check("translation", translation, batch, 3)
-        vertices, rest = self._at_rest(shape, offsets, stretches)
         if self.pose_directions is not None:
-            bend = rotations[:, 1:] - torch.eye(3, dtype=shape.dtype, device=shape.device)
+            bend = rotations[:, 1:] - torch.eye(3, dtype=joints.dtype, device=joints.device)
             vertices = vertices + (bend.flatten(1) @ self.pose_directions).unflatten(1, (-1, 3))
-        transforms, joints, maps = map_joints(self.parents, rotations, translation, rest)
-        return Detailed(carry_skin(self.skin_weights, maps, vertices), joints, transforms)
+        transforms, places, maps = map_joints(self.parents, rotations, translation, joints)
+        return Detailed(carry_skin(self.skin_weights, maps, vertices), places, transforms)
 
     def _at_rest(
         self, shape: torch.Tensor, offsets: torch.Tensor | None, stretches: torch.Tensor | None
@@ -197,10 +202,18 @@ class DetailedModel(Movable):
             raise ValueError(f"names: {self.name} has no landmark {unknown}; expected some of {known}")
         return _landmark_rows(self, tuple(names))
 
+    def rest_landmarks(self, shape: torch.Tensor, names: Sequence[str]) -> tuple[torch.Tensor, torch.Tensor]:
+        """Landmarks (B, L, 3) and joints (B, J, 3) of ``rest``, without its vertices; errors as of ``landmarks``."""
+        self._check("shape", shape, None, self.num_shapes)
+        rests, directions = _rest_rows(self, tuple(names))
+        found = torch.addmm(rests, shape, directions).unflatten(1, (-1, 3))
+        landmarks, joints = found.split([len(names), self.num_joints], dim=1)
+        return landmarks, joints
+
     @cached_property
     def _rests(self) -> torch.Tensor:
-        """Vertices, then joints, of shape 0 in a row, shape (1, 3 (V + J))."""
-        return torch.cat([self.rest_vertices, self.rest_joints]).view(1, -1)
+        """Vertices, then joints, of shape 0 in a row, shape (3 (V + J),); CUDA adds a vector within the product."""
+        return torch.cat([self.rest_vertices, self.rest_joints]).flatten()
 
     @cached_property
     def _directions(self) -> torch.Tensor:
@@ -253,6 +266,16 @@ def weigh_points(weights: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
 def _landmark_rows(model: DetailedModel, names: tuple[str, ...]) -> torch.Tensor:
     with torch.inference_mode(False):  # kept for calls outside of it, too
         return model.landmark_weights[[model.landmark_names.index(name) for name in names]]
+
+
+@lru_cache(maxsize=16)
+def _rest_rows(model: DetailedModel, names: tuple[str, ...]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Landmarks, then joints, of shape 0 in a row, (3 (L + J),), and their changes by shape values, (S, 3 (L + J))."""
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        every = torch.cat([model._rests[None], model._directions]).unflatten(1, (-1, 3))
+        found = model.weights_of(names).double() @ every.double()  # exact, whatever products of float32 are allowed
+        rests, *directions = torch.cat([found.to(every), every[:, model.num_vertices :]], dim=1).flatten(1)
+        return rests, torch.stack(directions)
 
 
 @lru_cache(maxsize=8)  # its edges take a moment to find

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
+from typing import NamedTuple
 
 import torch
 
@@ -15,7 +16,7 @@ from ..body.rotations import (
     rotation_to_6d,
     rotation_to_axis_angle,
 )
-from ..body.template import JOINT_NAMES, NUM_PARTS, PARENTS, PART_NAMES, template
+from ..body.template import BONE_STARTS, JOINT_NAMES, NUM_PARTS, PARENTS, PART_NAMES, template
 from .model import Detailed, DetailedModel
 
 # Parts whose bone has another direction in a model's rest pose than in EllipBody's.
@@ -28,6 +29,24 @@ _TRUNK = ("abdomen", "chest", "neck", "shoulder")
 _BENDING = ("abdomen", "chest", "neck")
 _TWISTING_FIRST = ("upper_leg", "upper_arm")
 _TWISTING_LAST = {"lower_leg": "foot", "forearm": "hand"}
+_HIPS = slice(1, 3)  # of ``JOINT_NAMES``
+
+
+class _Sharing(NamedTuple):
+    """Turns of a model's joints, as indices: 0 to 19 of parts, 20 of the pelvis, then of K joints that go halfway.
+
+    A joint that goes halfway turns as part ``bases`` does and then half the way to ``tips``: all of it where it is
+    ``bent``, else the twist about the line from joint ``starts`` to joint ``ends``.
+    """
+
+    turns: torch.Tensor  # of joints that turn against their parents, shape (T,); the root isn't one
+    above: torch.Tensor  # of their parents, shape (T,)
+    order: torch.Tensor  # of all joints: 0 the root, 1 to T those that turn, T + 1 the others, shape (J,)
+    bases: torch.Tensor  # shape (K,), as the others
+    tips: torch.Tensor
+    bent: torch.Tensor
+    starts: torch.Tensor
+    ends: torch.Tensor
 
 
 def pose_from_ellipbody(
@@ -47,40 +66,25 @@ def pose_from_ellipbody(
     Returns:
         Local rotations, shape (B, J, 3, 3), and position of the root joint [m], shape (B, 3), for ``model.pose``.
     """
-    batch = len(posed.rotations)
-    rest = model.rest(posed.rotations.new_zeros(batch, model.num_shapes) if shape is None else shape)
-    turned = rest_turns(model, rest, trunk_along=trunk_along)
-    parts = dict(zip(PART_NAMES, (posed.rotations @ turned).unbind(1), strict=True))
+    if shape is None:
+        shape = posed.rotations.new_zeros(len(posed.rotations), model.num_shapes)
+    marks, rest = model.rest_landmarks(shape, _marks(model))
+    parts = posed.rotations @ _turns_at_rest(model, marks, trunk_along)
     # The two hips are the pelvis; the mean is exact where they haven't been turned against each other.
-    pelvis = rotation_from_6d(rotation_to_6d(parts["left_hip"] + parts["right_hip"]))
+    pelvis = rotation_from_6d(rotation_to_6d(parts[:, 0] + parts[:, 1]))[:, None]
+    sharing = _sharing(model)
+    frames = torch.cat([parts, pelvis], dim=1)
+    bases = frames[:, sharing.bases]
+    ways = rotation_to_axis_angle(bases.mT @ frames[:, sharing.tips])
+    twists = _half_twists(ways, rest[:, sharing.ends] - rest[:, sharing.starts])
+    halves = rotation_from_axis_angle(torch.where(sharing.bent[:, None], ways / 2, twists))
+    frames = torch.cat([frames, bases @ halves], dim=1)
 
-    carried = _carried_parts(model)
-    world: list[torch.Tensor] = []
-    for joint, parent in enumerate(model.parents):
-        world.append(pelvis if parent < 0 else parts[carried[joint]] if joint in carried else world[parent])
-    for (part, turn), above, joint in zip(parts.items(), PARENTS, model.part_joints, strict=True):
-        kind = without_side(part)
-        between = _joint_between(model, joint, carried)
-        if between is None:
-            continue
-        start = pelvis if above < 0 else parts[PART_NAMES[above]]
-        if kind in _BENDING:
-            half = rotation_to_axis_angle(start.mT @ turn) / 2
-            world[joint] = start @ rotation_from_axis_angle(half)
-        elif kind in _TWISTING_FIRST:
-            axis = rest.joints[:, between] - rest.joints[:, joint]
-            world[joint] = turn @ _half_twist(start.mT @ turn, axis).mT
-        elif kind in _TWISTING_LAST:
-            end = part.replace(kind, _TWISTING_LAST[kind])
-            axis = rest.joints[:, model.part_joints[PART_NAMES.index(end)]] - rest.joints[:, between]
-            world[between] = turn @ _half_twist(turn.mT @ parts[end], axis)
-
-    turns = torch.stack(world, dim=1)
-    rotations = torch.cat([turns[:, :1], turns[:, list(model.parents[1:])].mT @ turns[:, 1:]], dim=1)
-    hips = ("left_hip", "right_hip")
-    middle = model.landmarks(rest, hips).mean(1) - rest.joints[:, 0]
-    between_hips = posed.joints[:, [JOINT_NAMES.index(name) for name in hips]].mean(1)
-    return rotations, between_hips - (pelvis @ middle[..., None])[..., 0]
+    turned = frames[:, sharing.above].mT @ frames[:, sharing.turns]
+    still = torch.eye(3, dtype=rest.dtype, device=rest.device).expand_as(pelvis)
+    rotations = torch.cat([pelvis, turned, still], dim=1)[:, sharing.order]
+    middle = marks[:, _HIPS].mean(1) - rest[:, 0]
+    return rotations, posed.joints[:, _HIPS].mean(1) - (pelvis[:, 0] @ middle[..., None])[..., 0]
 
 
 def free_joints(model: DetailedModel) -> list[int]:
@@ -105,39 +109,99 @@ def turning_joints(model: DetailedModel) -> list[int]:
 
 def rest_turns(model: DetailedModel, rest: Detailed, *, trunk_along: bool = False) -> torch.Tensor:
     """Rotation of each part from the model's rest pose to EllipBody's, shape (B, 20, 3, 3)."""
+    return _turns_at_rest(model, model.landmarks(rest, _marks(model)), trunk_along)
+
+
+def _turns_at_rest(model: DetailedModel, marks: torch.Tensor, trunk_along: bool) -> torch.Tensor:
+    """The same of bodies at rest whose landmarks ``_marks`` lie there, (B, L, 3)."""
     aimed = (*_AIMED, *_TRUNK) if trunk_along else _AIMED
-    like = rest.joints
-    identity = torch.eye(3, dtype=like.dtype, device=like.device).expand(len(like), 3, 3)
-    directions = torch.from_numpy(template().rest_directions).to(like).expand(len(like), -1, -1)
-    known = dict(zip(model.landmark_names, model.landmarks(rest, model.landmark_names).unbind(1), strict=True))
-    bones = {part: known[JOINT_NAMES[part + 1]] - known[JOINT_NAMES[PARENTS[part] + 1]] for part in range(NUM_PARTS)}
-    turns = [identity] * NUM_PARTS
-    hands = [
-        (PART_NAMES.index(f"{side}_hand"), known[f"{side}_index"] - known[f"{side}_pinky"])
-        for side in ("left", "right")
-        if {f"{side}_index", f"{side}_pinky"} <= known.keys()
-    ]
-    framed = {part for part, _ in hands}
-    for parts in _levels():
-        some = [part for part in parts if without_side(PART_NAMES[part]) in (*aimed, "hand") and part not in framed]
-        if some:
-            inherited = torch.stack([turns[PARENTS[part]] for part in some])
-            turned = (inherited @ torch.stack([bones[part] for part in some])[..., None])[..., 0]
-            found = rotation_between(turned, directions[:, some].transpose(0, 1)) @ inherited
-            turns = [found[some.index(part)] if part in some else turn for part, turn in enumerate(turns)]
-    for part, across in hands:
-        forward = torch.tensor([0.0, 0.0, 1.0]).to(like).expand_as(across)  # EllipBody's palms are down
-        turns[part] = _frame(directions[:, part], forward) @ _frame(bones[part], across).mT
-    return torch.stack(turns, dim=1)
+    joints, ends = marks[:, : len(JOINT_NAMES)].unbind(1), marks[:, len(JOINT_NAMES) :]
+    bones = [joint - joints[start] for joint, start in zip(joints[1:], BONE_STARTS, strict=True)]
+    directions, palms = _rest_frames(marks.device, marks.dtype)
+    # The last one is the pelvis, for parts that hang on it.
+    turns = [torch.eye(3, dtype=marks.dtype, device=marks.device).expand(len(marks), 3, 3)] * (NUM_PARTS + 1)
+    framed = _framed_hands(model)
+    for parts in _levels((*aimed, "hand"), framed):
+        inherited = torch.stack([turns[PARENTS[part]] for part in parts], dim=1)
+        turned = (inherited @ torch.stack([bones[part] for part in parts], dim=1)[..., None])[..., 0]
+        aims = torch.stack([directions[part] for part in parts]).expand_as(turned)
+        found = rotation_between(turned, aims) @ inherited
+        for part, turn in zip(parts, found.unbind(1), strict=True):
+            turns[part] = turn
+    if framed:
+        hands = torch.stack([bones[part] for part in framed], dim=1)
+        found = torch.stack([palms[part] for part in framed]) @ _frame(hands, ends[:, 1::2] - ends[:, ::2]).mT
+        for part, turn in zip(framed, found.unbind(1), strict=True):
+            turns[part] = turn
+    return torch.stack(turns[:-1], dim=1)
+
+
+@lru_cache(maxsize=16)
+def _marks(model: DetailedModel) -> tuple[str, ...]:
+    """Landmarks that say how a model's parts lie at rest: joints, then both ends of the palms that it knows."""
+    sides = (PART_NAMES[part].removesuffix("_hand") for part in _framed_hands(model))
+    return *JOINT_NAMES, *(f"{side}_{finger}" for side in sides for finger in ("pinky", "index"))
+
+
+@lru_cache(maxsize=16)
+def _framed_hands(model: DetailedModel) -> tuple[int, ...]:
+    """Hands whose palms a model knows, as parts."""
+    known = {*model.landmark_names}
+    sides = [side for side in ("left", "right") if {f"{side}_index", f"{side}_pinky"} <= known]
+    return tuple([PART_NAMES.index(f"{side}_hand") for side in sides])
 
 
 @cache
-def _levels() -> list[list[int]]:
-    """Parts by the number of parts between them and the pelvis."""
-    depths: list[int] = []
-    for parent in PARENTS:
-        depths.append(0 if parent < 0 else 1 + depths[parent])
-    return [[part for part, depth in enumerate(depths) if depth == level] for level in range(1 + max(depths))]
+def _levels(kinds: tuple[str, ...], framed: tuple[int, ...]) -> list[list[int]]:
+    """Parts of some kinds, but for ``framed`` ones, by the number of such parts in a row that they hang on."""
+    depths: dict[int, int] = {}
+    for part, (name, parent) in enumerate(zip(PART_NAMES, PARENTS, strict=True)):
+        if without_side(name) in kinds and part not in framed:
+            depths[part] = 1 + depths.get(parent, -1)
+    return [[part for part in depths if depths[part] == level] for level in range(1 + max(depths.values()))]
+
+
+@lru_cache(maxsize=8)
+def _rest_frames(device: torch.device, dtype: torch.dtype) -> tuple[torch.Tensor, dict[int, torch.Tensor]]:
+    """Directions of EllipBody's bones at rest, shape (20, 3), and axes of its hands, whose palms are down."""
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        directions = torch.from_numpy(template().rest_directions)
+        hands = [PART_NAMES.index(f"{side}_hand") for side in ("left", "right")]
+        forward = directions.new_tensor([0.0, 0.0, 1.0])
+        palms = {hand: _frame(directions[hand], forward).to(device, dtype) for hand in hands}
+        return directions.to(device, dtype), palms
+
+
+@lru_cache(maxsize=16)
+def _sharing(model: DetailedModel) -> _Sharing:
+    carried = _carried_parts(model)
+    sources: list[int] = []
+    for joint, parent in enumerate(model.parents):
+        inherited = NUM_PARTS if parent < 0 else sources[parent]
+        sources.append(PART_NAMES.index(carried[joint]) if joint in carried else inherited)
+    halfway: dict[int, tuple[int, int, bool, int, int]] = {}
+    for part, (name, above, joint) in enumerate(zip(PART_NAMES, PARENTS, model.part_joints, strict=True)):
+        kind, start = without_side(name), NUM_PARTS if above < 0 else above
+        between = _joint_between(model, joint, carried)
+        if between is None:
+            continue
+        if kind in _BENDING:
+            halfway[joint] = start, part, True, joint, between
+        elif kind in _TWISTING_FIRST:
+            halfway[joint] = part, start, False, joint, between
+        elif kind in _TWISTING_LAST:
+            end = PART_NAMES.index(name.replace(kind, _TWISTING_LAST[kind]))
+            halfway[between] = part, end, False, between, model.part_joints[end]
+    for place, joint in enumerate(halfway):
+        sources[joint] = NUM_PARTS + 1 + place
+    turning = [joint for joint, parent in enumerate(model.parents) if joint and sources[joint] != sources[parent]]
+    order = [turning.index(joint) + 1 if joint in turning else len(turning) + 1 for joint in range(model.num_joints)]
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        columns = torch.tensor([*halfway.values()], dtype=torch.long).reshape(-1, 5).T.tolist()
+        turns = [[sources[joint], sources[model.parents[joint]]] for joint in turning]
+        rows = *map(list, zip(*turns, strict=True)), [0, *order[1:]], *columns
+        found = _Sharing(*(torch.tensor(row, dtype=torch.long, device=model.faces.device) for row in rows))
+        return found._replace(bent=found.bent.bool())
 
 
 def _carried_parts(model: DetailedModel) -> dict[int, str]:
@@ -160,10 +224,9 @@ def _frame(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     return rotation_from_6d(torch.cat([first, second], dim=-1))
 
 
-def _half_twist(rotation: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
-    """Half of that part of a rotation that turns about ``axis`` (swing-twist decomposition), shape (B, 3, 3)."""
-    axis = torch.nn.functional.normalize(axis, dim=-1)
-    vector = rotation_to_axis_angle(rotation)
-    angle = vector.norm(dim=-1, keepdim=True)
-    along = (vector * axis).sum(-1, keepdim=True) / angle.clamp(min=1e-12)
-    return rotation_from_axis_angle(axis * torch.atan2(along * (angle / 2).sin(), (angle / 2).cos()))
+def _half_twists(ways: torch.Tensor, axes: torch.Tensor) -> torch.Tensor:
+    """Half of that part of rotation vectors that turns about ``axes`` (swing-twist decomposition), (B, K, 3) each."""
+    axes = torch.nn.functional.normalize(axes, dim=-1)
+    angles = ways.norm(dim=-1, keepdim=True)
+    along = (ways * axes).sum(-1, keepdim=True) / angles.clamp(min=1e-12)
+    return axes * torch.atan2(along * (angles / 2).sin(), (angles / 2).cos())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -42,18 +44,19 @@ def ring_levels(legs: torch.Tensor, hem: torch.Tensor) -> torch.Tensor:
 
 
 def tube(
-    legs: torch.Tensor, levels: torch.Tensor, radii: torch.Tensor, shares: tuple[float, float] = (0.0, 1.0)
+    legs: torch.Tensor, levels: torch.Tensor, radii: torch.Tensor, shares: Sequence[tuple[float, float]] = ((0, 1),)
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Rings, each the hull of a disc about either leg.
+    """Rings of N tubes, each the hull of a disc about either leg.
 
     Args:
         legs: Of ``leg_joints``.
         levels: Of ``ring_levels``.
         radii: Of the discs where they are widest [m], shape (B, 25).
-        shares: Of the left leg, least and largest: 0.5 to 1 is the hull of its disc and of one between the legs.
+        shares: Of the left leg, least and largest, in each tube: 0.5 to 1 is the hull of its disc and of one between
+            the legs.
 
     Returns:
-        Vertices, shape (B, 25 * 48, 3) [m], and the left leg's share of each, shape (B, 25, 48).
+        Vertices, shape (B, N * 25 * 48, 3) [m], and the left leg's share of each, shape (B, N * 25, 48).
     """
     levels = levels[..., None]
     radii = radii[..., None] * (_TOP + (1.0 - _TOP) * (levels / _WIDE).clamp(max=1.0))
@@ -69,11 +72,12 @@ def tube(
     angles = legs.new_tensor(2.0 * np.pi * np.arange(CORNERS) / CORNERS)[:, None]
     outward = angles.cos() * left[:, :, None] + angles.sin() * torch.linalg.cross(down, left)[:, :, None]
     # In a direction, the hull reaches as far as the disc that is farther there; where both do, it lies between them.
-    apart = (middles[0] - middles[1])[:, :, None]
+    apart, right = (middles[0] - middles[1])[:, :, None], middles[1][:, :, None]
     turned = (apart * outward).sum(-1, keepdim=True) / apart.norm(dim=-1, keepdim=True).clamp(min=1e-6)
-    of_left = (0.5 + 0.5 * turned / _TURN).clamp(*shares)
-    vertices = middles[1][:, :, None] + of_left * apart + radii[..., None] * outward
-    return vertices.flatten(1, 2), of_left[..., 0]
+    of_left = 0.5 + 0.5 * turned / _TURN
+    of_left = torch.stack([of_left.clamp(*limits) for limits in shares], dim=1)
+    vertices = right[:, None] + of_left * apart[:, None] + (radii[..., None] * outward)[:, None]
+    return vertices.flatten(1, 3), of_left[..., 0].flatten(1, 2)
 
 
 def _straightness(legs: torch.Tensor) -> torch.Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -16,8 +17,9 @@ from ..body.rotations import rotation_from_axis_angle
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, SHAPE_INDICES
 from ..cameras import ScreenCamera
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
-from ..clothing.measuring import statures
+from ..clothing.measuring import heights
 from ..clothing.model import Detailed
+from ..clothing.point_sums import sum_points
 from ..clothing.pose import pose_from_ellipbody
 from ..inputs.observation import CROP_MARGIN
 from ..network.heads import cell_centres
@@ -102,11 +104,18 @@ class _View:
 
     def __call__(self, points: torch.Tensor) -> torch.Tensor:
         """Points as the camera sees them: places at the pelvis' depth, the pelvis at 0, and depth [m], (B, N, 3)."""
-        offsets = points - self.pelvis[:, None]
-        depth = offsets[..., 2:] + self.distance[:, None]
-        # As a difference, of which nothing is lost however far away the camera is.
-        flat = (offsets[..., :2] - self.aside[:, None] * offsets[..., 2:]) * (self.distance[:, None] / depth)
-        return torch.cat([flat, depth], dim=-1)
+        aside = self.aside * self.distance  # 0 for those far away, so that no digits are lost
+        camera = self.pelvis - torch.cat([aside, self.distance], dim=1)
+        scale = torch.nn.functional.pad(self.distance.expand(-1, 2), (0, 1), value=1.0)
+        # Two passes, for these may be all vertices of many people.
+        seen = torch.addcmul((-scale * camera)[:, None], points, scale[:, None])
+        flat = seen[..., :2]
+        torch.addcdiv(-aside[:, None], flat, seen[..., 2:], out=flat)
+        return seen
+
+    def select(self, index: slice) -> _View:
+        """Some of the cameras."""
+        return _View(self.pelvis[index], self.distance[index], self.aside[index])
 
     def turns(self) -> torch.Tensor:
         """Shortest rotations from the camera's axis to the rays to the pelvises, shape (B, 3, 3)."""
@@ -131,6 +140,12 @@ class _Crop:
         """Crop coordinates of points (B, N, 2)."""
         return (flat - self.centre[:, None]) / self.half[:, None, None]
 
+    def to_pixels(self, points: torch.Tensor, size: int) -> None:
+        """Turn places of points (b, N, 3) of the first b people into pixels of crops so many wide; depth stays."""
+        scale, flat = size / 2 / self.half[: len(points), None], points[..., :2]
+        shift = size / 2 - scale * self.centre[: len(points)]
+        torch.addcmul(shift[:, None], flat, scale[:, None], out=flat)
+
     def unseen(self, size: int) -> torch.Tensor:
         """True for pixels beyond the picture's border, shape (B, size, size), bool."""
         centres = cell_centres(size, self.half.device)
@@ -141,6 +156,13 @@ class _Crop:
 def _inside(points: torch.Tensor, low: torch.Tensor, high: torch.Tensor) -> torch.Tensor:
     """True for points (B, N, 2) between corners (B, 2), shape (B, N), bool."""
     return ((points > low[:, None]) & (points < high[:, None])).all(-1)
+
+
+def _corners(points: torch.Tensor, counted: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Least and largest coordinates of those of points (B, N, 2) that count, (B, 2) each; infinite where none does."""
+    counted = counted[..., None]
+    least = torch.where(counted, points, torch.inf).amin(1)
+    return least, torch.where(counted, points, -torch.inf).amax(1)
 
 
 def _photos(count: int, dressed: int) -> tuple[slice, slice, slice]:
@@ -230,9 +252,9 @@ class PeopleMaker:
         orientation = self.orientations(ups)
         shape = anny_shape(self.phenotypes(count))
         posed = mean_body(rotation_from_axis_angle(vectors), orientation)
-        stance = pose_from_ellipbody(self.model, posed, shape)
-        body, stature = self.model.pose(shape, *stance), statures(self.model, shape)
-        known = self._landmark_weights @ torch.cat([body.vertices, body.joints], dim=1)
+        rest, stance = self.model.rest(shape), pose_from_ellipbody(self.model, posed, shape)
+        body, stature = self.model.carry(rest.vertices, rest.joints, *stance), heights(rest)
+        known = sum_points(self._landmark_weights, body.vertices, body.joints)
         plain, coco, joints = known.split(self._landmark_counts, dim=1)
         noted = torch.where(rng.chance(_COCO, count, 1, 1), coco, plain)
         dressed = round(_DRESSED * count)  # as many in every batch, as are photos' people: nothing waits
@@ -240,29 +262,29 @@ class PeopleMaker:
         noted[photos] = plain[photos]
 
         view = self._view(joints[:, :1])
-        outlines = self._outlines(body, shape, *stance, dressed)
-        vertices, outlines, noted, plain = (view(points) for points in (body.vertices, outlines, noted, plain))
+        cloth = self._cloth(rest.select(slice(dressed)), *(each[:dressed] for each in stance))
+        vertices, noted, plain = (view(points) for points in (body.vertices, noted, plain))
+        cloth = view.select(slice(dressed))(cloth)
         strength, label_sets = draw_strengths(count, rng), self._labels.label_sets(count)
         label_sets[cut], label_sets[whole] = _EVERY_PART, _ONE_PART
         no_labels, no_keypoints = draw_absent(count, rng)
         detected = self._detectors.detected(count) & ~no_keypoints[:, None]
         detected[photos] = self._errors.known
-        crop = self._crop(outlines[..., :2], noted[..., :2], detected, ~no_labels)
+        outlines = cloth[..., :2], vertices[dressed:, :, :2]
+        crop = self._crop(outlines, noted[..., :2], detected, ~no_labels)
 
         def draw(points: torch.Tensor, mesh: PartMesh) -> PartImage:
             return draw_mesh(points, mesh, ScreenCamera(perspective=True), size, validate=False)
 
-        screen, cloth = (
-            torch.cat([(crop(points[..., :2]) + 1) * (self.size / 2), points[..., 2:]], dim=-1)
-            for points in (vertices, outlines)
-        )
-        picture = draw(screen, self.mesh)
-        shown = torch.cat([draw(cloth[:dressed], self._wardrobe.mesh).labels, picture.labels[dressed:]])
+        for each in (vertices, cloth):
+            crop.to_pixels(each, self.size)
+        picture = draw(vertices, self.mesh)
+        shown = torch.cat([draw(cloth, self._wardrobe.mesh).labels, picture.labels[dressed:]])
         unseen = crop.unseen(self.size)
         parts = picture.labels.masked_fill(unseen, IGNORE)
 
         some = rng.integers(vertices.shape[1], count, 6)
-        places = screen[..., :2].gather(1, some[..., None].expand(-1, -1, 2)) * (2 / self.size) - 1
+        places = vertices[..., :2].gather(1, some[..., None].expand(-1, -1, 2)) * (2 / self.size) - 1
         occluders = draw_occluders(rng, parts, self._labels.tables(label_sets), places, strength)
         points = crop(noted[..., :2])
         pixels = people.pixel_indices((points + 1) * (self.size / 2), size)
@@ -299,15 +321,11 @@ class PeopleMaker:
             distances=view.distance[:, 0],
         )
 
-    def _outlines(
-        self, body: Detailed, shape: torch.Tensor, rotations: torch.Tensor, translation: torch.Tensor, count: int
-    ) -> torch.Tensor:
-        """Vertices of the wardrobe's mesh, of the first ``count``, who are dressed, and points of the others."""
-        worn, first = self._rng.integers(self._wardrobe.size, count), slice(count)
-        offsets = self._wardrobe.offsets(worn)
-        clothed = self.model.pose(shape[first], rotations[first], translation[first], offsets=offsets)
-        dressed, bare = self._wardrobe.vertices(clothed, worn), body.vertices[count:]
-        return torch.cat([dressed, torch.cat([bare, bare[:, : dressed.shape[1] - bare.shape[1]]], dim=1)])
+    def _cloth(self, rest: Detailed, rotations: torch.Tensor, translation: torch.Tensor) -> torch.Tensor:
+        """Vertices of the wardrobe's mesh, of bodies at rest that are dressed and posed."""
+        worn = self._rng.integers(self._wardrobe.size, len(rotations))
+        vertices = self._wardrobe.offsets(worn).add_(rest.vertices)
+        return self._wardrobe.vertices(self.model.carry(vertices, rest.joints, rotations, translation), worn)
 
     def orientations(self, ups: torch.Tensor) -> torch.Tensor:
         """The pelvis in the camera frame, (B, 3, 3): upright as ``ups`` (B, 3) says, looking anywhere, and tilted."""
@@ -330,14 +348,15 @@ class PeopleMaker:
         return _View(pelvises[:, 0], distance, aside)
 
     def _crop(
-        self, vertices: torch.Tensor, points: torch.Tensor, detected: torch.Tensor, labelled: torch.Tensor
+        self, outlines: Sequence[torch.Tensor], points: torch.Tensor, detected: torch.Tensor, labelled: torch.Tensor
     ) -> _Crop:
         """The picture's border, and the square that ``observe`` cuts out, about.
 
-        Of vertices (B, V, 2) and keypoints (B, 24, 2) [m], which of these are ``detected``, and who is ``labelled``.
+        Of vertices of some people after others, (b, V, 2) each, keypoints (B, 24, 2) [m], which of these are
+        ``detected``, and who is ``labelled``.
         """
-        count, rng = len(vertices), self._rng
-        low, high = vertices.amin(1), vertices.amax(1)
+        count, rng, sizes = len(points), self._rng, [len(each) for each in outlines]
+        low, high = map(torch.cat, zip(*(each.aminmax(dim=1) for each in outlines), strict=True))
         longest = (high - low).amax(1, keepdim=True)
         near = rng.chance(_BORDER, count, 4)
         beyond = torch.where(near, _NEAR * longest * rng.uniform(count, 4), _OPEN)  # left, top, right, bottom
@@ -347,11 +366,11 @@ class PeopleMaker:
         beyond = torch.where(cut, -share * (high - low).repeat(1, 2), beyond)
         first, last = low - beyond[:, :2], high + beyond[:, 2:]
 
-        places = torch.cat([vertices, points], dim=1)
-        counted = torch.cat([labelled[:, None].expand(-1, vertices.shape[1]), detected], dim=1)
-        counted = (counted & _inside(places, first, last))[..., None]
-        start = torch.where(counted, places, torch.inf).amin(1)
-        end = torch.where(counted, places, -torch.inf).amax(1)
+        some = zip(outlines, *(each.split(sizes) for each in (labelled[:, None], first, last)), strict=True)
+        corners = [_corners(places, shown & _inside(places, *border)) for places, shown, *border in some]
+        least, most = _corners(points, detected & _inside(points, first, last))
+        starts, ends = map(torch.cat, zip(*corners, strict=True))
+        start, end = torch.minimum(starts, least), torch.maximum(ends, most)
         empty = ~(end - start).isfinite()
         start, end = torch.where(empty, low, start), torch.where(empty, high, end)
         extent = (end - start).amax(1).clamp(min=0.1)

@@ -21,7 +21,7 @@ from .skirt_tubes import CORNERS, LEVELS, leg_joints, leg_radii, ring_levels, tu
 
 _SEED = 2_811  # of the outfits, other ones than PartBench's
 _NUM_OUTFITS = 256
-_LEGS = ((0.5, 1.0), (0.0, 0.5))  # shares of ``tube``, of the left leg and of the right one
+_LEGS = ((0.5, 1.0), (0.0, 0.5))  # shares of ``tube``, of the left leg's and of the right one's
 
 
 class Wardrobe:
@@ -58,8 +58,8 @@ class Wardrobe:
         places = levels * ((len(LEVELS) - 1) / LEVELS[-1])
         before = places.long().clamp(max=len(LEVELS) - 2)
         thick = torch.lerp(self._radii[before], self._radii[before + 1], places - before)
-        tubes = [tube(legs, levels, thick + self._rooms[worn], shares)[0] for shares in _LEGS]
-        return torch.cat([body.vertices, *tubes], dim=1)
+        tubes, _ = tube(legs, levels, thick + self._rooms[worn], _LEGS)
+        return torch.cat([body.vertices, tubes], dim=1)
 
 
 @lru_cache(maxsize=2)
