@@ -151,7 +151,8 @@ class MeshEnergy:
         if len(shape) == len(where[0]):
             return model.pose(shape, *where)
         rest, frames = model.rest(shape), len(where[0]) // len(shape)
-        return model.carry(*(each.repeat_interleave(frames, 0) for each in (rest.vertices, rest.joints)), *where)
+        vertices, joints = (each.repeat_interleave(frames, 0) for each in (rest.vertices, rest.joints))
+        return model.carry(vertices, joints, *where)
 
     def landmarks(self, posed: Detailed) -> torch.Tensor:
         """All of the model's, shape (B, L, 3)."""
