@@ -5,11 +5,13 @@ interpreter's lock, so that launches overlap. The CPU device's atomics are not a
 output.
 """
 
+import math
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import ModuleType
+from typing import Any
 
 import warp as wp
 
@@ -40,7 +42,7 @@ def get_num_threads() -> int:
 
 
 def launch_in_slices(
-    launch: Callable[[slice], None], batch: int, device: wp.Device, *, modules: Sequence[ModuleType] = ()
+    launch: Callable[[slice], None], batch: int, device: wp.Device, *, modules: Sequence[ModuleType | wp.Module] = ()
 ) -> None:
     """Call ``launch`` for slices that together are the batch: one slice a thread on the CPU device, one in all on CUDA.
 
@@ -48,8 +50,8 @@ def launch_in_slices(
         launch: Launches the work of the bodies ``start`` to ``stop``. Whatever it writes belongs to these bodies alone.
         batch: Number of bodies; 0 calls ``launch`` once, with an empty slice.
         device: Where the work is launched.
-        modules: Python modules of the kernels it launches: they are loaded before there are threads that would each
-            build what is missing.
+        modules: Modules of the kernels it launches, Python's or Warp's: they are loaded before there are threads that
+            would each build what is missing.
     """
     slices = split_batch(batch, on_cpu=device.is_cpu)
     if len(slices) > 1:
@@ -58,14 +60,27 @@ def launch_in_slices(
     run_slices(launch, slices)
 
 
-def share_rows(
-    launch: Callable[[slice], None], rows: int, size: int, device: wp.Device, modules: Sequence[ModuleType]
+def launch_shared(
+    kernel: wp.Kernel, shape: Sequence[int], inputs: Sequence[Any], outputs: Sequence[wp.array], *, work: int = 1
 ) -> None:
-    """Call ``launch`` as ``launch_in_slices`` does where the rows take so much work that threads pay, else once."""
-    if size < _LEAST_TO_SHARE:
+    """Launch a kernel whose rows threads of the CPU device share where they take so much work that threads pay.
+
+    Args:
+        kernel: Takes the inputs, the row of its first thread, and the outputs, of which each row fills its own.
+        shape: Of its threads, rows first.
+        inputs: On the outputs' device.
+        outputs: At least one.
+        work: Numbers that a thread goes through.
+    """
+    device, (rows, *others) = outputs[0].device, shape
+
+    def launch(part: slice) -> None:
+        wp.launch(kernel, (part.stop - part.start, *others), [*inputs, part.start], outputs, device=device)
+
+    if math.prod(shape) * work < _LEAST_TO_SHARE:
         launch(slice(0, rows))
     else:
-        launch_in_slices(launch, rows, device, modules=modules)
+        launch_in_slices(launch, rows, device, modules=(kernel.module,))
 
 
 def split_batch(batch: int, *, on_cpu: bool) -> list[slice]:

@@ -6,13 +6,12 @@ Body ``p T + t`` is person p in frame t. People who may hide one another are a c
 that of cluster k in frame t and view v, and holds its people in slots, one after another.
 """
 
-import sys
 from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
 
-from .launch import share_rows
+from .launch import launch_shared
 from .mesh.screen import project_depth
 
 wp.set_module_options({"enable_backward": False})
@@ -151,22 +150,12 @@ def gather_views(arrays: Sequence[wp.array], half_size: float) -> Any:
 
 def launch_place(inputs: Sequence[Any], screen: wp.array) -> None:
     """Fill ``screen`` from vertices, pelvises and views."""
-    _launch_rows(place_scene, inputs, screen)
+    launch_shared(place_scene, screen.shape, inputs, [screen])
 
 
 def launch_place_adjoint(inputs: Sequence[Any], adjoint: wp.array, gradient: wp.array) -> None:
     """Fill the ``gradient`` with respect to vertices from the ``adjoint`` of what ``launch_place`` filled."""
-    _launch_rows(place_scene_adjoint, [*inputs, adjoint], gradient)
-
-
-def _launch_rows(kernel: wp.Kernel, inputs: Sequence[Any], found: wp.array) -> None:
-    """Fill ``found``, whose rows threads of the CPU share where they are many."""
-    (rows, columns), device = found.shape, found.device
-
-    def launch(part: slice) -> None:
-        wp.launch(kernel, (part.stop - part.start, columns), [*inputs, part.start, found], device=device)
-
-    share_rows(launch, rows, rows * columns, device, (sys.modules[__name__],))
+    launch_shared(place_scene_adjoint, gradient.shape, [*inputs, adjoint], [gradient])
 
 
 def launch_pelvises(numbers: Sequence[wp.array], views: Sequence[wp.array], pelvises: wp.array) -> None:

@@ -276,7 +276,7 @@ def test_people_of_other_frames_do_not_meet():
     met = float(energy(people, start)["apart"].sum())
     scattered = people.view_translations.new_zeros(len(people.shift), 3)
     scattered[3:, 2] = 3.0  # the second one; all frames of each stand at one place
-    posed = energy.one.pose(people, energy._of_frames(people, start))
+    posed = energy.one.pose(people, start)
     capsules = energy.capsules
     assert capsules is not None
     shape = start.shape.repeat_interleave(3, 0)

@@ -23,7 +23,7 @@ from ..interop.layouts import Tensors
 from ..interop.movable import Movable
 from ..interop.streams import on_torch_stream
 from ..kernels import capsules as kernels
-from ..kernels.launch import share_rows
+from ..kernels.launch import launch_shared
 from .model import Detailed, DetailedModel
 from .surfaces import BAND, vertex_parts
 
@@ -131,16 +131,10 @@ class _OverlapCost(torch.autograd.Function):
         # Of each whom they meet, who are added in their order.
         costs, gradients = (rows.new_empty(*rows.shape[:2], people, *own) for own in ((), (_NUMBERS,)))
         if costs.numel():
-            with on_torch_stream(rows.device) as device:
+            with on_torch_stream(rows.device):
                 inputs = [warp_array(rows.view(-1)), warp_array(allowed.view(-1)), FLESH, rows.shape[1], people]
                 outputs = [warp_array(costs.view(-1)), warp_array(gradients.view(-1))]
-
-                def launch(part: slice) -> None:
-                    dim, given = part.stop - part.start, [*inputs, part.start]
-                    wp.launch(kernels.overlap_costs, dim, given, outputs, device=device)
-
-                count = costs.numel()
-                share_rows(launch, count, count * rows.shape[1], wp.get_device(device), (kernels,))
+                launch_shared(kernels.overlap_costs, (costs.numel(),), inputs, outputs, work=rows.shape[1])
         ctx.save_for_backward(placed, gradients.sum(2) if people > 1 else gradients[:, :, 0])
         return costs.flatten(1).sum(1)
 

@@ -169,7 +169,7 @@ class SceneEnergy:
         if options.clothes is not None:
             costs["clothes"] = clothes_costs(unknowns.clothes)
         if self.capsules is not None:
-            placed = self.capsules.of(posed, self._of_frames(people, unknowns).shape, by=pelvises)
+            placed = self.capsules.of(posed, self._of_frames(people, unknowns.shape), by=pelvises)
             costs["apart"] = self.capsules.overlap(placed, people=len(people.shape))
         if people.ground is not None and people.standing is not None:
             lowest = self.lowest_feet(points, people.ground)
@@ -262,7 +262,8 @@ class SceneEnergy:
         self, model: DetailedModel, people: SceneStarts, unknowns: Unknowns
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Shape values, local rotations and translation of N bodies in the world, for the whole model's ``pose``."""
-        shape, rotations, translation = self.one.whole_pose(model, people, self._of_frames(people, unknowns))
+        every = replace(unknowns, shape=self._of_frames(people, unknowns.shape))
+        shape, rotations, translation = self.one.whole_pose(model, people, every)
         return shape, rotations, translation + self.pelvises(people, unknowns)
 
     @staticmethod
@@ -277,11 +278,9 @@ class SceneEnergy:
         return [bodies * (3 * joints + 3), people.shape.numel(), len(people.shape) * len(CLOTHED)]
 
     @staticmethod
-    def _of_frames(people: SceneStarts, unknowns: Unknowns) -> Unknowns:
-        """Numbers of N bodies: of people, each as often as there are frames."""
-        frames = len(people.shift) // len(people.shape)
-        shape, clothes = (each.repeat_interleave(frames, 0) for each in (unknowns.shape, unknowns.clothes))
-        return replace(unknowns, shape=shape, clothes=clothes)
+    def _of_frames(people: SceneStarts, values: torch.Tensor) -> torch.Tensor:
+        """Values of people, each as often as there are frames."""
+        return values.repeat_interleave(len(people.shift) // len(people.shape), 0)
 
     @staticmethod
     def _seen(people: SceneStarts, points: torch.Tensor) -> torch.Tensor:
