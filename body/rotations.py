@@ -84,15 +84,15 @@ def rotation_to_6d(rotation: torch.Tensor) -> torch.Tensor:
     return torch.cat([rotation[..., 0], rotation[..., 1]], dim=-1)
 
 
-def rotation_to_axis_angle(rotation: torch.Tensor) -> torch.Tensor:
-    """Axis times angle, in [0, pi], of rotation matrices (..., 3, 3), shape (..., 3).
+def rotation_to_quaternion(rotation: torch.Tensor) -> torch.Tensor:
+    """Unit quaternions (w, x, y, z), w >= 0, of rotation matrices (..., 3, 3), shape (..., 4).
 
-    Through the largest quaternion component, so that it holds at pi.
+    Through the largest component (Shepperd, 1978), so that it holds at half a turn.
     """
     _check("rotation", rotation, (3, 3))
     m = rotation
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
-    # Rows of the matrix 4 q qᵀ for q = (w, x, y, z) (Shepperd, 1978).
+    # Rows of the matrix 4 q qᵀ.
     off = lambda i, j, sign: m[..., i, j] + sign * m[..., j, i]  # noqa: E731
     rows = [
         torch.stack([1 + trace, off(2, 1, -1), off(0, 2, -1), off(1, 0, -1)], -1),
@@ -104,7 +104,12 @@ def rotation_to_axis_angle(rotation: torch.Tensor) -> torch.Tensor:
     largest = torch.diagonal(products, dim1=-2, dim2=-1).argmax(-1)
     quaternion = products.gather(-2, largest[..., None, None].expand(*largest.shape, 1, 4)).squeeze(-2)
     quaternion = torch.nn.functional.normalize(quaternion, dim=-1)
-    quaternion = torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    return torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+
+
+def rotation_to_axis_angle(rotation: torch.Tensor) -> torch.Tensor:
+    """Axis times angle, in [0, pi], of rotation matrices (..., 3, 3), shape (..., 3)."""
+    quaternion = rotation_to_quaternion(rotation)
     w, xyz = quaternion[..., 0], quaternion[..., 1:]
     square = (xyz * xyz).sum(-1)
     small = square < _TINY_ANGLE**2

@@ -13,6 +13,7 @@ from warp_partdr.body.rotations import (
     rotation_from_axis_angle,
     rotation_to_6d,
     rotation_to_axis_angle,
+    rotation_to_quaternion,
 )
 
 vectors = st.lists(st.floats(-20, 20, allow_subnormal=False), min_size=3, max_size=3)
@@ -120,3 +121,12 @@ def test_turns_take_one_direction_to_another_even_the_opposite(device):
     turns = rotation_between(source, target)
     assert turns.isfinite().all()
     torch.testing.assert_close((turns @ source[..., None])[:3, :, 0], target[:3], atol=1e-6, rtol=0)
+
+
+@given(vectors)
+def test_quaternions_are_scipys(vector):
+    turn = Rotation.from_rotvec(vector)
+    found = rotation_to_quaternion(torch.from_numpy(turn.as_matrix())).numpy()
+    expected = turn.as_quat(canonical=True)[[3, 0, 1, 2]]
+    assert abs(found @ expected) == pytest.approx(1, abs=1e-9)  # at half a turn both signs are
+    assert found[0] >= 0

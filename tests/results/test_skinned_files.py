@@ -13,6 +13,7 @@ from scenes.skins import moving, posed_vertices, read_glb, standing
 from scipy.spatial.transform import Rotation
 
 from warp_partdr.clothing.registration import Registered
+from warp_partdr.results.binding import to_quaternions
 from warp_partdr.results.skinned_files import bvh, glb, save_detailed
 
 registered = scenes.bodies.registered  # a fixture
@@ -120,3 +121,11 @@ def test_a_motion_s_bvh_has_a_row_a_pose_and_no_jumps(registered: Registered) ->
     np.testing.assert_allclose(numbers[0], alone, atol=1e-5)
     np.testing.assert_allclose(np.diff(numbers[:, 0]), 10, atol=1e-3)  # centimetres
     assert np.abs(np.diff(numbers, axis=0)).max() < 181
+
+
+def test_quaternions_of_whole_turns_never_leap() -> None:
+    angles = np.linspace(0, 13, 60)[:, None, None] * np.array([1.0, -0.5])[:, None]
+    turns = Rotation.from_rotvec((angles * [0.6, 0.0, 0.8]).reshape(-1, 3))
+    found = to_quaternions(turns.as_matrix().reshape(60, 2, 3, 3))
+    assert np.abs(np.diff(found, axis=0)).max() < 0.2
+    np.testing.assert_allclose(Rotation.from_quat(found.reshape(-1, 4)).as_matrix(), turns.as_matrix(), atol=1e-9)

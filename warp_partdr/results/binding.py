@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..body.rotations import rotation_to_quaternion
 from ..clothing.registration import Registered
 
 
@@ -57,9 +58,8 @@ def numbers_of(tensor: torch.Tensor) -> np.ndarray:
 
 
 def to_quaternions(rotations: np.ndarray) -> np.ndarray:
-    """(x, y, z, w) of rotation matrices (T, 3, 3), each on the side of the one before, shape (T, 4)."""
-    from trimesh.transformations import quaternion_from_matrix
-
-    found = np.stack([quaternion_from_matrix(rotation) for rotation in rotations])
-    turned = (found[1:] * found[:-1]).sum(1) < 0
-    return (np.where(np.cumsum([False, *turned]) % 2, -1.0, 1.0)[:, None] * found)[:, [1, 2, 3, 0]]
+    """(x, y, z, w) of rotation matrices (T, ..., 3, 3), each on the side of the one before, shape (T, ..., 4)."""
+    found = rotation_to_quaternion(torch.from_numpy(rotations)).numpy()
+    turned = (found[1:] * found[:-1]).sum(-1, keepdims=True) < 0
+    found[1:] *= np.where(np.cumsum(turned, axis=0) % 2, -1.0, 1.0)
+    return found[..., [1, 2, 3, 0]]

@@ -102,16 +102,10 @@ def add_body(document: Document, registered: Registered, poses: Poses, *, name: 
     rest, bind, nodes = binding.joints, binding.points, document.nodes
 
     first = len(nodes)
-    rotations, translation = numbers_of(registered.rotations), numbers_of(registered.translation)
+    turns, translation = to_quaternions(numbers_of(registered.rotations)[None])[0], numbers_of(registered.translation)
     for joint, (joint_name, parent) in enumerate(zip(model.joint_names, model.parents, strict=True)):
         offset = translation if parent < 0 else rest[joint] - rest[parent]
-        nodes.append(
-            {
-                "name": joint_name,
-                "translation": offset.tolist(),
-                "rotation": to_quaternions(rotations[joint][None])[0].tolist(),
-            }
-        )
+        nodes.append({"name": joint_name, "translation": offset.tolist(), "rotation": turns[joint].tolist()})
         if children := _children(model, joint):
             nodes[-1]["children"] = [first + child for child in children]
     body, lift = len(nodes), -poses.lowest
@@ -143,9 +137,10 @@ def _animate(document: Document, first: int, poses: Poses) -> None:
     rotations, translation = poses.numbers()
     times = document.add_times(poses.times)
     document.animate(first, "translation", times, translation)
+    turns = to_quaternions(rotations)
     for joint in range(rotations.shape[1]):
         if np.ptp(rotations[:, joint], axis=0).max() > _STILL:
-            document.animate(first + joint, "rotation", times, to_quaternions(rotations[:, joint]))
+            document.animate(first + joint, "rotation", times, turns[:, joint])
 
 
 def bvh(registered: Registered, poses: Poses | None = None) -> str:

@@ -101,7 +101,7 @@ def _add_motion(stage: Any, skeleton: Any, registered: Registered, poses: Poses)
     rest = numbers_of(registered.rest().joints)
     parents = np.array(registered.model.parents)
     offsets = rest - rest[np.maximum(parents, 0)]
-    turns = np.stack([to_quaternions(rotations[:, joint]) for joint in range(rotations.shape[1])], axis=1)
+    turns = to_quaternions(rotations)
     motion = UsdSkel.Animation.Define(stage, "/body/skeleton/motion")
     motion.CreateJointsAttr(skeleton.GetJointsAttr().Get())
     motion.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * len(parents)))
