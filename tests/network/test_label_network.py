@@ -167,6 +167,24 @@ def test_inputs_of_many_are_those_of_each():
     assert torch.equal(network_inputs([mask] * 3, 64)[0], together[0][[3] * 3])
 
 
+def test_what_hardly_any_picture_shows_moves_nobody_out_of_the_picture():
+    """Channels that fire for one person of a thousand said 56 where others say 2, and the place was kilometres away."""
+    seen, _ = observe(*seen_by(walker()))
+    network, usual = load_label_network(), load_label_network()
+    places = next(stage for stage in network.stages if isinstance(stage, torch.nn.Conv2d))
+    signs = 2 * torch.randint(0, 2, (network.config.places,), generator=torch.Generator().manual_seed(0)) - 1
+
+    def fire(module: torch.nn.Module, inputs: object, said: torch.Tensor) -> torch.Tensor:
+        said[:, :, 1, 2] = 56.0 * signs
+        return said
+
+    places.register_forward_hook(fire)
+    found, expected = (ask_network([seen], each) for each in (network, usual))
+    assert (found.shift - expected.shift).abs().max() < 0.5
+    assert (found.log_scale - expected.log_scale).abs().max() < 0.5
+    assert found.shift.abs().max() < 1  # within the crop
+
+
 def test_of_a_mirror_image_the_mirrored_body_is_said():
     keypoints, parts = seen_by(walker())
     network = load_label_network()

@@ -34,6 +34,9 @@ _RAYS = 4  # numbers of ``lens_rays``
 # that end at 9 m: told of a farther one, they shrank the body.
 _FARTHEST = 8.0
 _SPREAD = 0.06  # standard deviation of a keypoint's spot, the crop's side being 2
+# Of what places are described with: of 999 in 1,000 people they stay within 3. What fires once in a thousand pictures
+# was hardly trained, and said 56 where others say 2: three corrections made a place kilometres away of it.
+_MOST_SAID = 4.0
 
 
 @dataclass(frozen=True)
@@ -137,6 +140,7 @@ class LabelNetwork(nn.Module):
             ResidualBlock(rest[-1], last, stride=2),
             nn.Conv2d(last, config.places, 1),
             nn.Flatten(),
+            nn.Hardtanh(-_MOST_SAID, _MOST_SAID),
         )
         self._shown = range(0, 2 * len(rest), 2)  # the stages whose maps ``attention`` looks at, the last of each size
         keypoints = config.keypoint_features
