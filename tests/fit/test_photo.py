@@ -86,6 +86,10 @@ def test_everyone_stands_before_the_camera_that_is_guessed_by_the_largest(monkey
     for fit in found.fits.values():
         assert fit.ellipbody.camera_guessed
         torch.testing.assert_close(fit.camera.intrinsics[0, 0], torch.tensor(700.0))
+    alone = fit_photo(photo, options=replace(FAST, stages=(), search=(), mesh=MeshOptions(iterations=1)), person=1)
+    assert asked == [5.0, 5.0]
+    torch.testing.assert_close(alone.fits[1].camera.intrinsics, found.fits[1].camera.intrinsics)
+    np.testing.assert_allclose(alone.fits[1].vertices, found.fits[1].vertices, atol=5e-3)
     report = save_photo_fit(found, tmp_path, photo=photo)
     assert {person["distance"] for person in report["people"]} == {"for a focal length that was guessed"}
 

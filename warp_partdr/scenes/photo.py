@@ -122,6 +122,10 @@ def fit_photo(
     check_whose(options.stature, len(chosen))
     options = replace(options, guess_within=min(options.guess_within, _SURE_WITHIN))
     evidence = _PeopleEvidence(found, owners, picture, parts_from, keypoints_from, len(chosen))
+    guessed = False
+    if person and camera is None and options.start == "network":  # who is asked for stands before the same camera
+        camera = _guessed_by(evidence.of(0)[0], options, device)
+        guessed, options = camera is not None, replace(options, guess_camera=False)
     results: list[FitResult] = []
     sources: dict[int, dict[str, str | None]] = {}
     for done, index in enumerate(chosen):
@@ -130,13 +134,18 @@ def fit_photo(
         found[index] = replace(found[index], keypoints=readings[0].keypoints)
         result = fit_evidence(readings, options, device=device, camera=camera)
         if not results:  # the largest; all stand before one camera
-            guessed = result.camera_guessed
             options = replace(options, guess_camera=False)
-            if guessed:
-                camera = result.camera  # type: ignore[assignment]  # a guess is of perspective
+            if result.camera_guessed:
+                guessed, camera = True, result.camera  # type: ignore[assignment]  # a guess is of perspective
         results.append(replace(result, camera_guessed=guessed, warnings=(*warnings, *result.warnings)))
     fits = refine_people(results, model, options=options.mesh, progress=progress)
     return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners, sources)
+
+
+def _guessed_by(readings: list[Evidence], options: FitOptions, device: torch.device | str) -> Perspective | None:
+    """The camera that a fit of a person guesses; None: of none."""
+    seen = fit_evidence(readings, replace(options, stages=(), search=(), stature=None), device=device)
+    return seen.camera if seen.camera_guessed else None  # type: ignore[return-value]  # a guess is of perspective
 
 
 class _PeopleEvidence:
