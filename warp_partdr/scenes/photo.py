@@ -123,7 +123,8 @@ def fit_photo(
     options = replace(options, guess_within=min(options.guess_within, _SURE_WITHIN))
     evidence = _PeopleEvidence(found, owners, picture, parts_from, keypoints_from, len(chosen))
     guessed = False
-    if person and camera is None and options.start == "network":  # who is asked for stands before the same camera
+    if person and camera is None and options.guess_camera and options.start == "network":
+        # Who is asked for stands before the same camera, too.
         camera = _guessed_by(evidence.of(0)[0], options, device)
         guessed, options = camera is not None, replace(options, guess_camera=False)
     results: list[FitResult] = []
