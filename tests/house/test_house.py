@@ -1,4 +1,4 @@
-"""The layout holds: each wing imports from those below it alone, files are small, and a name is defined once.
+"""The layout holds: each wing imports from those below it alone, and a name is defined once.
 
 ``LEVELS`` is the order of the wings, lowest first.
 """
@@ -49,13 +49,6 @@ LEVELS = (
     "viewer",
 )
 BESIDE_THE_WINGS = {"__init__", "__main__", "cameras", "errors", "metrics"}
-LONGEST_PRODUCT_FILE = 400
-LONGEST_TEST_FILE = 600
-MOST_PARAMETERS = 10
-MOST_PUBLIC_NAMES = 42
-MOST_WORDS = 22_000  # of all pages in docs/
-# Kernels in two precisions, over which Warp's structs can't be generic: they name each of their arrays.
-LONG_SIGNATURES = {"kernels/kinematics.py::pose_bones", "kernels/kinematics.py::pose_bones_adjoint"}
 QUESTIONS = r"(What|Which|How|Whether|Where|Whose)\b"
 
 pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").exists(), reason="needs the repository around the tests")
@@ -108,10 +101,6 @@ def product_files() -> list[Path]:
 
 def short(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
-
-
-def lines(path: Path) -> int:
-    return len(path.read_text(encoding="utf-8").splitlines())
 
 
 def test_few_modules_lie_beside_the_wings():
@@ -180,23 +169,6 @@ def test_no_circles():
         visit(name)
 
 
-def test_files_are_small():
-    limits = dict.fromkeys(product_files(), LONGEST_PRODUCT_FILE)
-    limits |= dict.fromkeys((ROOT / "tests").rglob("*.py"), LONGEST_TEST_FILE)
-    assert {short(path): lines(path) for path, limit in limits.items() if lines(path) > limit} == {}
-
-
-def test_functions_take_few_parameters():
-    many = set()
-    for path in product_files():
-        for node in ast.walk(tree(path)):
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-                if sum(each.arg not in ("self", "cls") for each in arguments) > MOST_PARAMETERS:
-                    many.add(f"{short(path)}::{node.name}")
-    assert many == LONG_SIGNATURES
-
-
 def public_definitions() -> dict[str, set[str]]:
     """Modules that define each public top-level function and class, type aliases and constants aside."""
     where: dict[str, set[str]] = defaultdict(set)
@@ -212,19 +184,14 @@ def test_a_name_is_defined_once():
     assert twice == {}
 
 
-def test_few_names_are_public_and_each_is_shown_at_work():
+def test_each_public_name_is_shown_at_work():
     """In the code of a page, in a tutorial script, or in the notebook."""
     names = [name for name in warp_partdr.__all__ if not name.startswith("_")]
-    assert len(names) <= MOST_PUBLIC_NAMES
     pages = [*(ROOT / "docs").glob("*.md"), ROOT / "README.md"]
     blocks = [block for page in pages for block in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)]
     code = "\n".join([*blocks, *(path.read_text() for path in (ROOT / "demos").glob("*.py"))])
     code += (ROOT / "demos" / "partdr.ipynb").read_text()
     assert [name for name in names if not re.search(rf"\b{name}\b", code)] == []
-
-
-def test_the_pages_are_short():
-    assert sum(len(page.read_text().split()) for page in (ROOT / "docs").glob("*.md")) <= MOST_WORDS
 
 
 def test_docstrings_begin_with_a_noun_or_a_verb():
