@@ -31,7 +31,7 @@ demo: $(VENV)/.installed-demo  ## open the interactive demo, in a browser where 
 test: $(VENV)/.installed-dev  ## run the tests, in two processes; PYTEST_ARGS="-k name" chooses
 	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_ARGS)
 
-mutants: $(VENV)/.installed-dev  ## break the code a line at a time: do the tests notice? MUTANTS_ARGS=--quick tries a few
+mutants: $(VENV)/.installed-dev  ## break the code a place at a time: do the tests notice? MUTANTS_ARGS=--quick tries a few, "--since main" what changed
 	$(BIN)/python scripts/mutants.py $(MUTANTS_ARGS)
 
 install: $(VENV)/.installed  ## make .venv and install the package into it, editable

@@ -1,12 +1,13 @@
 """Mutation testing: a fault at a time in a copy of the project, and the tests that have to fail on it.
 
-    python scripts/mutants.py [--quick] [--only WORD] [--jobs N]
+    python scripts/mutants.py [--quick] [--since COMMIT] [--only WORD] [--jobs N]
 
-``mutants.toml`` beside this file lists the faults, each one line of one file, with the tests that must notice it. The
-project itself is never changed: each process works on a copy of its own under ``build/mutants``, where these tests are
-seen to pass first. A fault is killed if one of its tests fails, and survives if all of them pass; then either a test is
-missing, or the list explains (``survives``) why nothing can tell. The exit code is 1 if a fault survives unexplained,
-or if an entry is wrong: its line is no longer there exactly once, or its tests can't run.
+``mutants.toml`` beside this file lists the faults, each one expression or statement of one function, with the tests
+that must notice it; the list's head says how an entry is written. The project itself is never changed: each process
+works on a copy of its own under ``build/mutants``, where these tests are seen to pass first. A fault is killed if one
+of its tests fails, and survives if all of them pass; then either a test is missing, or the list explains
+(``survives``) why nothing can tell. The exit code is 1 if a fault survives unexplained, or if an entry is wrong: its
+function or its expression is no longer there exactly once, or its tests can't run.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from find_code import Module, Project, matches
 from rich.console import Console
 from rich.progress import track
 
@@ -57,28 +59,61 @@ def pytest_sessionfinish(session):
 
 @dataclass(frozen=True)
 class Mutant:
-    """Fault: one line of one file, replaced, and the tests that must notice."""
+    """Fault: a piece of code, replaced, and the tests that must notice."""
 
-    file: str  # from the project's folder
-    find: str  # part of one line, there exactly once
+    find: str  # an expression or a statement, compared by its syntax tree; in files that are no Python, a text
     replace: str  # what stands there instead
     tests: tuple[str, ...]  # as pytest names them (``tests/test_x.py::test_y``)
     why: str  # what is wrong then
+    definition: str = ""  # the function, method, variable or parameter that holds it, see find_code.py
+    file: str = ""  # what tells files apart if several have the definition; the whole path if there is no definition
+    occurrence: int = 0  # which one, from 1, if the definition holds several
     survives: str = ""  # why no test can tell, if none can
 
-    def apply(self, folder: Path) -> str:
+    def path(self, project: Project) -> str:
+        """The mutated file, from the project's folder.
+
+        Raises:
+            ValueError: If the definition is not in one file.
+        """
+        return project.file_with(self.definition, self.file) if self.definition else self.file
+
+    def apply(self, project: Project) -> str:
         """The mutated text of the file.
 
         Raises:
-            ValueError: If the line is not there exactly once, or the fault is none.
+            ValueError: If the definition is not in one file, its code is not there exactly once, or the fault is none.
         """
-        path = folder / self.file
+        path = self.path(project)
+        if not path.endswith(".py"):
+            return self._apply_to_text(project.folder / path)
+        if path not in project.modules:
+            raise ValueError(f"{path}: no such file; expected one of the project's")
+        module = project.modules[path]
+        roots = module.definitions[self.definition] if self.definition else module.statements
+        found = matches(roots, self.find, self.replace)
+        if len(found) == 1 and not self.occurrence:
+            return module.replaced(found[0], self.replace)
+        if len(found) > 1 and 1 <= self.occurrence <= len(found):
+            return module.replaced(found[self.occurrence - 1], self.replace)
+        expected = f"{max(self.occurrence, 2)} times or more" if self.occurrence else "once, or an occurrence"
+        raise ValueError(f"{self.name(path)} {len(found)} times; expected {expected}")
+
+    def _apply_to_text(self, path: Path) -> str:
         text = path.read_text(encoding="utf-8") if path.is_file() else ""
         if (count := text.count(self.find)) != 1:
             raise ValueError(f"{self.file}: {self.find!r} {count} times; expected once")
-        if self.find == self.replace or "\n" in self.find + self.replace:
-            raise ValueError(f"{self.file}: {self.find!r}; expected a change within one line")
+        if self.find == self.replace:
+            raise ValueError(f"{self.file}: {self.find!r}; expected a change")
         return text.replace(self.find, self.replace)
+
+    def name(self, path: str) -> str:
+        """Where the fault is, for messages."""
+        return f"{path}: {self.definition}: {self.find!r}"
+
+    def words(self, project: Project) -> str:
+        """All that ``--only`` looks at."""
+        return f"{self.name(self.path(project))} {self.find} {self.replace} {self.why}"
 
 
 def read_mutants() -> list[Mutant]:
@@ -87,9 +122,43 @@ def read_mutants() -> list[Mutant]:
     return [Mutant(**{**entry, "tests": tuple(entry["tests"])}) for entry in entries]
 
 
-def quick(mutants: Iterable[Mutant]) -> list[Mutant]:
+def quick(mutants: Iterable[Mutant], project: Project) -> list[Mutant]:
     """The first mutant of each file."""
-    return list({mutant.file: mutant for mutant in reversed(list(mutants))}.values())[::-1]
+    first: dict[str, Mutant] = {}
+    for mutant in mutants:
+        first.setdefault(mutant.path(project), mutant)
+    return list(first.values())
+
+
+def changed_since(commit: str, mutants: Iterable[Mutant], project: Project) -> list[Mutant]:
+    """The mutants whose definition, or whose entry in the list, is not as it was in a commit.
+
+    Raises:
+        subprocess.CalledProcessError: If git does not know the commit.
+    """
+    changed = {*git("diff", "--name-only", commit).split(), *git("ls-files", "--others", "--exclude-standard").split()}
+    old_list = tomllib.loads(git("show", f"{commit}:scripts/{LIST.name}"))["mutant"]
+    listed = {(entry.get("definition"), entry["find"], entry["replace"]) for entry in old_list}
+    old_modules: dict[str, Module] = {}
+    chosen = []
+    for mutant in mutants:
+        path = mutant.path(project)
+        is_new = (mutant.definition, mutant.find, mutant.replace) not in listed
+        if not is_new and path in changed and mutant.definition:
+            if path not in old_modules:
+                old_modules[path] = Module(git("show", f"{commit}:{path}", missing=""))
+            is_new = project.modules[path].code(mutant.definition) != old_modules[path].code(mutant.definition)
+        elif path in changed:
+            is_new = True
+        if is_new:
+            chosen.append(mutant)
+    return chosen
+
+
+def git(*arguments: str, missing: str | None = None) -> str:
+    """What git answers in the project, or another text if it fails."""
+    done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=missing is None)
+    return missing if done.returncode and missing is not None else done.stdout
 
 
 def copy_project(folder: Path) -> None:
@@ -145,17 +214,21 @@ def run_tests(
     return "killed" if done.returncode else "survived", said
 
 
-def try_mutant(mutant: Mutant, folder: Path) -> tuple[str, str]:
-    """Put the fault into a copy, run its tests, and take it out again; returns what ``run_tests`` does."""
-    path = folder / mutant.file
+def try_mutant(mutant: Mutant, folder: Path, project: Project) -> tuple[str, str]:
+    """Put the fault into a copy of the project, run its tests, and take it out again.
+
+    Returns:
+        What ``run_tests`` does, or an error if the fault can't be made.
+    """
     try:
-        text = mutant.apply(folder)
+        file, text = mutant.path(project), mutant.apply(project)
     except ValueError as error:
         return "error", str(error)
+    path = folder / file
     original = path.read_text(encoding="utf-8")
     path.write_text(text, encoding="utf-8")
     try:
-        return run_tests(folder, mutant.tests, [mutant.file], PATIENCE)
+        return run_tests(folder, mutant.tests, [file], PATIENCE)
     finally:
         path.write_text(original, encoding="utf-8")
 
@@ -164,23 +237,35 @@ def main() -> int:
     """Try the mutants; return 1 if one survives unexplained or the list is wrong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="the first mutant of each file")
-    parser.add_argument("--only", default="", metavar="WORD", help="mutants whose file, line or reason holds the word")
+    parser.add_argument("--since", metavar="COMMIT", help="mutants whose function or entry has changed since")
+    parser.add_argument("--only", default="", metavar="WORD", help="mutants whose file, code or reason holds the word")
     parser.add_argument("--jobs", type=int, default=2, help="processes at a time; default: 2")
     options = parser.parse_args()
     if options.jobs < 1:
         parser.error(f"--jobs: {options.jobs}; expected 1 or more")
-    mutants = quick(read_mutants()) if options.quick else read_mutants()
-    mutants = [each for each in mutants if options.only in f"{each.file} {each.find} {each.replace} {each.why}"]
-    if not mutants:
-        parser.error(f"--only: {options.only!r}; no such mutant")
+    project = Project(ROOT)
+    mutants = read_mutants()
+    try:
+        if options.since is not None:
+            mutants = changed_since(options.since, mutants, project)
+        if options.quick:
+            mutants = quick(mutants, project)
+        mutants = [mutant for mutant in mutants if options.only in mutant.words(project)]
+    except subprocess.CalledProcessError as error:
+        parser.error(f"--since: {options.since!r}: {error.stderr.strip()}")
+    except ValueError as error:
+        parser.error(str(error))
     console = Console(highlight=False, markup=False)
+    if not mutants:
+        console.print("no such mutant")
+        return 0 if options.since is not None else 2
 
     folders = [WORK / f"copy{number}" for number in range(options.jobs)]
     for folder in folders:
         copy_project(folder)
     # Without a fault, all the tests pass; it also warms Warp's cache.
     tests = dict.fromkeys(test for mutant in mutants for test in mutant.tests)
-    kind, said = run_tests(folders[0], list(tests), {mutant.file for mutant in mutants})
+    kind, said = run_tests(folders[0], list(tests), {mutant.path(project) for mutant in mutants})
     if kind != "survived":
         console.print(f"without a fault: {said}")
         return 1
@@ -189,17 +274,18 @@ def main() -> int:
     def try_next(mutant: Mutant) -> tuple[str, str]:
         folder = folders.pop()  # one that is free
         try:
-            return try_mutant(mutant, folder)
+            return try_mutant(mutant, folder, project)
         finally:
             folders.append(folder)
 
     with ThreadPoolExecutor(options.jobs) as pool:
         outcomes = zip(mutants, pool.map(try_next, mutants), strict=True)
         for mutant, (kind, said) in track(outcomes, "mutants", len(mutants), console=console):
-            console.print(f"{kind:8} {mutant.file}: {mutant.why}")
+            name = mutant.name(mutant.path(project))
+            console.print(f"{kind:8} {name}: {mutant.why}")
             kinds.append(kind)
             if kind == "error" or (kind == "survived" and not mutant.survives):
-                bad.append(f"{mutant.file}: {mutant.replace}: {mutant.why}: {kind}: {said}")
+                bad.append(f"{name}: {mutant.replace!r}: {mutant.why}: {kind}: {said}")
     counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in ("killed", "survived", "error"))
     console.print(f"{len(kinds)} mutants: {counts}", *bad, sep="\n")
     return 1 if bad else 0
