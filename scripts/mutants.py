@@ -168,11 +168,12 @@ def copy_project(folder: Path) -> None:
     for name in COPIED:
         source = ROOT / name
         if source.is_dir():
-            shutil.copytree(source, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(source, folder / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
         else:
             shutil.copy(source, folder)
     for link, target in LINKS.items():
-        (folder / link).symlink_to(target, target_is_directory=True)
+        if not (folder / link).is_symlink():  # the project itself may have it
+            (folder / link).symlink_to(target, target_is_directory=True)
     (folder / "guard.py").write_text(GUARD)
 
 
