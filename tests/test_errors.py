@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.clothing.registration import register
-from warp_partdr.errors import check_each, check_type, check_whole
+from warp_partdr.errors import check_each, check_type, check_whole, install_command
 from warp_partdr.fit.stages import Stage
 from warp_partdr.inputs.keypoint_files import parse_keypoints
 from warp_partdr.inputs.keypoints import choose_person
@@ -158,3 +160,28 @@ def test_ranges() -> None:
         set_num_threads(-1)
     with pytest.raises(ValueError, match=r"^part_labels: 2 of them; expected 20"):
         draw(part_labels=[1, 2])
+
+
+def test_hints_name_packages_that_an_index_has(monkeypatch):
+    """The package itself is on none; a hint ``pip install warp-partdr[film]`` fails."""
+    stated = ["numpy>=1.26", 'av>=18; extra == "film"', 'pandas>=2 ; extra == "ray"', "ray>=2.50; extra == 'ray'"]
+    monkeypatch.setattr("importlib.metadata.requires", lambda name: {"warp-partdr": stated}[name])
+    assert install_command("film") == "pip install 'av>=18'"
+    assert install_command("ray") == "pip install 'pandas>=2' 'ray>=2.50'"
+    assert install_command("other") == "pip install '.[other]' in the folder of warp-partdr"
+
+    def missing(name):
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr("importlib.metadata.requires", missing)
+    assert install_command("film") == "pip install '.[film]' in the folder of warp-partdr"
+
+
+def test_no_hint_and_no_page_installs_the_package_from_an_index():
+    root = Path(__file__).resolve().parents[1]
+    if not (root / "pyproject.toml").exists():
+        pytest.skip("needs the repository around the tests")
+    places = ("*.md", "docs/*.md", "warp_partdr/**/*.py", "demos/**/*.py")
+    files = [path for place in places for path in root.glob(place) if path.name != "errors.py"]
+    assert len(files) > 100
+    assert [path.name for path in files if re.search("install '?warp-partdr", path.read_text())] == []

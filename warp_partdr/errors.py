@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import operator
 import reprlib
+import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import UnionType
@@ -34,6 +35,31 @@ def cause(error: Exception) -> str:
     """An error's own message for another one: a line of at most 200 characters; of a file, what the system says."""
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
     return " ".join(text.split())[:200]
+
+
+def install_command(extra: str) -> str:
+    """Command that installs the packages of one of this package's extras.
+
+    It names these packages themselves, because warp-partdr is on no package index: ``pip install 'warp-partdr[film]'``
+    would fail.
+
+    Args:
+        extra: Name in pyproject.toml, such as "film".
+
+    Returns:
+        A line for a shell, such as ``pip install 'av>=18'``.
+    """
+    from importlib.metadata import PackageNotFoundError, requires  # slow to import
+
+    wanted = f"extra == '{extra}'"
+    try:
+        stated = requires("warp-partdr") or []
+    except PackageNotFoundError:
+        stated = []
+    packages = [line.partition(";")[0].strip() for line in stated if line.replace('"', "'").endswith(wanted)]
+    if not packages:  # it runs from its folder, without an installation of this version
+        return f"pip install '.[{extra}]' in the folder of warp-partdr"
+    return f"pip install {' '.join(map(shlex.quote, packages))}"
 
 
 @contextmanager

@@ -102,6 +102,6 @@ def test_without_ray_it_says_what_to_install(run: Run, monkeypatch: pytest.Monke
 
     known = dataset.find_spec
     monkeypatch.setattr(dataset, "find_spec", lambda name: None if name == "ray" else known(name))
-    assert run("dataset photos --ray local")[2] == (
-        "partdr: --ray: without Ray Data; expected it: pip install 'warp-partdr[ray]'\n"
-    )
+    packages = "'ray>=2.50' 'pandas>=2' 'pyarrow>=20' 'webdataset>=1.0.2'"
+    told = f"partdr: --ray: without Ray Data; expected it: pip install {packages}\n"
+    assert run("dataset photos --ray local")[2] == told

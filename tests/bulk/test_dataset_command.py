@@ -409,7 +409,7 @@ def test_help_teaches_the_columns(run: Run) -> None:
 def test_without_pyarrow_it_says_what_to_install(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("warp_partdr.cli.dataset.find_spec", lambda name: None)
     assert run("dataset photos")[2] == (
-        "partdr: partdr dataset: without pyarrow; expected it: pip install 'warp-partdr[dataset]'\n"
+        "partdr: partdr dataset: without pyarrow; expected it: pip install 'pyarrow>=20' 'webdataset>=1.0.2'\n"
     )
 
 

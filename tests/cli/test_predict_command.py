@@ -190,4 +190,4 @@ def test_films_without_pyav_name_the_extra(run: Run, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(films, "find_spec", lambda name: None)
     code, said, complaint = run("predict a.mp4 --out out")
     assert (code, said) == (2, "")
-    assert complaint == "partdr: a.mp4: a film, without PyAV; expected it: pip install 'warp-partdr[film]'\n"
+    assert complaint == "partdr: a.mp4: a film, without PyAV; expected it: pip install 'av>=18'\n"

@@ -6,11 +6,13 @@ import io
 import json
 import zipfile
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from safetensors.numpy import save_file
 
 from warp_partdr.body import pose_prior
 from warp_partdr.body.labels import label_set
@@ -19,10 +21,11 @@ from warp_partdr.clothing.load import load_model
 from warp_partdr.errors import InputError, shown
 from warp_partdr.files.array_files import read_npz
 from warp_partdr.files.json_files import parse_json, read_json
+from warp_partdr.files.opencv_files import read_opencv
 from warp_partdr.files.sections import read_toml
 from warp_partdr.inputs.keypoint_files import parse_keypoints, read_keypoints
 from warp_partdr.inputs.part_labels import read_parts
-from warp_partdr.network.checkpoint import load_label_network, save_label_network
+from warp_partdr.network.checkpoint import load_ellipbodynet, load_label_network, save_label_network
 from warp_partdr.network.label_network import LabelNetworkConfig
 from warp_partdr.results.body_file import load_body
 from warp_partdr.synthetic.pose_sampler import PoseBank
@@ -80,7 +83,6 @@ def test_json_that_is_fine(tmp_path: Path) -> None:
 )
 def test_metadata_of_networks(text: str, says: str, tmp_path: Path) -> None:
     from safetensors import safe_open
-    from safetensors.numpy import save_file
 
     path = tmp_path / "network.safetensors"
     save_label_network(path, {}, LabelNetworkConfig(), {})
@@ -90,6 +92,88 @@ def test_metadata_of_networks(text: str, says: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"{path.name}: config: .*{says}") as caught:
         load_label_network(path)
     one_line(caught)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "says"),
+    [
+        ({"attention_layers": 10**9}, "attention_layers: 1000000000; expected an integer from 0 to 16"),
+        ({"channels": [8] * 1000}, r"len\(channels\): 1000; expected"),
+        ({"channels": [8, 8, 10**9]}, r"channels\[2\]: 1000000000; expected"),
+        ({"size": 10**9}, "size: 1000000000; expected"),
+        ({"size": 512, "channels": [8, 8, 8], "places": 200}, "places: 200, of 64 x 64 places; expected at most"),
+        ({"regressor": {"iterations": 10**9}}, "iterations: 1000000000; expected an integer from 1 to 32"),
+        ({"regressor": {"blocks": 10**9}}, "blocks: 1000000000; expected"),
+        ({"regressor": {"width": 10**9}}, "width: 1000000000; expected"),
+    ],
+)
+def test_sizes_of_networks_that_would_fill_the_memory(sizes: dict[str, Any], says: str, tmp_path: Path) -> None:
+    path = tmp_path / "network.safetensors"
+    metadata = {"format": "warp-partdr label network 2", "config": json.dumps(sizes)}
+    save_file({"weights": np.zeros(1, dtype=np.float32)}, path, metadata)
+    with pytest.raises(InputError, match=says) as caught:
+        load_label_network(path)
+    one_line(caught)
+
+
+@pytest.mark.parametrize(
+    ("architecture", "says"),
+    [
+        ({"model_type": "resnet", "depths": [3, 10**9]}, r"architecture.depths\[1\]: 1000000000; expected"),
+        ({"model_type": "resnet", "hidden_sizes": [10**9] * 4}, "architecture.hidden_sizes.*: 1000000000; expected"),
+        ({"model_type": "resnet", "depths": [1] * 1000}, "1000; expected"),
+        ({"model_type": "resnet", "hidden_sizes": [65536] * 4}, "weights; expected at most 268,435,456"),
+    ],
+)
+def test_backbones_that_would_fill_the_memory(architecture: dict[str, Any], says: str, tmp_path: Path) -> None:
+    pytest.importorskip("transformers")
+    path = tmp_path / "network.safetensors"
+    metadata = {"format": "warp-partdr ellipbodynet 1", "config": json.dumps({"architecture": architecture})}
+    save_file({"weights": np.zeros(1, dtype=np.float32)}, path, metadata)
+    with pytest.raises(InputError, match=says) as caught:
+        load_ellipbodynet(path)
+    one_line(caught)
+
+
+def bomb() -> str:
+    """YAML of 400 bytes that stands for 10^9 numbers."""
+    first = "a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n"
+    return first + "".join(f"{to}: &{to} [{', '.join([f'*{one}'] * 10)}]\n" for one, to in pairwise("abcdefghi"))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (bomb(), "line 2: an alias"),
+        ("%YAML:1.0\na: " + "[" * 50_000, "line 1: nested more than 32 levels deep"),
+        ("a: " + "{b: " * 50_000, "nested more than 32 levels deep"),
+        ("- " * 50_000, "nested more than 32 levels deep"),
+        ("? " * 50_000, "nested more than 32 levels deep"),
+        ("\n".join(" " * depth + "a:" for depth in range(1000)), "nested more than 32 levels deep"),
+        (
+            "a: 1\n" * 1_000_000,
+            "5,000,000 bytes of YAML; expected .*, of at most 4,194,304",
+        ),
+    ],
+)
+def test_yaml_that_would_take_minutes(text: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "file.yml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says) as caught:
+        read_opencv(path)
+    one_line(caught)
+
+
+def test_yaml_that_is_fine(tmp_path: Path) -> None:
+    path = tmp_path / "file.yml"
+    path.write_text(
+        "%YAML:1.0\n---\na: { b: [ [ 1, 2. ], [ -3.0e-01, .Inf ] ] }\ntime: 12:30\nlong: " + ":".join("1" * 9)
+    )
+    found = read_opencv(path)
+    assert found["a"] == {"b": [[1, 2.0], [-0.3, float("inf")]]}
+    assert (found["time"], found["long"]) == ("12:30", "1:1:1:1:1:1:1:1:1")  # base 60 in YAML 1.1
+    path.write_text("a: " + ":".join("1" * 200_000))  # takes half a minute as a number
+    assert len(read_opencv(path)["a"]) == 399_999
 
 
 def test_configs(tmp_path: Path) -> None:

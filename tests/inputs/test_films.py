@@ -196,7 +196,7 @@ def test_without_pyav_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.Mon
     path = write_film(tmp_path / "film.mp4", shades(2))
     monkeypatch.setattr(films, "find_spec", lambda name: None)
     for read in (film_facts, lambda path: next(read_frames(path))):
-        with pytest.raises(InputError, match=r"without PyAV; expected it: pip install 'warp-partdr\[film\]'"):
+        with pytest.raises(InputError, match=r"without PyAV; expected it: pip install 'av>=18'"):
             read(path)
 
 

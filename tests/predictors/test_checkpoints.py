@@ -236,5 +236,5 @@ def test_a_missing_package_names_the_extra(monkeypatch: pytest.MonkeyPatch, segf
     monkeypatch.delitem(sys.modules, "transformers")
     monkeypatch.setattr(builtins, "__import__", without)
     for load in (load_part_network, load_keypoint_network):
-        with pytest.raises(InputError, match=r"needs transformers \(pip install warp-partdr\[photo\]\)"):
+        with pytest.raises(InputError, match=r"needs transformers \(pip install 'transformers>=5'\)"):
             load(str(segformer))

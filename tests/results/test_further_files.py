@@ -126,12 +126,48 @@ def test_faults_of_blender_are_told(registered: Registered, tmp_path: Path, monk
         save_further(registered, tmp_path / "detailed", ["fbx"])
 
 
+BPY_STAND_IN = """
+import sys
+from types import SimpleNamespace
+
+data = SimpleNamespace(objects=[], actions=[])
+context = SimpleNamespace(scene=SimpleNamespace(render=SimpleNamespace(fps=24, fps_base=1.0)))
+
+
+def export(filepath, **how):
+    with open(filepath, "wb") as file:
+        file.write(b"Kaydara by bpy")
+
+
+ops = SimpleNamespace(
+    import_scene=SimpleNamespace(gltf=lambda filepath: open(filepath, "rb").close()),
+    export_scene=SimpleNamespace(fbx=export),
+)
+"""
+
+
+def test_the_module_bpy_makes_fbx_where_there_is_no_blender(
+    registered: Registered, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "bpy.py").write_text(BPY_STAND_IN)
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    check_formats("--to", ["fbx"])
+    save_further(registered, tmp_path / "person0", ["fbx"])
+    assert (tmp_path / "person0.fbx").read_bytes() == b"Kaydara by bpy"
+    (tmp_path / "bpy.py").write_text("raise ImportError('numpy is too new')")
+    with pytest.raises(InputError, match="fbx: bpy: ImportError: numpy is too new; expected Blender"):
+        save_further(registered, tmp_path / "person1", ["fbx"])
+
+
 def test_what_cannot_be_written_is_told_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
-    with pytest.raises(InputError, match="--to: fbx: no command 'blender'"):
+    monkeypatch.setattr("warp_partdr.results.further_files.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"--to: fbx: no command 'blender' and no module 'bpy'.*or pip install bpy"):
         check_formats("--to", ["fbx"])
     monkeypatch.setitem(sys.modules, "pxr", None)
-    with pytest.raises(InputError, match="--to: usdz: USD needs the extra 'usd'"):
+    with pytest.raises(InputError, match="--to: usdz: USD needs usd-core: pip install 'usd-core"):
         check_formats("--to", ["usdz"])
     with pytest.raises(InputError, match=f"also: 'stl'; expected of {', '.join(FURTHER)}"):
         check_formats("also", ["stl"])

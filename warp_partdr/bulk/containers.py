@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from ..errors import InputError, cause
+from ..errors import InputError, cause, install_command
 from ..inputs.films import check_pyav, is_film
 from ..inputs.part_labels import PHOTO_SUFFIXES
 
@@ -153,7 +153,7 @@ def check_container(entry: str) -> bool:
 def check_webdataset(path: str | Path) -> None:
     """Raise an InputError, about a tar file, if webdataset is not installed."""
     if find_spec("webdataset") is None:
-        raise InputError(f"{path}: a tar file, without webdataset; expected it: pip install 'warp-partdr[dataset]'")
+        raise InputError(f"{path}: a tar file, without webdataset; expected it: {install_command('dataset')}")
 
 
 @dataclass

@@ -16,7 +16,7 @@ from typer import Argument, Option
 
 from .. import __version__
 from ..detection import MIN_SCORE
-from ..errors import InputError, shown
+from ..errors import InputError, install_command, shown
 from ..files.disk import file_sha256
 from .loading import load_kernels, load_mesh_kernels
 from .options import (
@@ -160,7 +160,7 @@ class ClusterOptions:
         if self.ray is None and (self.workers, self.cores) != (None, None):
             raise InputError("--workers, --cores: without a cluster; expected --ray with it")
         if self.ray is not None and (find_spec("ray") is None or find_spec("pandas") is None):
-            raise InputError("--ray: without Ray Data; expected it: pip install 'warp-partdr[ray]'")
+            raise InputError(f"--ray: without Ray Data; expected it: {install_command('ray')}")
 
 
 @dataclass(frozen=True)
@@ -240,7 +240,7 @@ def dataset(
 ) -> None:
     """Fit a data set; see ``DATASET_HELP``."""
     if find_spec("pyarrow") is None:
-        raise InputError("partdr dataset: without pyarrow; expected it: pip install 'warp-partdr[dataset]'")
+        raise InputError(f"partdr dataset: without pyarrow; expected it: {install_command('dataset')}")
     view.check()
     cluster.check()
     if cluster.ray is not None:  # its processes have working folders of their own

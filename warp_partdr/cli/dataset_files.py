@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument, Option
 
-from ..errors import InputError, cause
+from ..errors import InputError, cause, install_command
 from ..files.disk import file_sha256
 from .options import BodyFormat, check_further, say_people
 from .register import MODEL_HELP, read_model
@@ -114,6 +114,8 @@ def export(
 ) -> None:
     """Write people of a data set; see ``EXPORT_HELP``."""
     files = _open(dataset, "export")
+    formats = [each.value for each in to or [FormatName.glb]]
+    check_further([name for name in formats if name in list(BodyFormat)])  # before shards are read, which takes long
     if (rows is None) == (worst is None):
         raise InputError(f"{'--rows: missing' if rows is None else '--worst: with --rows'}; expected one of both")
     _check_outside(out, dataset)
@@ -130,8 +132,6 @@ def export(
     else:
         with PictureProgress(len(files.paths), "shards") as progress:
             chosen = by_shard(worst_people(files, by.value, worst or 0, progress).addresses)
-    formats = [each.value for each in to or [FormatName.glb]]
-    check_further([name for name in formats if name in list(BodyFormat)])
     detailed = _model(files, model)
     written = 0
     empty: list[str] = []
@@ -156,7 +156,7 @@ def export(
 def _open(folder: Path, command: str) -> PeopleFiles:
     """The data set of a command, which needs pyarrow."""
     if find_spec("pyarrow") is None:
-        raise InputError(f"partdr {command}: without pyarrow; expected it: pip install 'warp-partdr[dataset]'")
+        raise InputError(f"partdr {command}: without pyarrow; expected it: {install_command('dataset')}")
 
     from ..bulk.reading import PeopleFiles
     from ..interop.devices import choose_device

@@ -22,7 +22,7 @@ _START, _TARGET = "t-pose", "walking"
 DEMO_HELP = """Play with a body in a window: change it, and watch it be refined toward a target, step by step.
 
 Examples: `partdr demo`, then the space bar; in a browser, `partdr demo --web`; as a file, `partdr demo --record out.gif
---target sitting`
+--target "crossed arms"`
 
 Left, the body in 3D; right, its labels, the target's, what differs, where the loss pulls each part, and the loss.
 Point at a button for what it does and its key. Bodies by name: t-pose, walking, crossed arms, sitting, random.

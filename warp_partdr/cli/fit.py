@@ -18,6 +18,7 @@ from .loading import NO_MODEL, load_kernels, load_mesh_kernels
 from .options import (
     CameraOptions,
     DeviceOption,
+    MinScoreOption,
     OutOption,
     PhotoFiles,
     SettingOptions,
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from ..fit.options import FitOptions
     from ..inputs.person import PersonInputs
 
-_SCORE = "min_score"  # a setting of photos alone
 _FAULTS = (ValueError, RuntimeError)  # of a detailed body, also those of torch and Warp: no memory left, for example
 
 # Keys of ``fit.stages.STAGES``, which is not loaded for --help.
@@ -59,9 +59,8 @@ keypoints alone are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file 
 registration.json; of films overlay.mp4, scene.glb, and a .npz, .glb and .bvh each. Older ones are replaced.
 
 **Settings** (docs/fitting.md): `stature=1.78` (one person's height [m], in films too), `trust_background=true`,
-`weights.prior=5`, `labels.size=256`, `mesh.apart=0.1`, `threads=4`, `min_score=0.6` (how sure that there is a person,
-default {MIN_SCORE}), `also=usdz,fbx` (more files; usda, too); `outline=false` (nearer joints), `outline=labels-first`
-(nearer outlines), both with --model none.
+`weights.prior=5`, `labels.size=256`, `mesh.apart=0.1`, `threads=4`, `also=usdz,fbx` (more files; usda, too);
+`outline=false` (nearer joints), `outline=labels-first` (nearer outlines), both with --model none.
 """
 
 # Of these, the default stands in the text: typer would give each a line of its own.
@@ -79,6 +78,7 @@ def fit(
         QualityName, Option(help=_QUALITY_HELP, metavar="NAME", show_default=False)
     ] = QualityName.balanced,
     start: Annotated[StartName, Option(help=_START_HELP, metavar="NAME", show_default=False)] = StartName.network,
+    min_score: MinScoreOption = None,
     device: DeviceOption = "auto",
     explain: Annotated[
         bool, Option("--explain", help="First say what is modelled, what is left out, and why.")
@@ -90,6 +90,9 @@ def fit(
     """Fit a body to one person; see ``FIT_HELP``."""
     # Loaded here, so that --help is quick, and torch after the files, so that faults in them are found at once.
     values = settings.read()
+    if "min_score" in values:
+        raise InputError(f"min_score: {shown(values['min_score'])}, as a setting; expected the option --min-score")
+    score = check_score("--min-score", MIN_SCORE if min_score is None else min_score)
     check_person(files.person)
     if photo is not None and is_film(photo):
         from .fit_film import fit_motions
@@ -98,7 +101,6 @@ def fit(
             raise InputError("--explain: with a film; expected a photo")
         if quality is not QualityName.balanced or start is not StartName.network:
             raise InputError("--quality, --start: with a film; expected none, or --set mesh.iterations=30, for example")
-        score = check_score(_SCORE, values.pop(_SCORE, MIN_SCORE))
         fit_motions(files, photo, out, device, model, view, values, score)
         return
     if files.keypoints is None:
@@ -106,14 +108,13 @@ def fit(
 
         if explain:
             raise InputError("--explain: without --keypoints; expected them with it")
-        score = check_score(_SCORE, values.pop(_SCORE, MIN_SCORE))
         formats = take_formats(values)
         options = before_mesh(fit_options(quality, start, values), values)
         chosen = take_whole(values, "threads"), score, options, formats
         fit_everyone(files, photo, out, device, model, view, chosen)
         return
-    if _SCORE in values:
-        raise InputError(f"{_SCORE}: {shown(values[_SCORE])}, with --keypoints; expected a photo alone")
+    if min_score is not None:
+        raise InputError(f"--min-score: {min_score:g}, with --keypoints; expected a photo alone")
     person = files.read(photo)
 
     from ..fit.fitting import fit_body

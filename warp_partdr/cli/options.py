@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 from typer import Option, echo
 
+from ..detection import MIN_SCORE
 from ..errors import InputError, shown
 from ..files.sections import read_toml, set_value
 from ..inputs.keypoint_files import keypoint_file, read_keypoints
@@ -27,6 +28,10 @@ DeviceOption = Annotated[str, Option("--device", help="cpu or cuda; auto: CUDA w
 OutOption = Annotated[Path, Option("--out", help="Folder for the results.", metavar="FOLDER")]
 LabelsOption = Annotated[
     str | None, Option("--labels", help="Label set, or its JSON file; default: labels.json there.", metavar="NAME")
+]
+MinScoreOption = Annotated[
+    float | None,
+    Option(help=f"Least confidence that there is a person, 0 to 1; default: {MIN_SCORE}.", metavar="SHARE"),
 ]
 SetOption = Annotated[
     list[str] | None, Option("--set", help="Change one setting; may be given again.", metavar="KEY=VALUE")

@@ -9,7 +9,7 @@ from typer import Argument, Option
 
 from ..detection import MIN_SCORE
 from ..errors import InputError
-from .options import CameraOptions, DeviceOption, LabelsOption
+from .options import CameraOptions, DeviceOption, LabelsOption, MinScoreOption
 
 PREDICT_HELP = """Say at once where bodies are: pose and measurements of people in photos and films, without
 refinement. For many people; `partdr fit` starts with the same and goes on.
@@ -17,7 +17,7 @@ refinement. For many people; `partdr fit` starts with the same and goes on.
 Examples: `partdr predict photo.jpg`; `partdr predict pictures`; `partdr predict film.mp4 --out bodies`
 
 PATH is a photo, a film, or a folder of them. People are found, and followed through films, which need PyAV
-(`pip install 'warp-partdr[film]'`). Or it is a folder of N.jpg or N.png with your own N.keypoints.json and, for all or
+(`pip install av`). Or it is a folder of N.jpg or N.png with your own N.keypoints.json and, for all or
 none, N.parts.png: the largest person of each is taken; without --labels, labels.json there says what the labels are.
 With --focal or --fov, one camera took all pictures, or with `--focal exif` each its own, and bodies stand in metres
 before it.
@@ -40,10 +40,7 @@ def predict(
     person: Annotated[
         int | None, Option(help="Whom to take of each photo or film, 0 = first; default: all.", metavar="N")
     ] = None,
-    min_score: Annotated[
-        float | None,
-        Option(help=f"Least confidence that there is a person, 0 to 1; default: {MIN_SCORE}.", metavar="SHARE"),
-    ] = None,
+    min_score: MinScoreOption = None,
     batch: Annotated[
         int | None, Option(help="People at a time in the network; default: 64, on a CPU 16.", metavar="N")
     ] = None,

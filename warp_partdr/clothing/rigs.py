@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from ..body.template import PART_NAMES
-from ..errors import InputError, cause
+from ..errors import InputError, cause, install_command
 from .model import DetailedModel
 from .skin import RiggedSkin, skinned_model
 from .smpl import joint_landmarks
@@ -74,7 +74,7 @@ def read_rig(kind: str, folder: str | Path, build: Callable[[Any], DetailedModel
     try:
         from body_models import create_model
     except ImportError as error:
-        raise InputError(f"{folder}: {shown} needs the extra 'bodies': pip install warp-partdr[bodies]") from error
+        raise InputError(f"{folder}: {shown} needs body-models: {install_command('bodies')}") from error
     try:
         return build(create_model(kind, model_path=Path(folder), runtime="numpy"))
     except InputError:

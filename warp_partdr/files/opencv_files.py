@@ -1,6 +1,8 @@
 """OpenCV's ``FileStorage`` files, YAML and JSON: mappings, lists, numbers, texts and matrices.
 
-PyYAML's safe loader reads the YAML: it makes no objects, and a tag that is no matrix is refused.
+PyYAML's safe loader reads the YAML: it makes no objects, and a tag that is no matrix is refused. So are aliases, which
+OpenCV never writes and which let 300 bytes stand for gigabytes, nesting that no such file has, and files that are so
+large that reading them would take minutes.
 """
 
 from __future__ import annotations
@@ -23,10 +25,34 @@ _HEADER = re.compile(r"\A%YAML:[\d.]+\s*\n")  # OpenCV's, which YAML itself writ
 _BARE_POINT = re.compile(r"(?<=\d)\.(?=[\s,\]}eE])")
 _NO_NUMBER = re.compile(r"(?<=[\s:\[,])(-?)\.(?:(Nan)|Inf)(?=[\s,\]}])")
 _EXPECTED = "a file of OpenCV's FileStorage"
+_DEEPEST = 32  # levels of nesting; files of cameras have four
+_TOO_DEEP = f"nested more than {_DEEPEST} levels deep"
+_LARGEST = 1 << 22  # [bytes] of YAML; PyYAML reads about 100 kB a second
 
 
 class _Loader(yaml.SafeLoader):
     """YAML with OpenCV's matrices as mappings."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """Node of the next event; an alias, or one that is nested too deeply, is refused."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.composer.ComposerError(None, None, "an alias", self.peek_event().start_mark)
+        if self._depth > _DEEPEST:
+            raise yaml.composer.ComposerError(None, None, _TOO_DEEP, self.peek_event().start_mark)
+        self._depth += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+    def fetch_flow_collection_start(self, kind: type[yaml.Token]) -> None:
+        """Read "[" or "{"; the time that this takes grows with the square of the depth, which is bounded here."""
+        if self.flow_level > _DEEPEST:
+            raise yaml.scanner.ScannerError(None, None, _TOO_DEEP, self.get_mark())
+        super().fetch_flow_collection_start(kind)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """Mapping of a node; a key that comes twice is refused."""
@@ -37,7 +63,15 @@ class _Loader(yaml.SafeLoader):
             found[key] = value
         return found
 
+    def construct_decimal(self, node: yaml.ScalarNode) -> Any:
+        """Number of a node; "1:30" stays a text, where YAML 1.1 means base 60 and takes very long for a long one."""
+        if ":" in (text := str(self.construct_scalar(node))):
+            return text
+        return self.construct_yaml_int(node) if node.tag.endswith(":int") else self.construct_yaml_float(node)
 
+
+for _number in ("int", "float"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_number}", _Loader.construct_decimal)
 for _matrix in _MATRICES:
     _Loader.add_constructor(f"tag:yaml.org,2002:{_matrix}", _Loader.construct_mapping)
 
@@ -49,13 +83,16 @@ def read_opencv(path: str | Path, expected: str = _EXPECTED) -> dict[str, Any]:
         InputError: If it can't be read, is of another form, or has a key twice.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        data = Path(path).read_bytes()
+        text = data.decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: {cause(error)}; expected {expected}") from error
     if text.lstrip().startswith("{"):
         text = _NO_NUMBER.sub(lambda found: "NaN" if found[2] else f"{found[1]}Infinity", text)
         found = parse_json(_BARE_POINT.sub(".0", text), str(path), expected)
     else:
+        if len(data) > _LARGEST:
+            raise InputError(f"{path}: {len(data):,} bytes of YAML; expected {expected}, of at most {_LARGEST:,}")
         try:
             found = yaml.load(_HEADER.sub("", text), _Loader)
         except yaml.MarkedYAMLError as error:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import InputError, cause
+from ..errors import InputError, cause, install_command
 from .part_labels import LARGEST_PICTURE, PHOTO_SUFFIXES, read_photo
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def is_film(path: str | Path) -> bool:
 def check_pyav(path: str | Path) -> None:
     """Raise an InputError, about a film, if PyAV is not installed."""
     if find_spec("av") is None:
-        raise InputError(f"{path}: a film, without PyAV; expected it: pip install 'warp-partdr[film]'")
+        raise InputError(f"{path}: a film, without PyAV; expected it: {install_command('film')}")
 
 
 def film_facts(path: str | Path) -> FilmFacts:

@@ -6,6 +6,7 @@ pooled, the heat maps' keypoints, and the segmentation's probabilities, pooled.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,7 @@ import torch
 from torch import nn
 
 from ..body.template import NUM_PARTS
-from ..errors import InputError, cause
+from ..errors import InputError, cause, check_whole, install_command
 from ..interop.checks import check_tensor
 from .heads import DeconvolutionHead, soft_argmax
 from .landmarks import LANDMARKS
@@ -30,6 +31,8 @@ _NOT_STORED = (
     *("architectures", "dtype", "torch_dtype", "transformers_version"),
     *("id2label", "label2id", "stage_names", "out_features"),
 )
+_MOST_LAYERS, _WIDEST = 256, 1 << 16  # of a backbone's configuration
+_MOST_WEIGHTS = 1 << 28  # of a backbone; files of networks hold 1 GiB at most
 _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet's colours, as backbones were trained
 
 
@@ -46,6 +49,29 @@ class EllipBodyNetConfig:
     head_width: int = 256  # channels of the two heads' deconvolutions
     part_cells: int = 8  # side of the grid that part probabilities are pooled to for the regressor
     regressor: RegressorConfig = field(default_factory=RegressorConfig)
+
+    def __post_init__(self) -> None:
+        check_whole("size", self.size, 32, 1024)
+        check_whole("head_width", self.head_width, 1, 2048)
+        check_whole("part_cells", self.part_cells, 1, 32)
+        _check_numbers("architecture", self.architecture)
+
+
+def _check_numbers(name: str, value: Any) -> None:
+    """Raise ValueError if a backbone's configuration, which a file may hold, has a number or a list that is too large.
+
+    Depths are bounded more tightly than widths, for each layer is built before its weights can be counted.
+    """
+    if isinstance(value, Mapping):
+        for key, each in value.items():
+            _check_numbers(f"{name}.{key}", each)
+    elif isinstance(value, list | tuple):
+        check_whole(f"len({name})", len(value), 0, _MOST_LAYERS)
+        for index, each in enumerate(value):
+            _check_numbers(f"{name}[{index}]", each)
+    elif type(value) is int:
+        is_depth = "depth" in name or "layer" in name
+        check_whole(name, value, -_WIDEST, _MOST_LAYERS if is_depth else _WIDEST)
 
 
 @dataclass(frozen=True)
@@ -115,9 +141,13 @@ def _make_backbone(config: EllipBodyNetConfig) -> tuple[nn.Module, dict[str, Any
     try:
         from transformers import AutoBackbone
     except ImportError as error:
-        raise InputError("EllipBodyNet needs transformers (pip install warp-partdr[train])") from error
+        raise InputError(f"EllipBodyNet needs transformers ({install_command('train')})") from error
     architecture = _architecture(config)
     try:
+        with torch.device("meta"):  # counts the weights without making them
+            count = sum(weight.numel() for weight in AutoBackbone.from_config(architecture).parameters())
+        if count > _MOST_WEIGHTS:
+            raise ValueError(f"{count:,} weights; expected at most {_MOST_WEIGHTS:,}")
         backbone = AutoBackbone.from_config(architecture)
         if config.pretrained:  # by its own class: AutoBackbone asks the hub first, also about a folder
             place = Path(config.backbone).expanduser()

@@ -15,6 +15,7 @@ from torch import nn
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.template import NUM_PARTS
+from ..errors import check_whole
 from ..interop.arrays import warp_array
 from ..interop.streams import launch_bodies_on
 from ..kernels import label_rows
@@ -37,11 +38,18 @@ _SPREAD = 0.06  # standard deviation of a keypoint's spot, the crop's side being
 # Of what places are described with: of 999 in 1,000 people they stay within 3. What fires once in a thousand pictures
 # was hardly trained, and said 56 where others say 2: three corrections made a place kilometres away of it.
 _MOST_SAID = 4.0
+_MOST_FEATURES = 1 << 16  # of a picture's places; the packaged network has 768
 
 
 @dataclass(frozen=True)
 class LabelNetworkConfig:
-    """Sizes of a label network."""
+    """Sizes of a label network.
+
+    They are bounded, for a file that says a billion would otherwise fill the memory before its weights are looked at.
+
+    Raises:
+        ValueError: If a size is out of range.
+    """
 
     size: int = 128  # [px], side of the label images, a multiple of 32
     channels: tuple[int, ...] = (32, 96, 144, 224, 256)  # of five stages, each at half the size of the one before
@@ -50,6 +58,20 @@ class LabelNetworkConfig:
     attention_layers: int = 0  # of ``LandmarkAttention``; 0: without
     attention_width: int = 192  # of its tokens
     regressor: RegressorConfig = field(default_factory=RegressorConfig)
+
+    def __post_init__(self) -> None:
+        check_whole("size", self.size, 32, 512)
+        check_whole("len(channels)", len(self.channels), 3, 8)
+        for index, width in enumerate(self.channels):
+            check_whole(f"channels[{index}]", width, 1, 1024)
+        check_whole("places", self.places, 1, 256)
+        check_whole("keypoint_features", self.keypoint_features, 1, 4096)
+        check_whole("attention_layers", self.attention_layers, 0, 16)
+        check_whole("attention_width", self.attention_width, 1, 1024)
+        side = self.size >> len(self.channels)
+        if self.places * side**2 > _MOST_FEATURES:
+            told = f"{self.places}, of {side} x {side} places"
+            raise ValueError(f"places: {told}; expected at most {_MOST_FEATURES} numbers in all")
 
 
 def label_table(labels: LabelSet) -> torch.Tensor:

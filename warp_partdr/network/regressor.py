@@ -18,6 +18,7 @@ from ..body.parameters import BodyParameters
 from ..body.pose_prior import FREE_PARTS, packaged_prior
 from ..body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d
 from ..body.template import LENGTH_NAMES, LOCKED_PARTS, THICKNESS_NAMES, template
+from ..errors import check_whole
 from .landmarks import LANDMARKS
 from .predicted import Predicted, posed_landmarks
 
@@ -46,6 +47,11 @@ class RegressorConfig:
     iterations: int = 3  # corrections of the estimate
     dropout: float = 0.1  # share of activations that training drops
     feedback: bool = False  # each correction sees how far the estimate is from the keypoints
+
+    def __post_init__(self) -> None:
+        check_whole("width", self.width, 1, 4096)
+        check_whole("blocks", self.blocks, 0, 32)
+        check_whole("iterations", self.iterations, 1, 32)
 
 
 class Regressor(nn.Module):

@@ -12,7 +12,7 @@ import torch
 from ..body.labels import LABEL_SETS, LabelSet, label_set, label_sets_of
 from ..body.skeletons import Skeleton
 from ..detection.given_boxes import BoxNetwork
-from ..errors import InputError, cause, shown
+from ..errors import InputError, cause, install_command, shown
 from ..inputs.keypoint_files import format_of, given_format
 from .files import PictureInput, Say, describe, find_checkpoint, read_input
 from .heat_maps import find_peaks
@@ -169,7 +169,7 @@ def _transformers(name: str) -> Iterator[Any]:
     try:
         import transformers
     except ImportError as error:
-        raise InputError(f"{name}: needs transformers (pip install warp-partdr[photo])") from error
+        raise InputError(f"{name}: needs transformers ({install_command('photo')})") from error
     logs = transformers.logging
     level, shows_bars = logs.get_verbosity(), logs.is_progress_bar_enabled()
     logs.set_verbosity_error()

@@ -1,19 +1,24 @@
-"""Files of detailed bodies that are written only when asked for: USD by ``usd-core``, FBX by Blender."""
+"""Files of detailed bodies that are written only when asked for: USD by ``usd-core``, FBX by Blender.
+
+Blender is the command ``blender`` or, where there is none, the module ``bpy`` in this Python.
+"""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from ..clothing.registration import Registered
-from ..errors import InputError
+from ..errors import InputError, cause
 from .skinned_files import Poses, glb
 from .usd_files import check_usd, save_usd
 
-_COMMAND = "blender"
+_COMMAND, _MODULE = "blender", "bpy"
 _LONGEST = 600  # [s] for one body
 # Key frames lie on whole frames of the scene, so that the rate is set before they are read.
 _SCRIPT = """
@@ -25,17 +30,30 @@ scene = bpy.context.scene
 scene.render.fps = max(round(float(rate)), 1)
 scene.render.fps_base = scene.render.fps / float(rate)
 bpy.ops.import_scene.gltf(filepath=source)
+for item in list(bpy.data.objects):
+    if item.type == "MESH" and not any(each.type == "ARMATURE" for each in item.modifiers):
+        bpy.data.objects.remove(item)  # the sphere as which the importer draws bones
 moves = bool(bpy.data.actions)
 bpy.ops.export_scene.fbx(filepath=target, object_types={"ARMATURE", "MESH"}, add_leaf_bones=False, bake_anim=moves)
 """
 
 
-def check_blender(name: str) -> str:
-    """The command of Blender; an InputError, which begins with ``name``, if there is none."""
-    found = shutil.which(_COMMAND)
-    if found is None:
-        raise InputError(f"{name}: no command {_COMMAND!r}, which makes FBX; expected Blender on the PATH")
-    return found
+def check_blender(name: str) -> list[str]:
+    """Find Blender.
+
+    Returns:
+        The command line that runs ``_SCRIPT`` in it, up to the script's own arguments.
+
+    Raises:
+        InputError: If there is neither the command nor the module; the message begins with ``name``.
+    """
+    command = shutil.which(_COMMAND)
+    if command is not None:
+        return [command, "--background", "--factory-startup", "--python-exit-code", "1", "--python-expr", _SCRIPT, "--"]
+    if find_spec(_MODULE) is not None:
+        return [sys.executable, "-c", _SCRIPT, "--"]
+    told = f"no command {_COMMAND!r} and no module {_MODULE!r}, one of which makes FBX"
+    raise InputError(f"{name}: {told}; expected Blender on the PATH, or pip install {_MODULE}")
 
 
 def save_fbx(registered: Registered, path: Path, poses: Poses | None = None) -> None:
@@ -45,20 +63,20 @@ def save_fbx(registered: Registered, path: Path, poses: Poses | None = None) -> 
         InputError: If Blender is missing, or fails; with the last line that it said.
     """
     command, poses = check_blender("fbx"), poses or Poses.first(registered)
+    blender = _MODULE if command[0] == sys.executable else command[0]
     with TemporaryDirectory() as folder:
         source = Path(folder) / path.with_suffix(".glb").name
         source.write_bytes(glb(registered, poses))
-        flags = ["--background", "--factory-startup", "--python-exit-code", "1", "--python-expr", _SCRIPT]
         files = [str(source), str(path.absolute()), f"{poses.rate:.6f}"]
         try:
             ran = subprocess.run(
-                [command, *flags, "--", *files], capture_output=True, text=True, errors="replace", timeout=_LONGEST
+                [*command, *files], capture_output=True, text=True, errors="replace", timeout=_LONGEST, check=False
             )
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise InputError(f"fbx: {command}: {error}; expected Blender that writes FBX") from error
+            raise InputError(f"fbx: {blender}: {cause(error)}; expected Blender that writes FBX") from error
     if ran.returncode or not path.is_file():
         said = (ran.stderr.strip() or ran.stdout.strip() or f"exit code {ran.returncode}").splitlines()[-1]
-        raise InputError(f"fbx: {command}: {said}; expected Blender that writes FBX")
+        raise InputError(f"fbx: {blender}: {said}; expected Blender that writes FBX")
 
 
 _Save = Callable[[Registered, Path, Poses | None], None]

@@ -14,7 +14,7 @@ import numpy as np
 from ..clothing.model import DetailedModel
 from ..clothing.normals import vertex_normals
 from ..clothing.registration import Registered
-from ..errors import InputError
+from ..errors import InputError, install_command
 from .binding import Binding, numbers_of, to_quaternions
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .skinned_files import SKIN_LOOK, Poses
@@ -25,7 +25,7 @@ def check_usd(name: str) -> None:
     try:
         from pxr import Usd  # noqa: F401
     except ImportError as error:
-        raise InputError(f"{name}: USD needs the extra 'usd': pip install warp-partdr[usd]") from error
+        raise InputError(f"{name}: USD needs usd-core: {install_command('usd')}") from error
 
 
 def save_usd(registered: Registered, path: Path, poses: Poses | None = None) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-from ..errors import InputError, cause
+from ..errors import InputError, cause, install_command
 from ..interop.precision import matmul_precision
 from ..network.checkpoint import check_weight_bits
 from .checkpoints import (
@@ -74,7 +74,7 @@ def _accelerated(config: TrainingConfig, device: str) -> Iterator[Any]:
         from accelerate import Accelerator, DistributedDataParallelKwargs
         from accelerate.state import AcceleratorState, GradientState
     except ImportError as error:
-        raise InputError(f"{error}; expected what training needs: pip install warp-partdr[train]") from error
+        raise InputError(f"{error}; expected what training needs: {install_command('train')}") from error
     accelerator = Accelerator(
         cpu=device == "cpu",
         mixed_precision=config.precision,

@@ -42,7 +42,11 @@ def read_folder(path: str | Path, labels: LabelSet | None = None) -> Iterator[Sa
     if labelled and labels is None:
         labels = label_set(existing(folder, "labels.json", "the label set of the *.parts.png (or --labels)"))
     for picture in pictures:
-        people = read_keypoints(existing(folder, f"{picture.stem}.keypoints.json", _LAYOUT))
+        keypoints = folder / f"{picture.stem}.keypoints.json"
+        if not keypoints.is_file():
+            instead = "partdr dataset and partdr report show bodies of photos alone"
+            raise InputError(f"{keypoints}: no such file; expected {_LAYOUT}, to compare bodies with; {instead}")
+        people = read_keypoints(keypoints)
         parts = None
         if labelled and labels is not None:
             file = existing(folder, f"{picture.stem}.parts.png", "part labels as of the other pictures")

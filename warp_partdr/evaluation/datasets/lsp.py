@@ -9,7 +9,7 @@ import numpy as np
 
 from ...body.labels import LabelSet, label_set
 from ...body.skeletons import skeleton
-from ...errors import InputError
+from ...errors import InputError, install_command
 from ...files.array_files import read_npz
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.part_labels import read_parts
@@ -106,7 +106,7 @@ def _read_matlab(path: Path) -> np.ndarray:
     try:
         from scipy.io import loadmat
     except ImportError as error:
-        reason = "MATLAB files need SciPy; expected it (pip install warp-partdr[lsp]), or joints.npz"
+        reason = f"MATLAB files need SciPy; expected it ({install_command('lsp')}), or joints.npz"
         raise InputError(f"{path}: {reason}") from error
     try:
         return np.asarray(loadmat(path, variable_names=["joints"])["joints"])
