@@ -66,7 +66,7 @@ def overlap_costs(
     num_people: int,  # P: body b shares its place with b + B / P, b + 2 B / P, ...
     first: int,  # number of the first thread
     costs: wp.array[float],  # (B C P,) half the squares of depths [cm^2]  OUTPUT
-    gradients: wp.array[float],  # (B C P 7,)  OUTPUT
+    gradients: wp.array[float],  # (B C P 7,) of the squares themselves: of both halves  OUTPUT
 ):
     """One thread a capsule and a person: all who meet in one thread's loop would take too few of a GPU's."""
     thread = first + wp.tid()

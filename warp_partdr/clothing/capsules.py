@@ -78,7 +78,8 @@ class Capsules(Movable):
 
         Args:
             placed: Of ``of``, float32.
-            people: P; body b meets b + B / P, b + 2 B / P and so on, too, and they share what it costs.
+            people: P; body b meets b + B / P, b + 2 B / P and so on, too. Each of two bodies has half of their cost,
+                and the gradient of each cost is that with respect to both.
         """
         return find_overlap(placed, self.allowed, people)
 
@@ -128,21 +129,31 @@ class _OverlapCost(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, placed: torch.Tensor, allowed: torch.Tensor, people: int) -> torch.Tensor:
         rows = placed.contiguous()
-        # Of each whom they meet, who are added in their order.
+        # Of each person that they meet; people are added in their order.
         costs, gradients = (rows.new_empty(*rows.shape[:2], people, *own) for own in ((), (_NUMBERS,)))
         if costs.numel():
             with on_torch_stream(rows.device):
                 inputs = [warp_array(rows.view(-1)), warp_array(allowed.view(-1)), FLESH, rows.shape[1], people]
                 outputs = [warp_array(costs.view(-1)), warp_array(gradients.view(-1))]
                 launch_shared(kernels.overlap_costs, (costs.numel(),), inputs, outputs, work=rows.shape[1])
-        ctx.save_for_backward(placed, gradients.sum(2) if people > 1 else gradients[:, :, 0])
+        ctx.save_for_backward(placed, gradients)
         return costs.flatten(1).sum(1)
 
     @staticmethod
     def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         placed, gradients = ctx.saved_tensors
-        found = adjoints[0][:, None, None] * gradients
+        factors = _pair_factors(adjoints[0], gradients.shape[2])
+        found = (gradients * factors[:, None, :, None]).sum(2)
         return *once("overlap", (found,), *adjoints, placed), None, None
+
+
+def _pair_factors(adjoint: torch.Tensor, people: int) -> torch.Tensor:
+    """Weight of what each body costs with each of the people at its place, shape (B, P).
+
+    It is the mean of the weights of both bodies' costs, for each cost has half of the pair's.
+    """
+    by_person = adjoint.unflatten(0, (people, -1))
+    return 0.5 * (by_person[:, :, None] + by_person.mT).flatten(0, 1)
 
 
 @lru_cache(maxsize=4)

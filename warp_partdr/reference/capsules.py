@@ -7,8 +7,8 @@ from itertools import combinations
 import numpy as np
 
 
-def overlap_cost(capsules: np.ndarray, allowed: np.ndarray, slack: float, places: np.ndarray) -> float:
-    """Sum of the squares of depths beyond those allowed [cm^2], over all pairs.
+def overlap_costs(capsules: np.ndarray, allowed: np.ndarray, slack: float, places: np.ndarray) -> np.ndarray:
+    """Sums of the squares of depths beyond those allowed [cm^2], shape (B,); two bodies share a pair's half and half.
 
     Args:
         capsules: Both ends and the radius [m], shape (B, C, 7).
@@ -16,14 +16,15 @@ def overlap_cost(capsules: np.ndarray, allowed: np.ndarray, slack: float, places
         slack: The same between two bodies [m].
         places: Of each body; only those at one place meet, shape (B,).
     """
-    total = 0.0
+    costs = np.zeros(len(capsules))
     every = [(body, k) for body in range(capsules.shape[0]) for k in range(capsules.shape[1])]
     for (body, one), (other_body, other) in combinations(every, 2):
         if places[body] == places[other_body]:
             free = allowed[one, other] if body == other_body else slack
             depth = penetration(capsules[body, one], capsules[other_body, other]) - free
-            total += (100 * max(depth, 0.0)) ** 2
-    return total
+            for sharing in (body, other_body):
+                costs[sharing] += 0.5 * (100 * max(depth, 0.0)) ** 2
+    return costs
 
 
 def penetration(one: np.ndarray, other: np.ndarray) -> float:
