@@ -57,14 +57,18 @@ def largest(v: wp.vec3):
 
 @wp.func
 def unit(v: wp.vec3):
-    """Direction of a vector that is not 0, though its square may leave float32."""
-    return wp.normalize(v / largest(v))
+    """Direction of a vector that is not 0, though its square may leave float32; NaN where a component is not finite.
+
+    ``wp.normalize`` would make 0 of NaN.
+    """
+    scaled = v / largest(v)
+    return scaled / wp.length(scaled)
 
 
 @wp.func
 def unit_or(v: wp.vec3, other: wp.vec3):
     """Direction of a vector, or ``other`` where it has none."""
-    if largest(v) == 0.0:
+    if v[0] == 0.0 and v[1] == 0.0 and v[2] == 0.0:  # not by ``largest``, which passes over NaN
         return other
     return unit(v)
 
@@ -88,7 +92,10 @@ def least_axis(v: wp.vec3):
 
 @wp.func
 def matrix_from_6d(first: wp.vec3, second: wp.vec3):
-    """Gram-Schmidt of two columns; a column without a direction of its own is replaced by a fixed other one."""
+    """Gram-Schmidt of two columns; a column without a direction of its own is replaced by a fixed other one.
+
+    NaN and infinity give a matrix of NaN.
+    """
     x = unit_or(first, wp.vec3(1.0, 0.0, 0.0))
     y = second
     if is_collinear(x, second):
@@ -109,7 +116,7 @@ def columns_gradient(first: wp.vec3, second: wp.vec3, rotation: wp.mat33, torque
         used = least_axis(x)
     else:
         grad_second = z * (wp.dot(torque, x) / wp.dot(y, second))
-    if wp.dot(x, first) > 0.0:
+    if wp.dot(x, first) != 0.0:  # NaN goes on as NaN
         shear = wp.dot(torque, y) + wp.dot(torque, x) * wp.dot(x, used) / wp.dot(y, used)
         grad_first = (wp.dot(torque, z) * y - shear * z) / wp.dot(x, first)
     return grad_first, grad_second

@@ -79,6 +79,15 @@ def gather_turn(numbers: wp.array[float], turn: wp.mat33, adjoint: wp.mat33, gra
         set_vector(gradient, 3, second)
 
 
+@wp.func
+def rest_turn(numbers: wp.array[float]):
+    """Identity, whatever the numbers; NaN if one of them is not finite, for a locked part must not hide that."""
+    one = float(1.0)
+    for i in range(numbers.shape[0]):
+        one += 0.0 * numbers[i]
+    return one * wp.identity(n=3, dtype=float)
+
+
 @wp.kernel
 def turn_bodies(numbers: Numbers, rule: TurnRule, turns: Turns):
     """Fill ``turns``: a thread a rotation, the last of a body also its camera."""
@@ -88,7 +97,7 @@ def turn_bodies(numbers: Numbers, rule: TurnRule, turns: Turns):
     k = thread - b * (parts + 1)
     if k < parts:
         if (rule.locked >> k) & 1 == 1:
-            turns.rotations[b, k] = wp.identity(n=3, dtype=float)
+            turns.rotations[b, k] = rest_turn(numbers.rotations[b, k])
         else:
             turns.rotations[b, k] = make_turn(numbers.rotations[b, k])
         return

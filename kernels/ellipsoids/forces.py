@@ -11,7 +11,7 @@ import warp as wp
 
 from ..labels import flat, target_of
 from ..lanes import SIXTEEN, Sixteen, num_lanes, shuffle_float, sum_lanes, sum_sixteen
-from .silhouette import Seen, Silhouette, launch_find_neighbours
+from .silhouette import BROKEN, Seen, Silhouette, launch_find_neighbours
 
 wp.set_module_options({"enable_backward": False})
 
@@ -185,14 +185,15 @@ def add_nearness_force(
 
 @wp.func
 def store_forces(forces: wp.array4d[float], view: EllipsoidView, sums: SurfaceForces):
-    """Add up the threads of a share and store it."""
+    """Add up the threads of a share and store it; the forces on a BROKEN ellipsoid are NaN."""
     values = Sixteen()
+    fault = wp.where(view.own.label == BROKEN, wp.nan, 0.0)
     for i in range(3):
-        values[i] = sums.force[i]
+        values[i] = sums.force[i] + fault
         for j in range(3):
-            values[3 + 3 * i + j] = sums.moment[i, j]
+            values[3 + 3 * i + j] = sums.moment[i, j] + fault
     for i in range(4):
-        values[12 + i] = sums.camera[i]
+        values[12 + i] = sums.camera[i] + fault
     share = forces[view.b, view.k, view.share]
     if view.scene.lanes == 1:
         for i in range(SIXTEEN):

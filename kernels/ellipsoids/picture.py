@@ -27,7 +27,7 @@ from ..labels import (
     write_word,
 )
 from ..lanes import LANES, ballot, lowest_bit, shuffle, sum_lanes
-from .silhouette import Silhouette, along_row, depth_of, inside_at, middle_at, row_lean, row_root, to_disc
+from .silhouette import Silhouette, along_row, depth_of, find_fault, inside_at, middle_at, row_lean, row_root, to_disc
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -140,6 +140,7 @@ def draw_tiles(
     labels: wp.array3d[wp.uint8],  # (B, H, W) or empty  OUTPUT
     depth: wp.array3d[float],  # (B, H, W) [m], inf = background, or empty  OUTPUT
     losses: wp.array2d[float],  # (B, T) L_seg of each tile, or empty  OUTPUT
+    faults: wp.array[float],  # (B,) NaN: an ellipsoid is BROKEN, so that loss and depths are NaN; else 0  OUTPUT
 ):
     """Draw on CUDA: a warp reads only the ellipsoids that may meet its strip, after each thread tested one of them."""
     # One dimension, split in 32 bits: Warp's own split takes 64-bit divisions for every dimension.
@@ -172,6 +173,11 @@ def draw_tiles(
     label_words = words_of(labels[b])
     target_words = words_of(target.target[t])
     first_word = ((top + lane // _QUADS) * width + column) // QUAD
+    fault = float(0.0)
+    if tile == 0 or depth.shape[0] > 0:  # one tile spoils the sum of losses
+        fault = find_fault(ellipsoids, lane, LANES)
+        if tile == 0 and lane == 0:
+            faults[b] = fault
     # Which strips each thread's own ellipsoids may meet: bit 8 word + strip.
     meets = wp.uint64(0)
     for word in range(words):
@@ -200,9 +206,9 @@ def draw_tiles(
                     label_words[first_word + strip * pitch] = wp.uint32(0)
         if ballot(some != wp.uint32(0)) == wp.uint32(0):
             if has_losses and lane == 0:
-                losses[b, tile] = 0.0
+                losses[b, tile] = fault
             return
-    loss = float(0.0)
+    loss = fault
     for strip in range(strips):
         row = top + strip * _STRIP_ROWS + lane // _QUADS
         in_picture = row < height and column < width
@@ -235,7 +241,7 @@ def draw_tiles(
                 for i in range(QUAD):
                     if column + i < width:
                         shows = byte_of(shown_word, i) > 0
-                        depth[b, row, column + i] = wp.where(shows, depth_of(best[i], perspective), wp.inf)
+                        depth[b, row, column + i] = fault + wp.where(shows, depth_of(best[i], perspective), wp.inf)
         if has_losses:
             if not in_picture:
                 label_word = wp.uint32(0)
@@ -260,6 +266,7 @@ def draw_rows(
     labels: wp.array3d[wp.uint8],
     depth: wp.array3d[float],
     losses: wp.array2d[float],  # (B, H)
+    faults: wp.array[float],
 ):
     """Draw on the CPU: a row meets each outline in one closed-form interval, and visits no other pixel."""
     b, row = wp.tid()
@@ -277,6 +284,11 @@ def draw_rows(
     else:
         for at in range(begin, begin + width):
             image[at] = wp.uint8(0)
+    fault = float(0.0)
+    if row == 0 or depth.shape[0] > 0:
+        fault = find_fault(ellipsoids, 0, 1)
+        if row == 0:
+            faults[b] = fault
     first = int(width)
     last = int(-1)
     for k in range(ellipsoids.shape[0]):
@@ -311,7 +323,7 @@ def draw_rows(
                             image[begin + column] = wp.uint8(k + 1)
     whole_picture = labels.shape[0] > 0 or depth.shape[0] > 0
     if whole_picture or losses.shape[0] > 0:
-        loss = float(0.0)
+        loss = fault
         t = target_of(target, b)
         if losses.shape[0] > 0:
             in_words = in_words and are_words(target.target)
@@ -333,9 +345,9 @@ def draw_rows(
                     if labels.shape[0] > 0:
                         labels[b, row, column + i] = wp.uint8(label)
                     if depth.shape[0] > 0:
-                        depth[b, row, column + i] = wp.inf
+                        depth[b, row, column + i] = fault + wp.inf
                         if part > 0:
-                            depth[b, row, column + i] = depth_of(fronts[at], perspective)
+                            depth[b, row, column + i] = fault + depth_of(fronts[at], perspective)
                     if losses.shape[0] > 0:
                         expected = int(target.target[t, row, column + i])
                         loss += cost_of(target, expected, label)
@@ -361,7 +373,7 @@ def _strips(batch: int, height: int, width: int) -> int:
 def launch_draw(
     silhouettes: wp.array, target: LabelTarget, nearest: wp.array, outputs: Sequence[wp.array], *, perspective: bool
 ) -> None:
-    """Fill parts, and of labels, depth and losses those that are not empty.
+    """Fill parts and faults, and of labels, depth and losses those that are not empty.
 
     All images are contiguous. ``nearest`` is the CPU's scratch of the picture's size; ``target`` is read for losses
     only.

@@ -17,11 +17,14 @@ from typing import NamedTuple
 
 import warp as wp
 
+from ..lanes import sum_lanes
+
 wp.set_module_options({"enable_backward": False})
 
 _FEW = 32  # threads a block of small launches: more blocks use more of the GPU
 _FAR = wp.constant(1.0e30)  # [px] an empty bounding box's bounds
 _THIN = wp.constant(1.0e15)  # [1/px] whose square float32 can hold
+BROKEN = wp.constant(-1)  # label of an ellipsoid that has a number that is not finite, or a length that is not positive
 
 
 @wp.struct
@@ -37,7 +40,7 @@ class Silhouette:
     nearness: float
     farthest: float  # nearness of the farthest and of the closest point of the front surface
     closest: float
-    label: int  # 1 to 254; 255 hides what is behind and has no map; 0: not drawn
+    label: int  # 1 to 254; 255 hides what is behind and has no map; 0, BROKEN: not drawn
 
 
 @wp.func
@@ -105,7 +108,7 @@ def pixel_box(s: Silhouette, height: int, width: int):
 def see_ellipsoid(
     centre: wp.vec3, axes: wp.mat33, semi_axes: wp.vec3, camera: wp.vec4, label: int, near: float, perspective: bool
 ):
-    """Silhouette of one ellipsoid; not drawn with label 0, where it reaches the near plane, or without an area.
+    """Silhouette of one ellipsoid; not drawn with label 0, where it reaches the near plane, without an area, or BROKEN.
 
     In double, for a thin or far ellipsoid is a small difference of large numbers; and in forms that cancel little:
     determinants as cross products of the rows of A diag(a).
@@ -122,6 +125,12 @@ def see_ellipsoid(
     cx, cy, cz = wp.float64(centre[0]), wp.float64(centre[1]), wp.float64(centre[2])
     fx, fy = wp.float64(camera[0]), wp.float64(camera[1])
     one = wp.float64(1.0)
+    # A sum of squares of float32 can't overflow: it is finite if all of them are.
+    squares = wp.dot(rx, rx) + wp.dot(ry, ry) + wp.dot(rz, rz) + cx * cx + cy * cy + cz * cz
+    squares += wp.length_sq(wp.vec4d(camera))
+    if not (wp.isfinite(squares) and sizes[0] > wp.float64(0.0) and sizes[1] > wp.float64(0.0) and sizes[2] > wp.float64(0.0)):
+        s.label = BROKEN
+        return s
     volume = sizes[0] * sizes[1] * sizes[2]
     volume = volume * volume  # the determinant of A diag(a^2) A^T
     if label == 0 or not (volume > wp.float64(0.0) and cz - wp.length(rz) > wp.float64(near)):
@@ -191,6 +200,16 @@ def see_ellipsoid(
     s.farthest = float(nearness - wp.sqrt(tilt))
     s.closest = float(nearness + wp.sqrt(tilt + squared_bulge))
     return s
+
+
+@wp.func
+def find_fault(silhouettes: wp.array[Silhouette], lane: int, lanes: int):
+    """NaN if one of a body's ellipsoids is BROKEN, else 0, for all threads of a warp."""
+    fault = float(0.0)
+    for k in range(lane, silhouettes.shape[0], lanes):
+        if silhouettes[k].label == BROKEN:
+            fault = wp.nan
+    return sum_lanes(fault)
 
 
 @wp.kernel

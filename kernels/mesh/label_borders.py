@@ -12,7 +12,7 @@ import warp as wp
 
 from ..labels import QUAD, are_words, byte_of, excess_at, flat, load_word, overload_gradients, unequal_bytes
 from .rasterize import launch_bodies
-from .triangles import ImageArrays, MeshArrays, edge_values, load_triangle, make_edges, weights_3d
+from .triangles import ImageArrays, MeshArrays, edge_values, load_triangle, make_edges, spoil_gradient, weights_3d
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -69,6 +69,8 @@ def push_label_borders(
     """Gradient in x and y from the borders of pixels with their neighbours to the right and below."""
     thread = wp.tid()
     b = first_body + thread // threads
+    if thread % threads == 0:
+        spoil_gradient(images, b, grad_vertices)
     height = images.labels.shape[1]
     width = images.labels.shape[2]
     quads = (width + QUAD - 1) // QUAD

@@ -11,7 +11,7 @@ import warp as wp
 from ..labels import MISSING, SURPLUS, all_wrong, extent, flat, overload_gradients, pixel_gradient, pixels_of, weight_of
 from ..lanes import AT_ONCE, at_once
 from .rasterize import launch_bodies
-from .triangles import ImageArrays, MeshArrays, first_pixel
+from .triangles import ImageArrays, MeshArrays, first_pixel, spoil_gradient
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -177,6 +177,8 @@ def push_edges(
     """
     thread = wp.tid()
     b = first_body + thread // threads
+    if thread % threads == 0:
+        spoil_gradient(images, b, grad_vertices)
     found = silhouettes[b]
     count = int(counts[b, 0] >> wp.uint64(32))
     lines = int(counts[b, 0] & wp.uint64(0xFFFFFFFF))

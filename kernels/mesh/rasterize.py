@@ -12,6 +12,7 @@ from .triangles import (
     depth_at,
     depth_key,
     edge_values,
+    is_finite,
     load_triangle,
     make_edges,
     pixel_columns,
@@ -50,17 +51,20 @@ class ZBuffer:
             puts it back, so that a picture costs only the pixels that show something.
         touched: 1 where a face may lie in a tile, shape (B, tiles down, tiles across), uint8. 0 between launches,
             likewise.
+        faults: As of ``ImageArrays``, shape (B,); 0 between launches, likewise.
     """
 
     keys: wp.array
     touched: wp.array
+    faults: wp.array
 
     @classmethod
     def make(cls, batch: int, height: int, width: int, device: str | wp.Device) -> Self:
         """Allocate an empty z-buffer."""
         tiles = (batch, -(-height // int(TILE_ROWS)), -(-width // int(TILE_COLUMNS)))
         keys = empty_keys((batch, height, width), device)
-        return cls(keys=keys, touched=wp.zeros(tiles, dtype=wp.uint8, device=device))
+        touched, faults = wp.zeros(tiles, dtype=wp.uint8, device=device), wp.zeros(batch, dtype=float, device=device)
+        return cls(keys, touched, faults)
 
 
 def empty_keys(shape: tuple[int, ...], device: str | wp.Device) -> wp.array:
@@ -76,6 +80,7 @@ def draw_faces(
     lane_bits: int,  # 2 ** lane_bits threads share a face's rows
     touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: the nearest face's key
+    faults: wp.array[float],  # (B,)  MODIFIED: NaN if a face is not finite
 ):
     """Nearest face at every pixel centre; a tie in depth goes to the lower face index."""
     thread = wp.tid()
@@ -83,6 +88,9 @@ def draw_faces(
     lanes = 1 << lane_bits
     face = (thread % threads) >> lane_bits
     t = load_triangle(mesh, b, face)
+    if not is_finite(t):
+        faults[b] = wp.nan  # all who find one write the same
+        return
     if t.valid == 0:
         return
     width = keys.shape[2]
@@ -113,7 +121,7 @@ def launch_draw_faces(mesh: MeshArrays, zbuffer: ZBuffer) -> None:
     device = mesh.vertices.device
     batch, faces = mesh.vertices.shape[0], mesh.faces.shape[0]
     bits = row_lane_bits(batch * faces, device)
-    launch_bodies(draw_faces, batch, faces << bits, [mesh, bits], [zbuffer.touched, zbuffer.keys], device)
+    launch_bodies(draw_faces, batch, faces << bits, [mesh, bits], [zbuffer.touched, zbuffer.keys, zbuffer.faults], device)
 
 
 def launch_bodies(

@@ -42,11 +42,16 @@ def resolve_keys(
     lanes: int,  # threads that share a row of tiles: a warp, or one
     touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED: cleared
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
+    faults: wp.array[float],  # (B,)  MODIFIED: 0 again
     images: ImageArrays,  # all but the labels may be null  OUTPUT
 ):
     """Split the keys into face-index map, depth and label image, where something shows."""
     thread = wp.tid()
     b = first_body + thread // threads
+    if thread % threads == 0:
+        if images.faults:
+            images.faults[b] = faults[b]
+        faults[b] = 0.0
     lane = (thread % threads) & (lanes - 1)
     tile_row = thread % threads // lanes
     width = keys.shape[2]
@@ -128,6 +133,7 @@ def compare_labels(
     labels: wp.array3d[wp.uint8],  # (B, H, W)
     target: LabelTarget,  # its extents are zeroed, as ``grow``  MODIFIED
     lanes: int,  # threads that share a square: a warp, or one
+    faults: wp.array[float],  # (B,) that spoil the loss, or null
     hidden: wp.array3d[wp.uint32],  # ``hidden_blocks``, set where a part hides the target's  OUTPUT
     losses: wp.array2d[float],  # (B, squares)  OUTPUT
 ):
@@ -203,6 +209,8 @@ def compare_labels(
             note_blocks(target, b, HIDDEN, lane, behind, first_row, first_column)
     total = sum_lanes(float(loss))
     if lane == 0:
+        if square == 0 and faults:
+            total += faults[b]
         losses[b, square] = total
         flat(hidden[b])[square] = hides
 
@@ -222,7 +230,7 @@ def hidden_blocks(shape: tuple[int, ...], device: str | wp.Device) -> wp.array:
 
 
 def launch_resolve_keys(mesh: MeshArrays, zbuffer: ZBuffer, images: ImageArrays, *, background: bool = True) -> None:
-    """Empty a z-buffer into label image and, unless None, depth and face-index map, all of them contiguous.
+    """Empty a z-buffer into label image and, unless None, depth, face-index map and faults, all of them contiguous.
 
     Without ``background`` these two keep their values where nothing shows, which the gradient never reads.
     """
@@ -234,16 +242,19 @@ def launch_resolve_keys(mesh: MeshArrays, zbuffer: ZBuffer, images: ImageArrays,
     device = mesh.vertices.device
     batch, tile_rows, _ = zbuffer.touched.shape
     lanes = num_lanes(device)
-    outputs = [zbuffer.touched, zbuffer.keys, images]
+    outputs = [zbuffer.touched, zbuffer.keys, zbuffer.faults, images]
     launch_bodies(resolve_keys, batch, tile_rows * lanes, [mesh, lanes], outputs, device)
 
 
-def launch_compare_labels(labels: wp.array, target: Any, *, hidden: wp.array, losses: wp.array) -> None:
+def launch_compare_labels(
+    labels: wp.array, target: Any, *, hidden: wp.array, losses: wp.array, faults: wp.array | None = None
+) -> None:
     """Fill partial sums of the loss (B, squares), ``hidden_blocks``, and the LabelTarget's ``extents``.
 
-    Both images are contiguous. Labels from L on have no extent.
+    The losses of bodies with ``faults`` (B,) become NaN. Both images are contiguous. Labels from L on have no extent.
     """
     target.extents.zero_()
     batch, squares = losses.shape
     lanes = num_lanes(labels.device)
-    launch_bodies(compare_labels, batch, squares * lanes, [labels, target, lanes], [hidden, losses], labels.device)
+    inputs = [labels, target, lanes, faults]
+    launch_bodies(compare_labels, batch, squares * lanes, inputs, [hidden, losses], labels.device)

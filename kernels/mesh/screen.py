@@ -31,8 +31,11 @@ def project_depth(z: float):
 
 @wp.func
 def place_point(seen: EllipsoidsSeen, b: int, k: int, unit: wp.vec3):
-    """Point of ellipsoid k where the unit sphere has one (the paper's E, eq. 14) [m]."""
-    return seen.centres[b, k] + seen.axes[b, k] * wp.cw_mul(seen.semi_axes[b, k], unit)
+    """Point of ellipsoid k where the unit sphere has one (the paper's E, eq. 14) [m]; NaN unless all its sizes are > 0."""
+    sizes = seen.semi_axes[b, k]
+    if not (sizes[0] > 0.0 and sizes[1] > 0.0 and sizes[2] > 0.0):
+        return wp.vec3(wp.nan)
+    return seen.centres[b, k] + seen.axes[b, k] * wp.cw_mul(sizes, unit)
 
 
 @wp.kernel

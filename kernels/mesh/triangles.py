@@ -31,6 +31,7 @@ class ImageArrays:
     labels: wp.array3d[wp.uint8]  # (B, H, W)
     depth: wp.array3d[float]  # (B, H, W) [m]
     face_index: wp.array3d[int]  # (B, H, W)
+    faults: wp.array[float]  # (B,) NaN: a face has a vertex that is not finite, so that loss and gradient are NaN; else 0
 
 
 @wp.struct
@@ -84,6 +85,20 @@ def load_triangle(mesh: MeshArrays, b: int, face: int):
     if area != 0.0 and nearest > mesh.near and (area < 0.0 or not mesh.cull_backfaces):
         t.valid = 1
     return t
+
+
+@wp.func
+def is_finite(t: Triangle):
+    """True if all numbers of a face's vertices are finite, and their sums."""
+    return wp.isfinite(t.a[0] + t.a[1] + t.a[2] + t.b[0] + t.b[1] + t.b[2] + t.c[0] + t.c[1] + t.c[2])
+
+
+@wp.func
+def spoil_gradient(images: ImageArrays, b: int, grad_vertices: wp.array3d[float]):
+    """Make a body's gradient NaN, at its first vertex, where the picture has a fault."""
+    if images.faults[b] != 0.0:
+        for i in range(3):
+            wp.atomic_add(grad_vertices, b, 0, i, images.faults[b])
 
 
 @wp.func

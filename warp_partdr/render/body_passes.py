@@ -48,18 +48,18 @@ class BodyPasses:
 
     def draw(self, inputs: Tensors, size: Size) -> Picture:
         """Draw labels, and nothing else."""
-        labels = draw_labels(self, inputs, size)
-        return Picture(labels, labels.new_empty(0), labels.new_empty(0))
+        labels, faults = draw_labels(self, inputs, size)
+        return Picture(labels, labels.new_empty(0), labels.new_empty(0), faults)
 
     def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
         """Gradients with respect to the inputs; kinematics and picture are made again, for nothing of them was kept."""
         return find_gradients(self, inputs, grad_maps)
 
-    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor) -> Launch:
-        """Launches that fill ``labels``."""
+    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor, faults: torch.Tensor) -> Launch:
+        """Launches that fill ``labels`` and ``faults``."""
         empty = Buffers.empty(self, tuple([tensor.shape for tensor in inputs]), labels, needs_grad=False)
         buffers = replace(empty, inputs=inputs)
-        return self._prepare(buffers, lambda inner: self.renderer.prepare_labels(inner.inputs, labels))
+        return self._prepare(buffers, lambda inner: self.renderer.prepare_labels(inner.inputs, labels, faults))
 
     def prepare(self, buffers: Buffers) -> Launch:
         """Launches of loss and gradient for all bodies of the buffers."""

@@ -26,24 +26,24 @@ def _register(kind: type[MeshPasses | EllipsoidPasses], num_inputs: int, index: 
         integers: Sequence[int],
         gradient: str,
         numbers: Sequence[float],
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         num_maps, height, width = shape
         passes = kind.of(tensors[num_inputs:], integers, gradient, numbers)
-        labels, depth, nearest, _ = passes.draw(tuple(tensors[:num_inputs]), (height, width))
-        return label_maps(labels, num_maps), labels, depth, nearest
+        labels, depth, nearest, faults, _ = passes.draw(tuple(tensors[:num_inputs]), (height, width))
+        return label_maps(labels, num_maps, faults), labels, depth, nearest, faults
 
     def empty_maps(tensors: Sequence[Any], shape: Sequence[int], *settings: Any) -> Any:
         first, (num_maps, *size) = tensors[0], shape
         images = (first.new_empty(len(first), *size, dtype=each) for each in (torch.uint8, torch.float32, index))
-        return first.new_empty(len(first), num_maps, *size), *images
+        return first.new_empty(len(first), num_maps, *size), *images, first.new_empty(len(first))
 
     def save_maps(ctx: Any, inputs: Any, output: Any) -> None:
         tensors, _, *ctx.settings = inputs
         ctx.save_for_backward(*tensors, *output[1:])
 
     def backward_maps(ctx: Any, grad_maps: torch.Tensor, *rest: Any) -> Any:
-        *tensors, labels, depth, nearest = ctx.saved_tensors
-        grads = maps_backward_op(tensors, [labels, depth, nearest, grad_maps], *ctx.settings)
+        *tensors, labels, depth, nearest, faults = ctx.saved_tensors
+        grads = maps_backward_op(tensors, [labels, depth, nearest, faults, grad_maps], *ctx.settings)
         return [*grads, *[None] * (len(tensors) - num_inputs)], *[None] * 4
 
     def maps_backward(

@@ -80,22 +80,22 @@ class EllipsoidPasses:
         """Draw labels, depth and index + 1 of the nearest; the scratch is what cameras see of each ellipsoid."""
         shape, device = (inputs[0].shape[0], *size), inputs[0].device
         labels, parts = (torch.empty(shape, dtype=torch.uint8, device=device) for _ in range(2))
-        depth = torch.empty(shape, device=device)
+        depth, faults = torch.empty(shape, device=device), torch.empty(shape[0], device=device)
         with on_torch_stream(device):
             posed = _arrays(map(contiguous, inputs))
             images = {"parts": warp_array(parts), "labels": warp_array(labels), "depth": warp_array(depth)}
-            launch, seen, _ = self.prepare_picture(posed, **images)
+            launch, seen, _ = self.prepare_picture(posed, faults=warp_array(faults), **images)
         launch_bodies_on(device, launch, shape[0], (silhouette, ellipsoid_picture))
-        return Picture(labels, depth, parts, seen)
+        return Picture(labels, depth, parts, faults, seen)
 
-    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor) -> Callable[[], None]:
-        """Launch that fills ``labels``."""
+    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor, faults: torch.Tensor) -> Callable[[], None]:
+        """Launch that fills ``labels`` and ``faults``."""
         posed, shown = _arrays(inputs), warp_array(labels)
         if self.labels == tuple(range(1, len(self.labels) + 1)):
             images = {"parts": shown}
         else:
             images = {"parts": wp.empty(labels.shape, dtype=wp.uint8, device=shown.device), "labels": shown}
-        return partial(self.prepare_picture(posed, **images)[0], slice(0, len(labels)))
+        return partial(self.prepare_picture(posed, faults=warp_array(faults), **images)[0], slice(0, len(labels)))
 
     def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
         """Gradients with respect to the inputs, from that with respect to part maps (B, K, H, W)."""
@@ -141,13 +141,18 @@ class EllipsoidPasses:
         return launch
 
     def prepare_picture(
-        self, posed: Sequence[wp.array], target: LabelTarget | None = None, **images: wp.array
+        self,
+        posed: Sequence[wp.array],
+        target: LabelTarget | None = None,
+        faults: wp.array | None = None,
+        **images: wp.array,
     ) -> tuple[Launch, Seen, wp.array]:
         """Launch that fills images, and what else it fills: silhouettes, and sums of L_seg.
 
         Args:
             posed: Centres, axes, semi-axes and camera.
             target: Label images, if L_seg is asked for.
+            faults: As of ``Picture``, if they are asked for.
             images: ``parts``, and if they are asked for ``labels`` and ``depth``, shape (B, H, W).
         """
         device, shape = posed[0].device, images["parts"].shape
@@ -158,7 +163,9 @@ class EllipsoidPasses:
         if device.is_cpu:
             nearest = wp.empty(shape, dtype=float, device=device)
         labels = images.get("labels", _nothing(3, wp.uint8, device.alias))
-        outputs = images["parts"], labels, images.get("depth", _nothing(3, float, device.alias)), losses
+        if faults is None:
+            faults = wp.empty(shape[0], dtype=float, device=device)
+        outputs = images["parts"], labels, images.get("depth", _nothing(3, float, device.alias)), losses, faults
         see, compared = self._prepare_see(wp.device_to_torch(device)), LabelTarget() if target is None else target
 
         def launch(part: slice) -> None:

@@ -72,14 +72,14 @@ class MeshPasses:
         picture = _empty_picture((vertices.shape[0], *size), vertices.device)
 
         def work(part: slice) -> None:
-            self.prepare_raster(vertices[part], [image[part] for image in picture[:3]])[0]()
+            self.prepare_raster(vertices[part], [image[part] for image in picture[:4]])[0]()
 
         launch_bodies_on(vertices.device, work, vertices.shape[0], self.modules)
         return picture
 
-    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor) -> Launch:
-        """Launch that fills ``labels``."""
-        return self.prepare_raster(inputs[0], _labels_alone(labels), background=False)[0]
+    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor, faults: torch.Tensor) -> Launch:
+        """Launch that fills ``labels`` and ``faults``."""
+        return self.prepare_raster(inputs[0], _labels_alone(labels, faults), background=False)[0]
 
     def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
         """Gradient with respect to the vertices, shape (B, V, 3), from that with respect to part maps (B, K, H, W)."""
@@ -88,7 +88,7 @@ class MeshPasses:
         grad_vertices = torch.empty(vertices.shape, device=vertices.device)
 
         def work(part: slice) -> None:
-            images = [image[part] for image in picture[:3]]
+            images = [image[part] for image in picture[:4]]
             shape, device = tuple(images[0].shape), wp.device_from_torch(vertices.device)
             scratch = {"keys": rasterize.empty_keys(shape, device), "hidden": resolve.hidden_blocks(shape, device)}
             of_each = partial(_of_each_map, warp_array(grad_maps[part]))
@@ -105,9 +105,9 @@ class MeshPasses:
         """Launches of loss and gradient for all bodies of the buffers."""
         (vertices,) = buffers.inputs
         shape, device = (vertices.shape[0], *buffers.target.shape[-2:]), vertices.device
-        images: Sequence[torch.Tensor] = _empty_picture(shape, device)[:3]
+        images: Sequence[torch.Tensor] = _empty_picture(shape, device)[:4]
         if not buffers.grads:
-            images = _labels_alone(images[0])
+            images = _labels_alone(images[0], images[3])
         draw, zbuffer = self.prepare_raster(vertices, images, background=False)
         scratch = {"keys": zbuffer.keys, "hidden": resolve.hidden_blocks(shape, wp.device_from_torch(device))}
         if buffers.of_maps:
@@ -124,6 +124,7 @@ class MeshPasses:
             *(warp_array(images[0]), of_target),
             hidden=scratch["hidden"],
             losses=warp_array(buffers.losses),
+            faults=warp_array(images[3]),
         )
         if not buffers.grads:
             return _in_turn(draw, compare)
@@ -133,7 +134,7 @@ class MeshPasses:
     def prepare_raster(
         self, vertices: torch.Tensor, images: Sequence[torch.Tensor], background: bool = True
     ) -> tuple[Launch, rasterize.ZBuffer]:
-        """Launch that fills labels, depth and face-index map, and the z-buffer that it empties again."""
+        """Launch that fills labels, depth, face-index map and faults, and the z-buffer that it empties again."""
         mesh, pictures = self._arrays(vertices), _image_arrays(images)
         batch, height, width = images[0].shape
         zbuffer = rasterize.ZBuffer.make(batch, height, width, mesh.vertices.device)
@@ -154,7 +155,7 @@ class MeshPasses:
 
         Args:
             vertices: Of some bodies.
-            images: Their images.
+            images: Their images and faults.
             gradients: Returns the loss gradient once for each label of the z pass.
             grad_vertices: Shape (B, V, 3).
             keys: A ``ZBuffer``'s, empty before and after.
@@ -234,15 +235,17 @@ def _of_each_map(grad_maps: wp.array) -> Iterator[DenseGradient]:
 
 def _empty_picture(shape: tuple[int, ...], device: torch.device) -> Picture:
     types = torch.uint8, torch.float32, torch.int32
-    return Picture(*(torch.empty(shape, dtype=dtype, device=device) for dtype in types))
+    images = (torch.empty(shape, dtype=dtype, device=device) for dtype in types)
+    return Picture(*images, faults=torch.empty(shape[0], device=device))
 
 
-def _labels_alone(labels: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    """Images with neither depth nor faces."""
-    return labels, *(torch.empty(0, 0, 0, dtype=kind, device=labels.device) for kind in (torch.float32, torch.int32))
+def _labels_alone(labels: torch.Tensor, faults: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Images with neither depth nor faces, and faults."""
+    nothing = (torch.empty(0, 0, 0, dtype=kind, device=labels.device) for kind in (torch.float32, torch.int32))
+    return labels, *nothing, faults
 
 
 def _image_arrays(images: Sequence[torch.Tensor]) -> ImageArrays:
     arrays = ImageArrays()
-    arrays.labels, arrays.depth, arrays.face_index = (warp_array(image) for image in images)
+    arrays.labels, arrays.depth, arrays.face_index, arrays.faults = (warp_array(image) for image in images)
     return arrays

@@ -53,10 +53,13 @@ def check_target(target: torch.Tensor, like: tuple[str, torch.Tensor], batch: in
         raise ValueError(f"target: batch {target.shape[0]}; expected {batch} as {like[0]}, or 1")
 
 
-def label_maps(labels: torch.Tensor, count: int) -> torch.Tensor:
-    """Part maps A^1 to A^K of label images (paper, eq. 9), shape (B, K, H, W), float32."""
+def label_maps(labels: torch.Tensor, count: int, faults: torch.Tensor) -> torch.Tensor:
+    """Part maps A^1 to A^K of label images (paper, eq. 9), shape (B, K, H, W), float32; NaN where ``faults`` (B,) are.
+    """
     index = torch.arange(1, count + 1, dtype=torch.uint8, device=labels.device)
-    return (labels[:, None] == index[:, None, None]).float()
+    maps = torch.empty(len(labels), count, *labels.shape[1:], device=labels.device)
+    torch.eq(labels[:, None], index[:, None, None], out=maps)  # on the CPU a quarter of the time of ``float()``
+    return maps.add_(faults[:, None, None, None])
 
 
 def cached(function: Callable[..., _T]) -> Callable[..., _T]:

@@ -28,12 +28,14 @@ class Picture(NamedTuple):
         labels: Label at each pixel, 0 = background, uint8.
         depth: Of what is nearest [m], inf = background, float32.
         nearest: Index of the nearest face or ellipsoid; integers.
+        faults: NaN for a body with numbers that can't be drawn (NaN, infinity, sizes of 0 or less), else 0, shape (B,).
         scratch: Of the launches that drew it, for the gradient; None if it is to be made again.
     """
 
     labels: torch.Tensor
     depth: torch.Tensor
     nearest: torch.Tensor
+    faults: torch.Tensor
     scratch: Any = None
 
 
@@ -45,8 +47,8 @@ class MapPasses(Recipe, Protocol):
     def draw(self, inputs: Tensors, size: Size) -> Picture:
         """Draw the picture."""
 
-    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor) -> Callable[[], None]:
-        """Allocate intermediate buffers; return a function that fills ``labels`` by launches alone."""
+    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor, faults: torch.Tensor) -> Callable[[], None]:
+        """Allocate intermediate buffers; return a function that fills ``labels`` and ``faults`` by launches alone."""
 
     def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
         """Gradients with respect to the inputs, from that with respect to part maps (B, K, H, W)."""
@@ -93,7 +95,7 @@ def draw_picture(image: Callable[..., _Image], passes: Passes, inputs: Tensors, 
     if torch.compiler.is_compiling():
         given = inputs if num_maps else [tensor.detach() for tensor in inputs]
         operation = getattr(torch.ops.warp_partdr, f"{passes.kind}_maps")  # removed where the picture is not used
-        maps, *images = operation([*given, *passes.constants], [num_maps, *size], *passes.settings())
+        maps, *images, _ = operation([*given, *passes.constants], [num_maps, *size], *passes.settings())
         return image(*images, maps if num_maps else None)
     if num_maps == 0:
         found: _Image = _draw_labels(image, passes, inputs, size)
@@ -107,19 +109,20 @@ def draw_maps(passes: MapPasses, inputs: Tensors, size: Size, num_maps: int) -> 
 
 
 @torch.no_grad()
-def draw_labels(passes: MapPasses, inputs: Tensors, size: Size) -> torch.Tensor:
-    """Draw labels alone, shape (B, H, W), uint8, by a captured graph where memory has room."""
+def draw_labels(passes: MapPasses, inputs: Tensors, size: Size) -> tuple[torch.Tensor, torch.Tensor]:
+    """Draw labels alone, shape (B, H, W), uint8, and faults, by a captured graph where memory has room."""
     batch, device = inputs[0].shape[0], inputs[0].device
     if batch and (graph := _find_graph(passes, tuple([tensor.shape for tensor in inputs]), size, device)):
-        return graph(inputs)[0]
-    labels = torch.empty(batch, *size, dtype=torch.uint8, device=device)
+        labels, faults, _ = graph(inputs)
+        return labels, faults
+    labels, faults = torch.empty(batch, *size, dtype=torch.uint8, device=device), torch.empty(batch, device=device)
     given = tuple(map(contiguous, inputs))
 
     def launch(part: slice) -> None:
-        passes.prepare_labels(tuple(tensor[part] for tensor in given), labels[part])()
+        passes.prepare_labels(tuple(tensor[part] for tensor in given), labels[part], faults[part])()
 
     launch_bodies_on(device, launch, batch, passes.modules)
-    return labels
+    return labels, faults
 
 
 def find_loss(
@@ -156,7 +159,7 @@ def _draw_labels(image: Any, passes: Passes, inputs: Tensors, size: Size) -> Any
         graph = _find_graph(*key, device)
     if graph is None:
         return image(*passes.draw(inputs, size)[:3])
-    labels, numbers = graph(inputs)
+    labels, _, numbers = graph(inputs)
     return image.later(partial(_draw_rest, key, numbers), labels=labels)
 
 
@@ -181,41 +184,42 @@ def _draw_rest(key: tuple[Passes, Shapes, Size], numbers: torch.Tensor) -> Tenso
 
 
 class _LabelsGraph:
-    """Label images by a captured graph in fixed buffers; returns copies of labels and inputs."""
+    """Label images by a captured graph in fixed buffers; returns copies of labels, faults and inputs."""
 
     def __init__(self, passes: MapPasses, shapes: Shapes, size: Size, device: torch.device) -> None:
         batch = shapes[0][0]
         self._numbers = torch.empty(batch * row_length(shapes), device=device)
         self._inputs = inputs = split_blocks(self._numbers, shapes)
         self._labels = labels = torch.empty(batch, *size, dtype=torch.uint8, device=device)
+        self._faults = faults = torch.empty(batch, device=device)
 
         def prepare(part: slice) -> Callable[[], None]:
-            return passes.prepare_labels(tuple(tensor[part] for tensor in inputs), labels[part])
+            return passes.prepare_labels(tuple(tensor[part] for tensor in inputs), labels[part], faults[part])
 
         self._launches = CapturedBodies(prepare, batch, device)
 
-    def __call__(self, inputs: Tensors) -> tuple[torch.Tensor, torch.Tensor]:
+    def __call__(self, inputs: Tensors) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         torch._foreach_copy_(self._inputs, inputs)
         self._launches.replay()
-        return self._labels.clone(), self._numbers.clone()
+        return self._labels.clone(), self._faults.clone(), self._numbers.clone()
 
 
 class _Maps(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, passes: MapPasses, size: Size, num_maps: int, *inputs: torch.Tensor) -> Tensors:
-        *images, scratch = passes.draw(inputs, size)
-        ctx.save_for_backward(*inputs, *images)
+        *images, faults, scratch = passes.draw(inputs, size)
+        ctx.save_for_backward(*inputs, *images, faults)
         ctx.passes, ctx.scratch = passes, scratch
         ctx.mark_non_differentiable(*images)
         ctx.set_materialize_grads(False)  # or autograd would fill three images with zeros in every backward pass
-        return *images, label_maps(images[0], num_maps)
+        return *images, label_maps(images[0], num_maps, faults)
 
     @staticmethod
     def backward(ctx: Any, *incoming: torch.Tensor | None) -> Any:
-        inputs, grad_maps = ctx.saved_tensors[:-3], incoming[3]
+        inputs, grad_maps = ctx.saved_tensors[:-4], incoming[3]
         grads: tuple[torch.Tensor | None, ...] = (None,) * len(inputs)
         if grad_maps is not None:
-            labels, depth, nearest = ctx.saved_tensors[-3:]
-            grads = ctx.passes.gradients(inputs, Picture(labels, depth, nearest, ctx.scratch), grad_maps)
+            labels, depth, nearest, faults = ctx.saved_tensors[-4:]
+            grads = ctx.passes.gradients(inputs, Picture(labels, depth, nearest, faults, ctx.scratch), grad_maps)
             grads = once(ctx.passes.drawing, grads, grad_maps, *inputs)
         return None, None, None, *grads
