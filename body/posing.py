@@ -149,7 +149,8 @@ def _as_matrices(parameters: Sequence[torch.Tensor], locked: int) -> list[torch.
             matrices[index] = make(rotation)
     if locked:
         keeps = torch.tensor([[[bool(locked >> part & 1)]] for part in range(NUM_PARTS)], device=matrices[2].device)
-        matrices[2] = torch.where(keeps, torch.eye(3).to(matrices[2]), matrices[2])
+        rest = torch.eye(3).to(matrices[2]) + 0 * matrices[2].detach()  # NaN of a locked part shows, too
+        matrices[2] = torch.where(keeps, rest, matrices[2])
     return matrices
 
 

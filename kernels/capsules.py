@@ -90,11 +90,12 @@ def overlap_costs(
         along_b = end_of(capsules, j, 1) - b
         # Balls around both: most pairs are far apart.
         reach = half_a + 0.5 * wp.length(along_b) + sum_of_radii - free
-        if reach > 0.0 and wp.length_sq(a - b + 0.5 * (along_a - along_b)) < reach * reach:
+        far = reach <= 0.0 or wp.length_sq(a - b + 0.5 * (along_a - along_b)) >= reach * reach
+        if not far:  # of NaN, too, which stays NaN
             near = nearest_of_lines(a, along_a, b, along_b)
             distance = wp.length(near.apart)
             depth = CENTIMETRES * (sum_of_radii - free - distance)
-            if depth > 0.0:
+            if not depth <= 0.0:
                 out = wp.normalize(near.apart)
                 if distance * distance < _SHORT:
                     # Lines that cross: both ways out are as far, and each goes the opposite one.

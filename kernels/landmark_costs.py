@@ -107,10 +107,10 @@ def weigh_landmarks_adjoint(
 
 @wp.func
 def slope_of(value: float):
-    """Derivative of a number's magnitude, 0 at 0."""
+    """Derivative of a number's magnitude, 0 at 0, NaN of NaN."""
     if value == 0.0:
         return 0.0
-    return wp.sign(value)
+    return wp.sign(value) + 0.0 * value
 
 
 def make_aims(arrays: Sequence[wp.array], half_size: float, perspective: bool) -> Any:

@@ -75,8 +75,9 @@ def unit_or(v: wp.vec3, other: wp.vec3):
 
 @wp.func
 def is_collinear(first: wp.vec3, second: wp.vec3):
-    """True if ``second`` is parallel to the unit vector ``first`` or has no direction."""
-    return largest(second - wp.dot(first, second) * first) <= _COLLINEAR * largest(second)
+    """True if ``second`` is parallel to the unit vector ``first`` or has no direction; False if it is not finite."""
+    size = largest(second)
+    return largest(second - wp.dot(first, second) * first) <= _COLLINEAR * size and size < wp.inf
 
 
 @wp.func

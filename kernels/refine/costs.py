@@ -19,8 +19,8 @@ def surface_point(ellipsoids: EllipsoidArrays, b: int, k: int, normalised: wp.ve
 
 @wp.func
 def slope_of_abs(x: float):
-    """Derivative of |x|: 0 at 0, unlike ``wp.sign``."""
-    return wp.where(x > 0.0, 1.0, wp.where(x < 0.0, -1.0, 0.0))
+    """Derivative of |x|: 0 at 0, unlike ``wp.sign``; NaN of NaN."""
+    return wp.where(x > 0.0, 1.0, wp.where(x < 0.0, -1.0, 0.0 * x))
 
 
 @wp.func

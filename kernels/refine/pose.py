@@ -10,7 +10,7 @@ from .state import Problem, State, has_bit, lens_of
 def turn_part(problem: Problem, state: State, b: int, k: int):
     """Local rotation of part k, also as the prior's variable."""
     v = state.bodies.rotations[b, k]
-    turn = wp.identity(n=3, dtype=float)
+    turn = (1.0 + 0.0 * (v[0] + v[1] + v[2])) * wp.identity(n=3, dtype=float)  # NaN of a locked part shows, too
     if not has_bit(problem.locked, k):
         turn = matrix_from_axis_angle(v)
     state.turns[b, k] = turn

@@ -47,7 +47,11 @@ def limit_joint(problem: Problem, state: State, weight: float, b: int, k: int):
     if not has_bit(problem.locked, k):
         v = state.bodies.rotations[b, k]
         lower, upper = problem.rules.lower_limits[k], problem.rules.upper_limits[k]
-        excess = wp.max(v - upper, wp.vec3(0.0)) - wp.max(lower - v, wp.vec3(0.0))
+        for i in range(3):  # not by ``wp.max``, which passes over NaN
+            if not v[i] <= upper[i]:
+                excess[i] = v[i] - upper[i]
+            if v[i] < lower[i]:
+                excess[i] = v[i] - lower[i]
     state.gradient.rotations[b, k] = state.gradient.rotations[b, k] + 2.0 * weight * excess
     return weight * wp.dot(excess, excess)
 

@@ -47,4 +47,8 @@ def step_number(problem: Problem, state: State, b: int, i: int):
     rows.second_moment[b, i] = second
     now = rule.schedule[state.iteration[b]]
     value -= now[0] * rule.rates[i] * first / (wp.sqrt(second) / now[1] + _EPSILON)
-    rows.parameters[b, i] = wp.clamp(value, rule.lower[i], rule.upper[i])
+    if value < rule.lower[i]:  # not ``wp.clamp``, which would make a bound of NaN
+        value = rule.lower[i]
+    if value > rule.upper[i]:
+        value = rule.upper[i]
+    rows.parameters[b, i] = value
