@@ -15,6 +15,7 @@ from ..kernels import kinematics
 from .icosphere import icosphere
 from .template import (
     BODY_SHAPES,
+    BODY_SIZES,
     NUM_JOINTS,
     NUM_PARTS,
     PARENTS,
@@ -162,7 +163,8 @@ class EllipBody(WarpArrays):
         """Copy arrays of shape (B, 3, 3), (B, 3), (B, 20, 3, 3), (B, 12) and (B, 15) to a device.
 
         Raises:
-            ValueError: If a shape differs, a value is not finite or beyond 1e12, or a rotation is none.
+            ValueError: If a shape differs, a value is not finite or beyond 1e12, a rotation is none, or a size is not
+                positive.
         """
         import torch  # only where bodies come from outside: the rest of this module needs Warp alone
 
@@ -179,7 +181,8 @@ class EllipBody(WarpArrays):
             if value.dtype.kind not in "fiu":
                 raise ValueError(f"{name}: {value.dtype}; expected numbers")
         numbers = [torch.from_numpy(value.astype(np.float64)) for value in given]
-        check_numbers(dict(zip(BODY_SHAPES, numbers, strict=True)), rotations=("global_orient", "rotations"))
+        named = dict(zip(BODY_SHAPES, numbers, strict=True))
+        check_numbers(named, rotations=("global_orient", "rotations"), positive=BODY_SIZES)
         kinds = (mat, vec, mat, dtype, dtype)
         return cls(*(wp.array(value, dtype=kind, device=device) for value, kind in zip(given, kinds, strict=True)))
 

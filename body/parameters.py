@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from typing import Literal, overload
 
 import torch
 
 from ..cameras import WeakPerspective
 from ..errors import check_whole
-from ..interop.checks import check_finite, check_tensor
+from ..interop.checks import check_finite, check_numbers, check_tensor
 from ..interop.movable import Movable
 from .posing import Posed, pose_parts
 from .rotations import rotation_from_6d
-from .template import BODY_SHAPES, LOCKED_PARTS, NUM_PARTS, template
+from .template import BODY_SHAPES, BODY_SIZES, LOCKED_PARTS, NUM_PARTS, template
 
 ROW: dict[str, tuple[int, ...]] = {  # shape of one body's parameters, in the order of the fields
     "orientation": (6,),
@@ -129,10 +130,37 @@ class BodyParameters(Movable):
         rows = [each.tensors() for each in those]
         return cls(**{name: torch.cat([row[name] for row in rows]) for name in ROW})
 
-    def leaves(self, frozen: Collection[str] = ()) -> BodyParameters:
-        """Detached copies that collect gradients, but for the frozen ones."""
+    @overload
+    def leaves(self, frozen: Collection[str] = ...) -> BodyParameters: ...
+
+    @overload
+    def leaves(self, frozen: Collection[str] = ..., *, log_sizes: Literal[False]) -> BodyParameters: ...
+
+    @overload
+    def leaves(self, frozen: Collection[str] = ..., *, log_sizes: Literal[True]) -> BodyLeaves: ...
+
+    def leaves(self, frozen: Collection[str] = (), *, log_sizes: bool = False) -> BodyParameters | BodyLeaves:
+        """Detached copies that collect gradients, but for the frozen ones.
+
+        Args:
+            frozen: Names of parameters that collect none.
+            log_sizes: Lengths and thicknesses as logarithms: no step of an optimiser makes them 0 or less. Otherwise
+                steps must be checked, or bounded as ``refine`` does: of a size that is 0 or less, an unchecked draw
+                and its loss are NaN.
+
+        Raises:
+            ValueError: If ``frozen`` names something else, or with ``log_sizes`` a size is NaN, infinite or not
+                positive; to know, that waits for the device.
+        """
+        _check_frozen(frozen)
         copies = {name: tensor.detach().clone() for name, tensor in self.tensors().items()}
-        return BodyParameters(**{name: copy.requires_grad_(name not in frozen) for name, copy in copies.items()})
+        if not log_sizes:
+            return BodyParameters(**{name: copy.requires_grad_(name not in frozen) for name, copy in copies.items()})
+        check_numbers({name: copies[name] for name in BODY_SIZES}, positive=BODY_SIZES)
+        for name in BODY_SIZES:
+            copies[name].log_()
+        free = {name: copy.requires_grad_(name not in frozen) for name, copy in copies.items()}
+        return BodyLeaves(**{f"log_{name}" if name in BODY_SIZES else name: copy for name, copy in free.items()})
 
     @staticmethod
     def free(frozen: Collection[str]) -> tuple[str, ...]:
@@ -141,8 +169,7 @@ class BodyParameters(Movable):
         Raises:
             ValueError: If ``frozen`` names something else, or all of them.
         """
-        if isinstance(frozen, str) or (unknown := [name for name in frozen if name not in ROW]):
-            raise ValueError(f"frozen: {frozen if isinstance(frozen, str) else unknown}; expected some of {tuple(ROW)}")
+        _check_frozen(frozen)
         if not (free := tuple(name for name in ROW if name not in frozen)):
             raise ValueError("frozen: all parameters; expected at least one to be free")
         return free
@@ -154,6 +181,50 @@ class BodyParameters(Movable):
     def tensors(self) -> dict[str, torch.Tensor]:
         """Tensors by name."""
         return {name: getattr(self, name) for name in ROW}
+
+
+@dataclass(frozen=True)
+class BodyLeaves(Movable):
+    """B bodies as an optimiser may move them: sizes are logarithms, so that they stay positive.
+
+    ``BodyParameters.leaves(log_sizes=True)`` makes them. A step of a logarithm is a share of the size: 0.01 is 1 %.
+
+    Attributes:
+        orientation: As of ``BodyParameters``, like all but the sizes, shape (B, 6).
+        rotations: Shape (B, 20, 3).
+        log_lengths: Logarithms of lengths in metres, shape (B, 12).
+        log_thicknesses: Logarithms of thicknesses in metres, shape (B, 15).
+        log_scale: Shape (B,).
+        shift: Shape (B, 2).
+    """
+
+    orientation: torch.Tensor
+    rotations: torch.Tensor
+    log_lengths: torch.Tensor
+    log_thicknesses: torch.Tensor
+    log_scale: torch.Tensor
+    shift: torch.Tensor
+
+    def bodies(self) -> BodyParameters:
+        """The bodies, through which gradients flow back; to be made anew after each step."""
+        return BodyParameters(
+            orientation=self.orientation,
+            rotations=self.rotations,
+            lengths=self.log_lengths.exp(),
+            thicknesses=self.log_thicknesses.exp(),
+            log_scale=self.log_scale,
+            shift=self.shift,
+        )
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Tensors by name, for an optimiser."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def _check_frozen(frozen: Collection[str]) -> None:
+    """Raise ValueError unless these are names of parameters."""
+    if isinstance(frozen, str) or (unknown := [name for name in frozen if name not in ROW]):
+        raise ValueError(f"frozen: {frozen if isinstance(frozen, str) else unknown}; expected some of {tuple(ROW)}")
 
 
 @lru_cache(maxsize=8)

@@ -39,9 +39,10 @@ def pose_bones_by_torch(
 def place_vertices_by_torch(
     centres: torch.Tensor, axes: torch.Tensor, semi_axes: torch.Tensor, subdivisions: int
 ) -> torch.Tensor:
-    """Deform the unit sphere's mesh into each ellipsoid, shape (B, P, N, 3) [m]."""
+    """Deform the unit sphere's mesh into each ellipsoid, shape (B, P, N, 3) [m]; NaN unless all its sizes are > 0."""
     sphere = torch.ops.warp_partdr.unit_sphere(subdivisions).to(semi_axes)
-    return centres[:, :, None] + (semi_axes[:, :, None] * sphere) @ axes.mT
+    sizes = torch.where((semi_axes > 0).all(-1, keepdim=True), semi_axes, torch.nan)
+    return centres[:, :, None] + (sizes[:, :, None] * sphere) @ axes.mT
 
 
 @torch.library.custom_op("warp_partdr::unit_sphere", mutates_args=())

@@ -24,7 +24,7 @@ from .ellipbody import DEFAULT_SUBDIVISIONS, bone_tree
 from .icosphere import icosphere
 from .landmarks import landmark_points
 from .rotations import rotation_from_6d, rotation_from_axis_angle
-from .template import BODY_SHAPES, NUM_JOINTS, NUM_PARTS
+from .template import BODY_SHAPES, BODY_SIZES, NUM_JOINTS, NUM_PARTS
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Posed(Movable):
         return replace(self, joints=self.joints + translation[:, None], centres=self.centres + translation[:, None])
 
     def vertices(self, subdivisions: int = DEFAULT_SUBDIVISIONS) -> torch.Tensor:
-        """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]."""
+        """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]; NaN where a size is not positive."""
         ellipsoids = self.centres, self.axes, self.semi_axes
         place = plain_posing.place_vertices_by_torch if _in_torch(*ellipsoids) else _Vertices.apply
         return place(*ellipsoids, subdivisions).flatten(1, 2)
@@ -95,19 +95,21 @@ def pose(
         rotations: Local rotation of each bone, shape (B, 20, 3, 3), (B, 20, 3) or (B, 20, 6), likewise.
         lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
         thicknesses: ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
-        validate: Look for NaN, infinity and matrices that are no rotations; on CUDA that waits for the device. Not
-            under ``torch.func`` and ``torch.compile``, which know no numbers.
+        validate: Look for NaN, infinity, matrices that are no rotations and sizes that are not positive; on CUDA that
+            waits for the device. Not under ``torch.func`` and ``torch.compile``, which know no numbers.
 
     Returns:
         The posed bodies; float32 or float64, as the arguments.
 
     Raises:
-        ValueError: If a shape, dtype or device does not fit the others, or something is NaN, infinite or no rotation.
+        ValueError: If a shape, dtype or device does not fit the others, something is NaN, infinite or no rotation, or a
+            length or thickness is 0 or less.
     """
     parameters = (global_orient, translation, rotations, lengths, thicknesses)
     check_parameters(parameters, dtypes=tuple(DTYPES))
     if validate and not _in_torch(*parameters):
-        check_numbers(dict(zip(BODY_SHAPES, parameters, strict=True)), rotations=matrices_of(parameters))
+        named = dict(zip(BODY_SHAPES, parameters, strict=True))
+        check_numbers(named, rotations=matrices_of(parameters), positive=BODY_SIZES)
     return pose_parts(*parameters)
 
 

@@ -65,6 +65,8 @@ BODY_SHAPES: dict[str, tuple[int, ...]] = {
     "thicknesses": (len(THICKNESS_NAMES),),
 }
 
+BODY_SIZES = ("lengths", "thicknesses")  # which of these are positive [m]
+
 # Per part: (length, first thickness, second thickness), indices into the two tuples above.
 SHAPE_INDICES: tuple[tuple[int, int, int], ...] = tuple(
     (LENGTH_NAMES.index(length), THICKNESS_NAMES.index(first), THICKNESS_NAMES.index(second))

@@ -166,9 +166,13 @@ def place_vertices(
     semi_axes: wp.array2d[Any],  # (B, P) vec3 [m]
     vertices: wp.array3d[Any],  # (B, P, N) vec3 [m]  OUTPUT
 ):
-    """Deform the unit sphere's mesh into each ellipsoid (the paper's E, eq. 14)."""
+    """Deform the unit sphere's mesh into each ellipsoid (the paper's E, eq. 14); NaN unless all its sizes are > 0."""
     b, k, n = wp.tid()
-    vertices[b, k, n] = centres[b, k] + axes[b, k] * wp.cw_mul(semi_axes[b, k], unit_vertices[n])
+    size = semi_axes[b, k]
+    zero = size.dtype(0.0)
+    if not (size[0] > zero and size[1] > zero and size[2] > zero):
+        size = size * size.dtype(wp.nan)
+    vertices[b, k, n] = centres[b, k] + axes[b, k] * wp.cw_mul(size, unit_vertices[n])
 
 
 @wp.kernel

@@ -15,6 +15,7 @@ __version__ = "0.1.0"
 _EXPORTS = {
     "EllipBody": "body.ellipbody",
     "label_set": "body.labels",
+    "BodyLeaves": "body.parameters",
     "BodyParameters": "body.parameters",
     "PosePrior": "body.pose_prior",
     "Posed": "body.posing",
@@ -62,6 +63,7 @@ __all__ = sorted(["__version__", *_EXPORTS])
 if TYPE_CHECKING:
     from .body.ellipbody import EllipBody as EllipBody
     from .body.labels import label_set as label_set
+    from .body.parameters import BodyLeaves as BodyLeaves
     from .body.parameters import BodyParameters as BodyParameters
     from .body.pose_prior import PosePrior as PosePrior
     from .body.posing import Posed as Posed

@@ -10,7 +10,7 @@ import torch
 
 from ..body.parameters import LOCKED_BITS
 from ..body.posing import Posed, check_parameters, matrices_of, pose_parts
-from ..body.template import BODY_SHAPES, NUM_PARTS
+from ..body.template import BODY_SHAPES, BODY_SIZES, NUM_PARTS
 from ..cameras import Camera, WeakPerspective, check_camera
 from ..errors import check_whole
 from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tensor
@@ -178,7 +178,7 @@ class BodyLoss:
         """Launches and their inputs, from what ``_check`` returned."""
         *parameters, intrinsics = numbers.values()
         if validate:
-            check_numbers(numbers, rotations=matrices_of(parameters), positive=("lengths", "thicknesses"))
+            check_numbers(numbers, rotations=matrices_of(parameters), positive=BODY_SIZES)
         with torch.no_grad():
             fixed = self.fixed(pose_parts(*parameters), camera) if getattr(self, "subdivisions", 0) == "auto" else self
         passes = fixed.body_passes(Seeing(camera.perspective, camera.near_plane, labels), intrinsics.device)

@@ -1,0 +1,235 @@
+"""Numbers that can't be drawn: refused where a call is checked, and NaN where it is not, never a picture.
+
+A body with NaN, infinity, or a size of 0 or less has NaN as loss, gradient, maps and depth. Its neighbours in the batch
+keep theirs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from scenes.bodies import moved_bodies, unsure_observation, walker
+
+from warp_partdr.body.labels import label_set
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.body.posing import pose
+from warp_partdr.body.rotations import rotation_from_6d
+from warp_partdr.cameras import Perspective
+from warp_partdr.network.predicted import Predicted
+from warp_partdr.refinement.energy import Energy
+from warp_partdr.refinement.energy_loss import energy_loss
+from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
+from warp_partdr.render.part_mesh import ellipbody_mesh
+from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
+
+SIZE = 48
+RENDERERS = [
+    *(RendererEllipsoids("edges"), RendererEllipsoids("coverage"), RendererEllipsoids("partdr")),
+    *(RendererMesh(1), RendererMesh(1, gradient="edges")),
+]
+renderers = pytest.mark.parametrize("renderer", RENDERERS, ids=["edges", "coverage", "partdr", "mesh", "mesh-edges"])
+NOT_NUMBERS = [
+    ("orientation", (1,), math.nan),
+    ("orientation", (4,), math.inf),
+    ("orientation", (2,), -math.inf),
+    ("rotations", (19, 2), math.nan),  # a hand, which nothing hangs on
+    ("rotations", (0, 1), math.nan),  # a hip, which is locked
+    ("rotations", (8, 0), math.inf),
+    ("lengths", (4,), math.nan),
+    ("thicknesses", (9,), math.inf),
+    ("log_scale", (), math.nan),
+    ("log_scale", (), 1e9),  # whose exponential is infinite
+    ("shift", (0,), math.nan),
+]
+NO_SIZES = [("lengths", (8,), 0.0), ("lengths", (2,), -0.2), ("thicknesses", (14,), 0.0), ("thicknesses", (6,), -1e-3)]
+faults = pytest.mark.parametrize(("name", "place", "value"), NOT_NUMBERS + NO_SIZES)
+
+
+def broken_bodies(device: str, name: str, place: tuple[int, ...], value: float, batch: int = 3) -> BodyParameters:
+    """Bodies of which the second has a fault."""
+    bodies = BodyParameters.mean(batch, device=device)
+    bodies = replace(bodies, rotations=bodies.rotations + 0.2, orientation=bodies.orientation + 0.1)
+    bodies.tensors()[name][(1, *place)] = value
+    return bodies
+
+
+def target(device: str) -> torch.Tensor:
+    usual = BodyParameters.mean(1, device=device)
+    return RendererEllipsoids().draw(usual.posed(), usual.camera(SIZE), (SIZE, SIZE)).labels
+
+
+def assert_second_alone(values: torch.Tensor) -> None:
+    """NaN in the second body, and in no other."""
+    rows = values.detach().flatten(1) if values.dim() > 1 else values.detach()[:, None]
+    assert rows.isnan().any(1).tolist() == [False, True, False]
+
+
+@renderers
+@faults
+def test_the_loss_of_a_crop_and_each_gradient_are_nan(device, renderer, name, place, value):
+    """Three times: launched, captured, replayed; and without a gradient."""
+    for _ in range(3):
+        leaves = broken_bodies(device, name, place, value).leaves()
+        loss = renderer.crop_loss(leaves, target(device))
+        loss.sum().backward()
+        assert_second_alone(loss)
+        for tensor in leaves.tensors().values():
+            assert_second_alone(tensor.grad)
+        assert_second_alone(renderer.crop_loss(leaves.detach(), target(device)))
+
+
+@renderers
+@pytest.mark.parametrize(("name", "place", "value"), [NOT_NUMBERS[0], NOT_NUMBERS[3], NO_SIZES[1]])
+def test_unchecked_losses_and_maps_are_nan_and_checked_ones_are_refused(device, renderer, name, place, value):
+    bodies = broken_bodies(device, name, place, value)
+    far = torch.tensor([0.0, 0.0, 3.0], device=device).repeat(3, 1)
+    camera = Perspective(torch.full((3, 2), 60.0, device=device), torch.full((3, 2), SIZE / 2, device=device))
+
+    def leaves() -> list[torch.Tensor]:
+        numbers = bodies.orientation, far, bodies.rotations, bodies.lengths, bodies.thicknesses
+        return [tensor.clone().requires_grad_() for tensor in numbers]
+
+    argument = {"orientation": "global_orient"}.get(name, name)
+    with pytest.raises(ValueError, match=f"^{argument}: "):
+        renderer.body_loss(leaves(), camera, target(device))
+    with pytest.raises(ValueError, match=f"^{argument}: "):
+        renderer.body_maps(leaves(), camera, (SIZE, SIZE))
+    for _ in range(3):
+        given = leaves()
+        loss = renderer.body_loss(given, camera, target(device), validate=False)
+        loss.sum().backward()
+        assert_second_alone(loss)
+        assert_second_alone(given[3].grad)
+        given = leaves()
+        maps = renderer.body_maps(given, camera, (SIZE, SIZE), validate=False)
+        assert maps[1].isnan().all()
+        assert_second_alone(maps)
+        maps.sum().backward()
+        assert_second_alone(given[3].grad)
+
+
+@renderers
+@pytest.mark.parametrize("value", [math.nan, -0.1, 0.0])
+def test_posed_bodies_are_drawn_as_nan_or_refused(device, renderer, value):
+    bodies = BodyParameters.mean(3, device=device)
+    bodies.lengths[1, 10] = value
+    posed, camera = bodies.posed(), bodies.camera(SIZE)
+    with pytest.raises(ValueError, match=r"centres|semi_axes|vertices"):
+        renderer.draw(posed, camera, (SIZE, SIZE))
+    with pytest.raises(ValueError, match=r"centres|semi_axes|vertices"):
+        renderer.label_loss(posed, camera, target(device))
+    maps = renderer.draw(posed, camera, (SIZE, SIZE), num_maps=20, validate=False).maps
+    assert_second_alone(maps)
+    assert maps[1].isnan().all()
+    assert_second_alone(renderer.label_loss(posed, camera, target(device), validate=False)[0])
+
+
+@pytest.mark.parametrize("gradient", ["edges", "coverage", "partdr"])
+@pytest.mark.parametrize(("name", "value"), [("centres", math.nan), ("axes", math.inf), ("semi_axes", -0.1)])
+def test_ellipsoids_with_a_fault(device, gradient, name, value):
+    """Depth is NaN everywhere, also where another ellipsoid shows; so are gradients of the faulty one and the camera."""
+    posed, camera = BodyParameters.mean(3, device=device).posed(), BodyParameters.mean(3, device=device).camera(SIZE)
+    tensors = {each: getattr(posed, each).clone() for each in ("centres", "axes", "semi_axes")}
+    tensors[name].view(3, 20, -1)[1, 7, 0] = value
+    leaves = {each: tensor.requires_grad_() for each, tensor in tensors.items()}
+    options = {"gradient": gradient, "validate": False}
+    image = draw_ellipsoids(Ellipsoids(**leaves), camera, (SIZE, SIZE), num_maps=20, **options)
+    assert image.depth[1].isnan().all()
+    assert not image.depth[[0, 2]].isnan().any()
+    assert (image.labels[1] != 8).all()
+    assert image.maps[1].isnan().all()
+    image.maps.sum().backward()
+    loss, _ = ellipsoid_label_loss(Ellipsoids(**leaves), camera, target(device), **options)
+    loss.sum().backward()
+    assert_second_alone(loss)
+    for tensor in leaves.values():
+        assert_second_alone(tensor.grad)
+        assert not tensor.grad[1, :7].isnan().any()
+
+
+@pytest.mark.parametrize("gradient", ["partdr", "edges"])
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_mesh_with_a_fault(device, gradient, value):
+    """Three times through one z-buffer's graph: a fault is not kept for the next picture."""
+    mesh = ellipbody_mesh(0, device=device)
+    bodies = BodyParameters.mean(3, device=device)
+    for faulty in (True, False, True, True):
+        vertices = bodies.posed().vertices(0)
+        if faulty:
+            vertices[1, 33, 0] = value
+        vertices.requires_grad_()
+        options = {"gradient": gradient, "validate": False}
+        loss, _ = mesh_label_loss(vertices, mesh, bodies.camera(SIZE), target(device), **options)
+        loss.sum().backward()
+        maps = draw_mesh(vertices, mesh, bodies.camera(SIZE), (SIZE, SIZE), num_maps=20, **options).maps
+        (by_maps,) = torch.autograd.grad(maps.sum(), vertices)
+        for values in (loss, vertices.grad, maps, by_maps):
+            rows = values.detach().flatten(1) if values.dim() > 1 else values.detach()[:, None]
+            assert rows.isnan().any(1).tolist() == [False, faulty, False]
+
+
+@pytest.mark.parametrize("labels", [False, True], ids=["keypoints", "labels"])
+@pytest.mark.parametrize(("name", "place", "value"), NOT_NUMBERS)
+def test_an_energy_and_its_gradient_are_nan(device, labels, name, place, value):
+    """By torch at first, then by the captured iteration."""
+    body = walker(device)
+    seen = unsure_observation(body, labels=label_set("surreal14") if labels else None)
+    energy = Energy(seen, size=SIZE)
+    for call in range(3):
+        bodies = moved_bodies(body, 3, amount=0.1).detach()
+        bodies.tensors()[name][(1, *place)] = value
+        leaves = bodies.leaves()
+        loss = energy_loss(energy, leaves)
+        loss.sum().backward()
+        if labels or place not in ((19, 2), (0, 1)):  # no keypoint depends on hands, and none on locked hips
+            assert not loss[1].isfinite()
+            assert call == 0 or not leaves.tensors()[name].grad[1].isfinite().all()  # torch: |NaN| has the slope 0
+        assert loss[[0, 2]].isfinite().all()
+        assert leaves.tensors()[name].grad[[0, 2]].isfinite().all()
+
+
+def test_what_a_network_says_stays_nan(device):
+    """Rotations are matrices there."""
+    usual = BodyParameters.mean(3, device=device)
+    turns = torch.eye(3, device=device).repeat(3, 20, 1, 1)
+    for name in ("orientation", "rotations", "thicknesses"):
+        numbers = {"orientation": rotation_from_6d(usual.orientation), "rotations": turns.clone()}
+        numbers["thicknesses"] = usual.thicknesses.clone()
+        numbers[name].view(3, -1)[1, -1] = math.nan
+        said = Predicted(**numbers, lengths=usual.lengths, log_scale=usual.log_scale, shift=usual.shift)
+        for renderer in RENDERERS:
+            assert_second_alone(renderer.crop_loss(said, target(device)))
+
+
+@pytest.mark.parametrize("form", [3, 6])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_rotations_of_every_form_and_dtype_stay_nan(device, form, value):
+    """Each number of the whole body's rotation and of a part's, by kernels and by torch."""
+    mean = BodyParameters.mean(1, device=device)
+    whole = {3: torch.tensor([[0.3, 0.2, -0.1]], device=device), 6: mean.orientation + 0.1}[form]
+    turns = whole[:, None].repeat(1, 20, 1)
+    for dtype in (torch.float32, torch.float64):
+        for index in range(form):
+            for part in (None, 0, 5):
+                given = [whole.clone().to(dtype), turns.clone().to(dtype)]
+                if part is None:
+                    given[0][0, index] = value
+                else:
+                    given[1][0, part, index] = value
+                sizes = mean.lengths.to(dtype), mean.thicknesses.to(dtype)
+                posed = pose(given[0], torch.zeros(1, 3, dtype=dtype, device=device), given[1], *sizes, validate=False)
+                row = 4 if part is None else part
+                assert posed.axes[0, row].isnan().any()
+                assert posed.rotations[0, row].isnan().any()
+
+
+@pytest.mark.parametrize(("name", "value"), [("lengths", 0.0), ("lengths", -0.3), ("thicknesses", -1e-6)])
+def test_pose_refuses_sizes_that_are_not_positive(device, name, value):
+    mean = BodyParameters.mean(2, device=device)
+    mean.tensors()[name][1, 4] = value
+    with pytest.raises(ValueError, match=f"^{name}: .*expected positive"):
+        pose(mean.orientation, torch.zeros(2, 3, device=device), mean.rotations, mean.lengths, mean.thicknesses)
