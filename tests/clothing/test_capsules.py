@@ -31,7 +31,7 @@ def crowd() -> tuple[torch.Tensor, torch.Tensor]:
 def reference(placed: torch.Tensor, allowed: torch.Tensor, people: int = PEOPLE) -> np.ndarray:
     """Costs of all bodies, shape (B,)."""
     places = np.arange(len(placed)) % (len(placed) // people)
-    return book.overlap_costs(placed.double().numpy(), allowed.double().numpy(), FLESH, places)
+    return book.body_overlap_costs(placed.double().numpy(), allowed.double().numpy(), FLESH, places)
 
 
 def test_depths_are_the_books(crowd, device):

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 
-def overlap_costs(capsules: np.ndarray, allowed: np.ndarray, slack: float, places: np.ndarray) -> np.ndarray:
+def body_overlap_costs(capsules: np.ndarray, allowed: np.ndarray, slack: float, places: np.ndarray) -> np.ndarray:
     """Sums of the squares of depths beyond those allowed [cm^2], shape (B,); two bodies share a pair's half and half.
 
     Args:
