@@ -162,7 +162,9 @@ def test_good_input_gives_all_files(case: str, run: Run, files: Path) -> None:
     code, said, complaint = run(f"fit {line}" if clothed else f"fit {line} {ALONE}")
     assert (code, complaint) == (0, "")
     assert said.count("\n") == 2 + clothed
-    assert said.count("F1") == 2 * (1 + clothed) * ("--parts" in line)  # of the ellipsoids, and of the mesh
+    # Of the ellipsoids, and of the mesh, bare and in clothes.
+    assert said.count("F1") == 2 * (1 + 2 * clothed) * ("--parts" in line)
+    assert said.count("in clothes foreground F1") == (clothed and "--parts" in line)
     expected = EVERY_FILE if clothed else set(save.RESULT_FILES)
     expected = expected - (set() if "--parts" in line else {"parts.png"})
     expected = expected | ({save.SMPLX_FILE} if "smpl" in line else set())
@@ -182,7 +184,7 @@ def test_good_input_gives_all_files(case: str, run: Run, files: Path) -> None:
         detailed = json.loads(Path("out", "registration.json").read_text())
         assert detailed["model"] == ("smpl" if "smpl" in line else "anny")
         assert np.isfinite(list(detailed["losses"].values())).all()
-        assert ("parts" in detailed) == ("--parts" in line)
+        assert ("parts" in detailed) == ("parts_clothed" in detailed) == ("--parts" in line)
     if "person" in case:  # the small one's head is at half the height
         assert report["keypoints"]["mean_distance_px"] < 10
         joints = json.loads(Path("out", "body.json").read_text())["joints"]

@@ -276,6 +276,29 @@ def test_the_detailed_body_is_scored_by_its_own_mesh(registered: Registered, res
     assert report["parts"]["part_f1"] < 0.5
 
 
+def test_bare_and_clothed_bodies_are_scored_apart(registered: Registered, result: FitResult, tmp_path: Path) -> None:
+    """``parts`` are of the mesh that detailed.obj holds, ``parts_clothed`` of what the picture shows."""
+    labels, size = label_set("cdcl14"), (512, 384)
+    thick = torch.tensor([[0.05, 0.0, 0.05, 0.05, 0.02, 0.0, 0.04, 0.04]])
+    mesh = detailed_mesh(registered.model, at_joints=True)
+
+    def drawn(vertices: torch.Tensor) -> np.ndarray:
+        return labels.part_groups[draw_on_screen(result.camera.project(vertices), mesh, size).labels[0].numpy()]
+
+    def score(groups: np.ndarray, clothes: torch.Tensor | None) -> dict[str, Any]:
+        seen = replace(result.evidence, picture=PartLabels(labels, groups), groups=groups)
+        return save.save_registered(registered, tmp_path, result.camera, size, evidence=seen, clothes=clothes)
+
+    report = score(drawn(registered.clothed(thick).vertices), thick)
+    assert report["parts_clothed"]["part_f1"] == report["parts_lsp6_clothed"]["part_f1"] == 1
+    assert report["parts"]["foreground_f1"] < 0.99
+    saved = trimesh.load(tmp_path / "detailed.obj", process=False, maintain_order=True)
+    seen = torch.tensor(saved.vertices * [1, -1, -1], dtype=torch.float32)[None]  # y down, z away again
+    bare = drawn(seen + (registered.detailed.vertices - seen).mean(1, keepdim=True))
+    assert score(bare, thick)["parts"]["part_f1"] > 0.999
+    assert not {"parts_clothed", "parts_lsp6_clothed"} & set(score(bare, None))
+
+
 def test_a_fit_s_set_ends_the_older_detailed_body(
     registered: Registered, result: FitResult, bare: FitResult, tmp_path: Path
 ) -> None:

@@ -34,8 +34,8 @@ transl_pelvis, K); --model says which file of SMPL's it is of.
 
 **Results** in FOLDER: detailed.png (look at this first), detailed.glb (mesh, skeleton and skin weights, posed; opens in
 Blender), detailed.obj, detailed.ply (with part colours), detailed.bvh (skeleton and pose), detailed.npz (shape,
-rotations and position for the model) and registration.json (terms of the loss; with --parts, F1 of the detailed body
-against the labels); of SMPL's models detailed.smplx.npz, too: betas, global_orient, body_pose, ... and transl, as the
+rotations and position for the model) and registration.json (terms of the loss; with --parts, F1 against the labels of
+the bare mesh that these files hold, and of the mesh in its clothes if there are any); of SMPL's models detailed.smplx.npz, too: betas, global_orient, body_pose, ... and transl, as the
 smplx package takes them (use_pca=False, flat_hand_mean=True), and the camera. Older results there are replaced.
 """
 MODEL_HELP = "anny, mhr:PATH, soma:PATH, skel:PATH or an SMPL, SMPL-H or SMPL-X file"
@@ -237,12 +237,14 @@ def clothe(
 def say_detailed(report: dict[str, Any], out: Path) -> str:
     """A line about a detailed body's report, and where it is."""
     scores = f"{describe_scores(report)}; " if "parts" in report else ""
+    if "parts_clothed" in report:
+        scores += f"in clothes {describe_scores(report, 'parts_clothed')}; "
     files = f"{out / 'detailed.png'} shows the detailed body, {out / 'detailed.glb'} opens in Blender"
     return f"{report['model']}: {scores}{files}"
 
 
-def describe_scores(report: dict[str, Any]) -> str:
-    """Scores of a body against the labels, in words; of a fit's report, or a registration's."""
-    scores = report["parts"]
+def describe_scores(report: dict[str, Any], key: str = "parts") -> str:
+    """Scores of a body against the labels, in words; those under a key of a fit's report, or a registration's."""
+    scores = report[key]
     left_out = "" if scores["left_out"] is None else f", {100 * scores['left_out']:.0f} % of the person left out"
     return f"foreground F1 {scores['foreground_f1']:.3f}, part F1 {scores['part_f1']:.3f}{left_out}"

@@ -147,8 +147,9 @@ def save_registered(
         camera: Of the picture.
         size: (H, W) of the picture [px].
         photo: The picture, shape (H, W, 3), uint8, if there was one.
-        evidence: Of the person in that picture, for the report's scores where it has labels.
-        clothes: Thicknesses on parts ``CLOTHED`` [m], shape (1, 8), that picture and scores show; meshes are without.
+        evidence: Of the person in that picture, for the report's scores where it has labels: "parts" of the meshes that
+            are written, and with clothes also "parts_clothed", of what the picture shows.
+        clothes: Thicknesses on parts ``CLOTHED`` [m], shape (1, 8), that the picture shows; meshes are without.
         formats: Of ``FURTHER``, for more files.
         **about: More for the report.
     """
@@ -167,11 +168,11 @@ def save_registered(
             name: round(100 * thick, 2) for name, thick in zip(CLOTHED, clothes[0].tolist(), strict=True)
         }
     if evidence is not None and evidence.picture is not None:
-        label_set, (zoom, scored) = evidence.picture.label_set, shown_at(size)
-        vertices = shown.detailed.vertices[:1].detach()
-        seen = zoomed(first_of(camera).to(vertices.device), zoom, scored)
-        image = draw_mesh(vertices, detailed_mesh(model, label_set.at_joints), seen, scored)
-        report |= score_labels(label_set.part_groups[image.labels[0].cpu().numpy()], evidence.target(scored), label_set)
+        label_set = evidence.picture.label_set
+        report |= _score_detailed(registered, evidence, label_set, camera, size)
+        if clothes is not None:
+            in_clothes = _score_detailed(shown, evidence, label_set, camera, size)
+            report |= {f"{name}_clothed": scores for name, scores in in_clothes.items()}
     with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
         save_detailed(registered, temporary)
         save_further(registered, temporary / "detailed", formats)
@@ -182,6 +183,17 @@ def save_registered(
             of_smplx: dict[str, Any] = {**to_smplx(model, *pose), **camera_arrays(camera, size)}
             np.savez(temporary / SMPLX_FILE, **of_smplx)
     return report
+
+
+def _score_detailed(
+    body: Registered, evidence: Evidence, labels: LabelSet, camera: Camera, size: tuple[int, int]
+) -> dict[str, Any]:
+    """Scores of the first detailed body's own mesh against a picture of (H, W) pixels with labels of this set."""
+    zoom, scored = shown_at(size)
+    vertices = body.detailed.vertices[:1].detach()
+    seen = zoomed(first_of(camera).to(vertices.device), zoom, scored)
+    image = draw_mesh(vertices, detailed_mesh(body.model, labels.at_joints), seen, scored)
+    return score_labels(labels.part_groups[image.labels[0].cpu().numpy()], evidence.target(scored), labels)
 
 
 def save_detailed_arrays(registered: Registered, folder: Path, clothes: torch.Tensor | None) -> None:
