@@ -39,7 +39,7 @@ def pose_bones_by_torch(
 def place_vertices_by_torch(
     centres: torch.Tensor, axes: torch.Tensor, semi_axes: torch.Tensor, subdivisions: int
 ) -> torch.Tensor:
-    """Deform the unit sphere's mesh into each ellipsoid, shape (B, P, N, 3) [m]; NaN unless all its sizes are > 0."""
+    """Deform the unit sphere's mesh into each ellipsoid, shape (B, P, N, 3) [m]; NaN if a size is 0 or less."""
     sphere = torch.ops.warp_partdr.unit_sphere(subdivisions).to(semi_axes)
     sizes = torch.where((semi_axes > 0).all(-1, keepdim=True), semi_axes, torch.nan)
     return centres[:, :, None] + (sizes[:, :, None] * sphere) @ axes.mT

@@ -50,7 +50,7 @@ class Posed(Movable):
         return replace(self, joints=self.joints + translation[:, None], centres=self.centres + translation[:, None])
 
     def vertices(self, subdivisions: int = DEFAULT_SUBDIVISIONS) -> torch.Tensor:
-        """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]; NaN where a size is not positive."""
+        """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]; NaN where a size is 0 or less."""
         ellipsoids = self.centres, self.axes, self.semi_axes
         place = plain_posing.place_vertices_by_torch if _in_torch(*ellipsoids) else _Vertices.apply
         return place(*ellipsoids, subdivisions).flatten(1, 2)

@@ -166,7 +166,7 @@ def place_vertices(
     semi_axes: wp.array2d[Any],  # (B, P) vec3 [m]
     vertices: wp.array3d[Any],  # (B, P, N) vec3 [m]  OUTPUT
 ):
-    """Deform the unit sphere's mesh into each ellipsoid (the paper's E, eq. 14); NaN unless all its sizes are > 0."""
+    """Deform the unit sphere's mesh into each ellipsoid (the paper's E, eq. 14); NaN if a size is 0 or less."""
     b, k, n = wp.tid()
     size = semi_axes[b, k]
     zero = size.dtype(0.0)

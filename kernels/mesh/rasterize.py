@@ -121,7 +121,8 @@ def launch_draw_faces(mesh: MeshArrays, zbuffer: ZBuffer) -> None:
     device = mesh.vertices.device
     batch, faces = mesh.vertices.shape[0], mesh.faces.shape[0]
     bits = row_lane_bits(batch * faces, device)
-    launch_bodies(draw_faces, batch, faces << bits, [mesh, bits], [zbuffer.touched, zbuffer.keys, zbuffer.faults], device)
+    outputs = [zbuffer.touched, zbuffer.keys, zbuffer.faults]
+    launch_bodies(draw_faces, batch, faces << bits, [mesh, bits], outputs, device)
 
 
 def launch_bodies(

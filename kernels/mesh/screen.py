@@ -31,7 +31,7 @@ def project_depth(z: float):
 
 @wp.func
 def place_point(seen: EllipsoidsSeen, b: int, k: int, unit: wp.vec3):
-    """Point of ellipsoid k where the unit sphere has one (the paper's E, eq. 14) [m]; NaN unless all its sizes are > 0."""
+    """Point of ellipsoid k where the unit sphere has one (the paper's E, eq. 14) [m]; NaN if a size is 0 or less."""
     sizes = seen.semi_axes[b, k]
     if not (sizes[0] > 0.0 and sizes[1] > 0.0 and sizes[2] > 0.0):
         return wp.vec3(wp.nan)

@@ -31,7 +31,7 @@ class ImageArrays:
     labels: wp.array3d[wp.uint8]  # (B, H, W)
     depth: wp.array3d[float]  # (B, H, W) [m]
     face_index: wp.array3d[int]  # (B, H, W)
-    faults: wp.array[float]  # (B,) NaN: a face has a vertex that is not finite, so that loss and gradient are NaN; else 0
+    faults: wp.array[float]  # (B,) NaN: a vertex is not finite, so that loss and gradient are NaN; else 0
 
 
 @wp.struct

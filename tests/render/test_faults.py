@@ -131,7 +131,7 @@ def test_posed_bodies_are_drawn_as_nan_or_refused(device, renderer, value):
 @pytest.mark.parametrize("gradient", ["edges", "coverage", "partdr"])
 @pytest.mark.parametrize(("name", "value"), [("centres", math.nan), ("axes", math.inf), ("semi_axes", -0.1)])
 def test_ellipsoids_with_a_fault(device, gradient, name, value):
-    """Depth is NaN everywhere, also where another ellipsoid shows; so are gradients of the faulty one and the camera."""
+    """Depth is NaN everywhere, also where another ellipsoid shows, and so is the gradient of the faulty one."""
     posed, camera = BodyParameters.mean(3, device=device).posed(), BodyParameters.mean(3, device=device).camera(SIZE)
     tensors = {each: getattr(posed, each).clone() for each in ("centres", "axes", "semi_axes")}
     tensors[name].view(3, 20, -1)[1, 7, 0] = value

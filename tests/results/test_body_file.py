@@ -83,6 +83,27 @@ def test_numbers_of_other_types_are_taken(tmp_path: Path) -> None:
     assert body.camera_scale.dtype == np.float32
 
 
+@pytest.mark.parametrize("kind", ["U", "S"])
+def test_parts_come_in_any_order_by_name(kind: str, tmp_path: Path) -> None:
+    """Joints are where they were, though rotations lie in another order."""
+    body, order = some_body(), np.random.default_rng(4).permutation(20)
+    data = arrays() | {"rotations": body.rotations[order], "part_names": np.array(PART_NAMES)[order].astype(kind)}
+    np.savez(tmp_path / "body.npz", **data)
+    again = load_body(tmp_path / "body.npz")
+    np.testing.assert_array_equal(again.rotations, body.rotations)
+    joints = [each.body("cpu").pose().joints.numpy() for each in (body, again)]
+    np.testing.assert_array_equal(*joints)
+    np.savez(tmp_path / "old.npz", **arrays())  # without names
+    np.testing.assert_array_equal(load_body(tmp_path / "old.npz").rotations, body.rotations)
+
+
+def test_people_of_all_sizes_are_taken(tmp_path: Path) -> None:
+    for factor in (0.3, 1.7):
+        sizes = {name: factor * arrays()[name] for name in ("lengths", "thicknesses")}
+        np.savez(tmp_path / "body.npz", **arrays() | sizes)
+        np.testing.assert_array_equal(load_body(tmp_path / "body.npz").lengths, sizes["lengths"])
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -103,6 +124,18 @@ def test_numbers_of_other_types_are_taken(tmp_path: Path) -> None:
         ({"image_size": np.array([1.5, 2.5])}, "image_size.*integers"),
         ({"lengths": np.array(["a"] * 12)}, "lengths.*numbers"),
         ({"lengths": np.ones(12, dtype=complex)}, "lengths.*numbers"),
+        ({"lengths": np.full(12, 1e30)}, r"lengths: 1e\+30; expected 0\.001 to 10 m"),
+        ({"lengths": np.array([0.3] * 11 + [1e-44])}, "lengths: 9.80909e-45; expected 0.001 to 10 m"),
+        ({"thicknesses": np.array([0.1] * 14 + [120.0])}, "thicknesses: 120; expected 0.001 to 10 m"),
+        ({"translation": np.array([0.0, -3e6, 4.0])}, r"translation: -3e\+06; expected -100000 to 100000 m"),
+        ({"camera_scale": np.array(1e20)}, r"camera_scale: 1e\+20; expected .* pixels"),
+        ({"camera_translation": np.array([1e12, 4.0])}, r"camera_translation: 1e\+12; expected .* pixels"),
+        ({"image_size": np.array([2**60, 2**60])}, r"image_size: .* expected fewer than 2\*\*28 pixels"),
+        ({"image_size": np.array([2**14, 2**14])}, r"image_size: 16384 x 16384; expected fewer than"),
+        ({"part_names": np.array(PART_NAMES[:19])}, r"part_names: .* \(19,\); expected the names of the 20 parts"),
+        ({"part_names": np.array([*PART_NAMES[:19], "tail"])}, "part_names: 'tail'; expected"),
+        ({"part_names": np.array([*PART_NAMES[:19], "chest"])}, "part_names: 'chest'; expected"),
+        ({"part_names": np.arange(20)}, "part_names: int64"),
     ],
 )
 def test_other_content_is_refused(change: dict[str, Any], says: str, tmp_path: Path) -> None:

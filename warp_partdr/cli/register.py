@@ -35,8 +35,9 @@ transl_pelvis, K); --model says which file of SMPL's it is of.
 **Results** in FOLDER: detailed.png (look at this first), detailed.glb (mesh, skeleton and skin weights, posed; opens in
 Blender), detailed.obj, detailed.ply (with part colours), detailed.bvh (skeleton and pose), detailed.npz (shape,
 rotations and position for the model) and registration.json (terms of the loss; with --parts, F1 against the labels of
-the bare mesh that these files hold, and of the mesh in its clothes if there are any); of SMPL's models detailed.smplx.npz, too: betas, global_orient, body_pose, ... and transl, as the
-smplx package takes them (use_pca=False, flat_hand_mean=True), and the camera. Older results there are replaced.
+the bare mesh that these files hold, and of the mesh in its clothes if there are any); of SMPL's models
+detailed.smplx.npz, too: betas, global_orient, body_pose, ... and transl, as the smplx package takes them
+(use_pca=False, flat_hand_mean=True), and the camera. Older results there are replaced.
 """
 MODEL_HELP = "anny, mhr:PATH, soma:PATH, skel:PATH or an SMPL, SMPL-H or SMPL-X file"
 

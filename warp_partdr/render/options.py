@@ -54,7 +54,9 @@ def check_target(target: torch.Tensor, like: tuple[str, torch.Tensor], batch: in
 
 
 def label_maps(labels: torch.Tensor, count: int, faults: torch.Tensor) -> torch.Tensor:
-    """Part maps A^1 to A^K of label images (paper, eq. 9), shape (B, K, H, W), float32; NaN where ``faults`` (B,) are.
+    """Part maps A^1 to A^K of label images (paper, eq. 9), shape (B, K, H, W), float32.
+
+    ``faults`` (B,) are added to them: 0, or NaN.
     """
     index = torch.arange(1, count + 1, dtype=torch.uint8, device=labels.device)
     maps = torch.empty(len(labels), count, *labels.shape[1:], device=labels.device)

@@ -12,7 +12,7 @@
 | camera_translation | (2,) | where the frame's origin is seen, or the principal point [px] |
 | image_size | (2,) | (H, W) of the picture [px] |
 | camera_perspective | () | 1: u = scale X / Z + camera_translation[0]; 0: weak perspective |
-| part_names | (20,) | names of the ellipsoids |
+| part_names | (20,) | names of the ellipsoids, in the order of ``rotations``: any will do |
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from ..body.template import BODY_SHAPES, PART_NAMES
 from ..cameras import Camera, Perspective, WeakPerspective
 from ..errors import InputError
 from ..files.array_files import read_npz
-from ..interop.checks import rotation_fault
+from .plausible import check_picture_size, check_plausible, order_of_parts
 from .result_sets import check_not_in_set, check_result
 
 FORMAT = "warp-partdr body 1"
@@ -63,10 +63,15 @@ class BodyFile:
     def read(cls, data: Mapping[str, np.ndarray], where: str) -> BodyFile:
         """The body of arrays that came from a file, ``where`` for messages.
 
+        Parts may come in any order, if ``part_names`` says which.
+
         Raises:
-            InputError: If one has a wrong shape, or holds NaN, infinity or what is no rotation.
+            InputError: If one has a wrong shape, or holds NaN, infinity, what is no rotation or what no body can have.
         """
-        body = cls(**{name: _checked(data[name], name, where) for name in _SHAPES})
+        arrays = {name: _checked(data[name], name, where) for name in _SHAPES}
+        if "part_names" in data:
+            arrays["rotations"] = arrays["rotations"][order_of_parts(data["part_names"], where)]
+        body = cls(**arrays)
         if body.camera_perspective and not body.translation[2] > 0:
             raise InputError(f"{where}: translation: {body.translation[2]:g} m away; expected a body before the camera")
         return body
@@ -97,10 +102,11 @@ def load_body(path: str | Path) -> BodyFile:
     """Read a ``body.npz``; nothing in it is ever unpickled.
 
     Raises:
-        InputError: If the file is missing or no body file, holds wrong shapes, NaN, infinity or what is no rotation, or
-            is of another fit than the report beside it.
+        InputError: If the file is missing or no body file, holds wrong shapes, NaN, infinity, what is no rotation or
+            what no body can have, or is of another fit than the report beside it.
     """
-    data = read_npz(path, (*_SHAPES, "format"), expected="a body.npz of partdr fit", most=_MAX_BYTES)
+    names = (*_SHAPES, "format")
+    data = read_npz(path, names, ("part_names",), expected="a body.npz of partdr fit", most=_MAX_BYTES)
     check_result(path)
     if str(found := data.pop("format")) != FORMAT:
         raise InputError(f"{path}: format {str(found)[:40]!r}; expected {FORMAT!r}")
@@ -115,12 +121,11 @@ def _checked(values: np.ndarray, name: str, where: str) -> np.ndarray:
         raise InputError(f"{where}: {name}: {values.dtype} {values.shape}; expected {kind} {shape}")
     with np.errstate(over="ignore"):  # what is too large becomes infinity, which is refused next
         values = values.astype(np.int64 if whole else np.float32)
-    if not np.isfinite(values).all():
-        raise InputError(f"{where}: {name}: holds NaN or infinity; expected finite numbers {shape}")
-    if shape[-2:] == (3, 3) and (fault := rotation_fault(torch.from_numpy(values))):
-        raise InputError(f"{where}: {name}: {fault}")
     if name == "camera_perspective" and values not in (0, 1):
         raise InputError(f"{where}: {name}: {values}; expected 0 or 1")
     if name in _POSITIVE and values.min() <= 0:
         raise InputError(f"{where}: {name}: {values.min():g}; expected positive numbers")
+    if name == "image_size":
+        check_picture_size(values.tolist(), f"{where}: {name}")
+    check_plausible(values, name, where)
     return values

@@ -18,6 +18,7 @@ from ..files.json_files import read_json
 from ..inputs.calibrated_camera import CalibratedCamera
 from ..scenes.film import Motion
 from ..scenes.scene import PersonShape, View
+from .plausible import check_picture_size, check_plausible
 from .predictions import FilmBodies, load_film_bodies
 from .result_sets import PEOPLE_REPORT
 
@@ -25,6 +26,7 @@ _EXPECTED = "the people.json of `partdr fit FILM --out FOLDER`"
 _MOTION = "a personN.npz of `partdr fit FILM --out FOLDER`"
 _VIEW = '{"film": name, "size": [W, H], "focal", "principal": [u, v], "rotation", "translation", "lens"}'
 _MOST_FRAMES = 10_000_000
+_RATES = 1e-5, 1e5  # frames a second, from one a day
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def load_film_fit(folder: str | Path, model: DetailedModel) -> SavedFilm:
         raise InputError(
             f"{path}: of no film ({type(error).__name__}: {cause(error)}); expected {_EXPECTED}"
         ) from error
-    if not (0 < rate < np.inf and 0 < count <= _MOST_FRAMES and names):
+    if not (_RATES[0] <= rate <= _RATES[1] and 0 < count <= _MOST_FRAMES and names):
         raise InputError(f"{path}: {len(names)} people, {count} frames, {rate:g} a second; expected some of each")
     motions, known = {}, np.full(count, np.nan)
     for person, name in names.items():
@@ -109,6 +111,7 @@ def _motion(path: Path, bodies: FilmBodies, count: int, model: DetailedModel) ->
     for name, shape in shapes.items():
         if data[name].shape != shape or data[name].dtype.kind != "f" or not np.isfinite(data[name]).all():
             raise InputError(f"{path}: {name}: {data[name].dtype} {data[name].shape}; expected finite numbers {shape}")
+        check_plausible(data[name], name, str(path))
     frames = bodies.rows["frames"].astype(np.int64)
     if frames[0] < 0 or frames[-1] >= count or (np.diff(frames) <= 0).any():
         raise InputError(f"{path}: frames: {frames[0]} to {frames[-1]}; expected some of 0 to {count - 1}, in order")
@@ -122,19 +125,21 @@ def _view(values: Any, where: str) -> FilmView:
     """A view as the report has it."""
     try:
         width, height = map(int, values["size"])
+        check_picture_size((height, width), f"{where}: size")
         u, v = map(float, values["principal"])
         camera = Perspective.of_picture((height, width), focal=float(values["focal"]), principal=(u, v))
         rotation, translation = (
             torch.tensor(values[name], dtype=torch.float32) for name in ("rotation", "translation")
         )
-        if width < 1 or height < 1:
-            raise ValueError(f"size: {width}, {height}")
+        check_plausible(translation.numpy(), "translation", where)
         lens = None
         if "lens" in values:
             across, down = map(float, values["lens"]["focal"])
             distortion = tuple(map(float, values["lens"]["distortion"]))
             lens = CalibratedCamera((across, down), (u, v), distortion, size=(height, width))
         return FilmView(str(values["film"]), (height, width), View(camera, rotation, translation), lens)
+    except InputError:
+        raise
     except (KeyError, TypeError, ValueError, OverflowError, RuntimeError) as error:
         raise InputError(f"{where}: {type(error).__name__}: {cause(error)}; expected {_VIEW} each") from error
 
@@ -144,8 +149,8 @@ def _view_of(path: Path, bodies: FilmBodies) -> FilmView:
     row = bodies.rows[0]
     u, v = row["camera_translation"].tolist()
     try:
-        if not bodies.perspective or min(bodies.image_size) < 1:
-            raise ValueError(f"camera_perspective: {bodies.perspective}, image_size: {bodies.image_size}")
+        if not bodies.perspective:
+            raise ValueError("camera_perspective: 0")
         camera = Perspective.of_picture(bodies.image_size, focal=float(row["camera_scale"]), principal=(u, v))
     except ValueError as error:
         raise InputError(f"{path}: {error}; expected {_MOTION}") from error

@@ -36,6 +36,7 @@ from ..inputs.observation import Observation
 from ..network.label_network import LabelNetwork
 from ..network.predict import predict_bodies
 from .body_file import BODY_ARRAYS, BodyFile
+from .plausible import check_picture_size, check_plausible, order_of_parts
 from .result_sets import check_result
 from .save import body_file
 
@@ -109,21 +110,30 @@ def load_film_bodies(path: str | Path) -> FilmBodies:
     """Read what ``FilmBodies.save`` wrote; nothing in it is ever unpickled.
 
     Raises:
-        InputError: If the file is missing, no such file, holds wrong shapes, NaN or infinity, or is of another run than
-            the report beside it.
+        InputError: If the file is missing, no such file, holds wrong shapes, NaN, infinity, what is no rotation or what
+            no body can have, or is of another run than the report beside it.
     """
     names = ROW.names or ()
     whole = {"image_size": (2,), "camera_perspective": ()}
-    data = read_npz(path, (*names, *whole, "format"), expected="a film's NAME.personN.npz of partdr predict")
+    expected = "a film's NAME.personN.npz of partdr predict"
+    data = read_npz(path, (*names, *whole, "format"), ("part_names",), expected=expected)
     check_result(path)
     if str(data["format"]) != FORMAT:
         raise InputError(f"{path}: format {str(data['format'])[:40]!r}; expected {FORMAT!r}")
+    if "part_names" in data and data["rotations"].shape[1:2] == (len(PART_NAMES),):
+        data["rotations"] = data["rotations"][:, order_of_parts(data["part_names"], str(path))]
     rows = np.zeros(data["frames"].shape[:1], ROW)
     for name in (*names, *whole):
         values, shape = data[name], whole[name] if name in whole else rows[name].shape
         if values.shape != shape or values.dtype.kind not in "iuf" or not len(rows) or not np.isfinite(values).all():
             raise InputError(f"{path}: {name}: {values.dtype} {values.shape}; expected finite numbers {shape}")
+        check_plausible(values, name, str(path))
         if name in names:
             rows[name] = values
-    height, width = data["image_size"].tolist()
-    return FilmBodies(rows, (height, width), bool(data["camera_perspective"]))
+    if (np.diff(rows["times"]) < 0).any():
+        raise InputError(f"{path}: times: they go back; expected those of frames, one after another")
+    perspective = int(data["camera_perspective"])
+    if perspective not in (0, 1):
+        raise InputError(f"{path}: camera_perspective: {perspective}; expected 0 or 1")
+    size = check_picture_size(data["image_size"].tolist(), f"{path}: image_size")
+    return FilmBodies(rows, size, perspective == 1)
