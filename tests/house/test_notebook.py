@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
-import nbformat
 import pytest
 from conftest import HANG
-from nbclient import NotebookClient
+
+nbformat = pytest.importorskip("nbformat", reason="needs nbformat, of the extra test")
+nbclient = pytest.importorskip("nbclient", reason="needs nbclient, of the extra test")
 
 NOTEBOOK = Path(__file__).resolve().parents[2] / "demos" / "partdr.ipynb"
 
 
-def read() -> nbformat.NotebookNode:
+def read() -> Any:
     return nbformat.read(NOTEBOOK, as_version=4)
 
 
@@ -31,7 +33,7 @@ def test_it_runs_anywhere(monkeypatch, tmp_path):
     """Nothing of it lies beside it, and it leaves nothing behind."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     notebook = read()
-    NotebookClient(notebook, timeout=HANG, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    nbclient.NotebookClient(notebook, timeout=HANG, resources={"metadata": {"path": str(tmp_path)}}).execute()
     assert list(tmp_path.iterdir()) == []
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     faults = [output.text for output in outputs if output.output_type == "stream" and output.name == "stderr"]
