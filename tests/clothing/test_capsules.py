@@ -238,3 +238,17 @@ def test_left_is_as_right():
     for kind in ("upper_leg", "forearm", "hand"):
         left, right = (sum(row[6] for row in by_name[f"{side}_{kind}"]) for side in ("left", "right"))
         assert float(left) == pytest.approx(float(right), rel=0.03)
+
+
+@pytest.mark.parametrize("number", [0, 4, 6])
+def test_capsules_that_are_nan_have_nan_costs(crowd, device, number):
+    """So have those who share their place, and nobody else."""
+    placed, allowed = crowd
+    moving = placed.clone()
+    moving[1, 2, number] = torch.nan
+    moving = moving.to(device).requires_grad_()
+    costs = find_overlap(moving, allowed.to(device), PEOPLE)
+    costs.sum().backward()
+    assert costs.isnan().tolist() == [False, True, False, False, True, False]
+    assert moving.grad[1, 2].isnan().any()
+    assert not moving.grad[[0, 2, 3, 5]].isnan().any()

@@ -6,7 +6,15 @@ import torch
 
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.clothes import CLOTHED, THICKEST, bounded, clothes_basis, clothes_costs, clothes_offsets
+from warp_partdr.clothing.clothes import (
+    CLOTHED,
+    THICKEST,
+    _hair,
+    bounded,
+    clothes_basis,
+    clothes_costs,
+    clothes_offsets,
+)
 from warp_partdr.clothing.registration import ungrown
 from warp_partdr.clothing.surfaces import vertex_parts
 
@@ -73,3 +81,17 @@ def test_hair_grows_behind_the_face_and_away_from_the_head(device: str) -> None:
     middle = (at.amin(0) + at.amax(0)) / 2
     moves = clothes_basis(model)[CLOTHED.index("head"), head]
     assert ((moves * (at - middle)).sum(1) >= -1e-6).all()
+
+
+def test_hair_is_half_as_thick_at_the_hairline() -> None:
+    """It grows over 4 cm, in whose middle as much is above the head's middle as before it."""
+    corners = torch.tensor([[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]])  # the head's
+    behind = torch.tensor([-0.05, -0.02, -0.01, 0.0, 0.01, 0.02, 0.05])
+    places = torch.stack([torch.full_like(behind, 0.03), behind, torch.zeros_like(behind)], dim=1)
+    leaning = torch.stack([torch.full_like(behind, 0.03), 0.04 + behind, torch.full_like(behind, 0.04)], dim=1)
+    for rows in (places, leaning):
+        vertices = torch.cat([corners, rows])
+        moves = _hair(vertices + 1.5, torch.arange(len(vertices)) < 2)[2:]
+        torch.testing.assert_close(moves.norm(dim=1), torch.tensor([0.0, 0.0, 0.25, 0.5, 0.75, 1.0, 1.0]))
+        away = torch.nn.functional.normalize(rows[2:], dim=1)  # from the head's middle
+        torch.testing.assert_close(torch.nn.functional.normalize(moves[2:], dim=1), away)

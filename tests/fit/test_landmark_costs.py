@@ -94,3 +94,20 @@ def test_nobody_costs_nothing():
     none = LandmarkAims(*(each if each is aims.ends else each[:0] for each in vars(aims).values()))
     seen, deep = landmark_costs(landmarks[:0], camera_of(cameras[:0], perspective=False), none)
     assert seen.shape == deep.shape == (0,)
+
+
+@pytest.mark.parametrize("perspective", [False, True])
+def test_what_is_not_finite_stays_nan(perspective, device):
+    """Landmarks and cameras: cost and gradient of their view, and of no other."""
+    for broken in range(2):
+        given = case(perspective=perspective)
+        voted = given[2].places[1, 1]  # by a keypoint with a vote
+        moving = [each.clone().to(device) for each in given[:2]]
+        moving[broken][(1, voted, 0) if broken == 0 else (1, 2)] = torch.nan
+        moving = [each.requires_grad_() for each in moving]
+        aims = LandmarkAims(*(each.to(device) for each in vars(given[2]).values()))
+        seen, _ = landmark_costs(moving[0], camera_of(moving[1], perspective=perspective), aims)
+        assert seen.isnan().tolist() == [False, True, False, False, False]
+        slopes = torch.autograd.grad(seen.sum(), moving)
+        for slope in slopes:
+            assert slope.flatten(1).isnan().any(1).tolist() == [False, True, False, False, False]

@@ -209,6 +209,29 @@ def test_given_forces_reach_every_parameter(device, monkeypatch):
     torch.testing.assert_close(terms["seg"], torch.full((4,), 7 * (256 / SIZE) ** 2, device=device))
 
 
+def test_a_body_whose_forces_are_nan_does_not_end_at_its_bounds(device, monkeypatch):
+    """Its parameters are NaN from the first step on, its best ones where it started; the others go on."""
+    body = walker(device)
+    energy = energy_of(body, labels=True, weights=Weights(seg=1.0))
+    start = moved_bodies(body, 3)
+
+    def make(*arguments):
+        made = FixedForces(*arguments)
+        wp.to_torch(made.drawn.forces)[1] = math.nan
+        return made
+
+    monkeypatch.setattr("warp_partdr.refinement.captured.CapturedEllipsoids", make)
+    captured = CapturedRefinement(energy, 3, iterations=3)
+    refined = captured.refine(start)
+    last = _split(captured._parameters)
+    for name, tensor in last.items():
+        assert tensor.isfinite().flatten(1).all(1).tolist() == [True, False, True], name
+    assert last["lengths"][1].isnan().all()
+    assert refined.history[1:, 1].isnan().all()
+    assert refined.energy.isfinite().all()
+    torch.testing.assert_close(refined.parameters.shift[1], start.shift[1])
+
+
 @pytest.mark.parametrize("gradient", ["coverage", "partdr"])
 def test_labels_cost_and_pull_as_in_torch(device, gradient):
     body = walker(device)

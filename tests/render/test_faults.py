@@ -11,10 +11,13 @@ from dataclasses import replace
 
 import pytest
 import torch
+import warp as wp
 from scenes.bodies import moved_bodies, unsure_observation, walker
 
+from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.body.plain_posing import place_vertices_by_torch
 from warp_partdr.body.posing import pose
 from warp_partdr.body.rotations import rotation_from_6d
 from warp_partdr.cameras import Perspective
@@ -65,7 +68,7 @@ def target(device: str) -> torch.Tensor:
 def assert_second_alone(values: torch.Tensor) -> None:
     """NaN in the second body, and in no other."""
     rows = values.detach().flatten(1) if values.dim() > 1 else values.detach()[:, None]
-    assert rows.isnan().any(1).tolist() == [False, True, False]
+    assert rows.isnan().any(1).tolist() == [body == 1 for body in range(len(rows))]
 
 
 @renderers
@@ -79,6 +82,8 @@ def test_the_loss_of_a_crop_and_each_gradient_are_nan(device, renderer, name, pl
         assert_second_alone(loss)
         for tensor in leaves.tensors().values():
             assert_second_alone(tensor.grad)
+        if not math.isfinite(value):
+            assert leaves.orientation.grad[1].isnan().all()
         assert_second_alone(renderer.crop_loss(leaves.detach(), target(device)))
 
 
@@ -225,6 +230,29 @@ def test_rotations_of_every_form_and_dtype_stay_nan(device, form, value):
                 row = 4 if part is None else part
                 assert posed.axes[0, row].isnan().any()
                 assert posed.rotations[0, row].isnan().any()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("part", [1, 11])
+def test_a_locked_part_s_nan_is_not_hidden(device, dtype, part):
+    bodies = BodyParameters(**{n: t.to(dtype) for n, t in BodyParameters.mean(2, device=device).tensors().items()})
+    bodies.rotations[1, part, 2] = math.nan
+    assert_second_alone(bodies.posed().axes)
+
+
+@pytest.mark.parametrize("size", [0.0, -0.1])
+def test_no_mesh_of_sizes_that_are_not_positive(device, size):
+    """By kernels, by torch, and by the class of Warp arrays."""
+    posed = BodyParameters.mean(2, device=device).posed()
+    sizes = posed.semi_axes.clone()
+    sizes[1, 3, 2] = size
+    assert_second_alone(replace(posed, semi_axes=sizes).vertices(0))
+    by_torch = place_vertices_by_torch(posed.centres, posed.axes, sizes, 0)
+    assert_second_alone(by_torch)
+    assert by_torch[1].isnan().flatten(1).all(1).tolist() == [part == 3 for part in range(20)]
+    body = EllipBody.mean(2, device=wp.device_from_torch(torch.device(device)).alias)
+    body.torch()["thicknesses"][1, 0] = size
+    assert_second_alone(body.pose().torch()["vertices"])
 
 
 @pytest.mark.parametrize(("name", "value"), [("lengths", 0.0), ("lengths", -0.3), ("thicknesses", -1e-6)])
