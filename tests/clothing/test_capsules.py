@@ -252,3 +252,23 @@ def test_capsules_that_are_nan_have_nan_costs(crowd, device, number):
     assert costs.isnan().tolist() == [False, True, False, False, True, False]
     assert moving.grad[1, 2].isnan().any()
     assert not moving.grad[[0, 2, 3, 5]].isnan().any()
+
+
+def test_what_is_allowed_is_allowed_both_ways():
+    """Neighbours, such as a thigh and a shin, may overlap, whichever of them asks; a thigh and the other one not."""
+    capsules = measure_capsules(anny())
+    assert torch.equal(capsules.allowed, capsules.allowed.mT)
+    thigh, shin, other = (
+        capsules.parts.index(PART_NAMES.index(name)) for name in ("left_upper_leg", "left_lower_leg", "right_lower_leg")
+    )
+    assert capsules.allowed[thigh, shin] == capsules.allowed[shin, thigh] == torch.inf
+    assert capsules.allowed[thigh, other] == pytest.approx(FLESH)
+
+
+def test_halves_of_a_limb_go_on_into_each_other():
+    """Each half of a limb ends half of its radius before its skin does, a whole part its radius."""
+    capsules = measure_capsules(anny())
+    first, second = (k for k, part in enumerate(capsules.parts) if PART_NAMES[part] == "left_lower_leg")
+    gap = (capsules.ends[second, 0] - capsules.ends[first, 1]).norm()
+    share = float(gap / (capsules.radii[first] + capsules.radii[second]))
+    assert 0.4 < share < 0.95

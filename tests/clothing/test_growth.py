@@ -85,6 +85,8 @@ def test_growth_is_seen_on_any_device(registered: Registered, device: str) -> No
     assert torch.equal(alone.growth, torch.ones_like(alone.growth))
     asked = register(longer, registered.model, options=replace(options, growth=True))
     assert (asked.growth[:, names[1]] > 1.15).all()
+    assert (asked.unexplained[:, names[1]].abs() < 0.1).all()  # what has grown is explained
+    assert (alone.unexplained[:, names[1]] > 0.15).all()
 
 
 def test_growth_is_what_a_robust_fit_gives_up(registered: Registered, device: str) -> None:

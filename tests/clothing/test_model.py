@@ -8,6 +8,7 @@ import scenes.files
 import torch
 from scenes.bodies import random_turns
 
+from warp_partdr.body.template import PART_NAMES
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.load import load_model
 from warp_partdr.clothing.model import DetailedModel
@@ -94,3 +95,27 @@ def test_wrong_arguments_are_named(smpl_file):
         model.pose(shape, rotations, translation, offsets=torch.zeros(2, 5, 3))
     with pytest.raises(ValueError, match="names: smpl has no landmark 'left_eye'"):
         model.landmarks(model.rest(shape), ["neck", "left_eye"])
+
+
+def test_a_moved_body_is_one_posed_elsewhere(device):
+    model, by = anny(device), torch.tensor([[0.3, -1.0, 2.0], [0.0, 0.5, 0.0]], device=device)
+    shape, turns = torch.zeros(2, model.num_shapes, device=device), random_turns(2, model.num_joints, 0.3).float()
+    here = model.pose(shape, turns.to(device), torch.zeros_like(by))
+    there = model.pose(shape, turns.to(device), by)
+    for name, tensor in vars(here.moved(by)).items():
+        torch.testing.assert_close(tensor, getattr(there, name), atol=2e-5, rtol=0)
+    assert torch.equal(here.transforms[..., :3, 3], here.joints)  # which stays where it was
+
+
+def test_a_stretch_moves_what_hangs_on_a_part_and_is_not_inherited(device):
+    model = anny(device)
+    shape = torch.zeros(1, model.num_shapes, device=device)
+    stretches = torch.eye(3, device=device).repeat(1, 20, 1, 1)
+    stretches[0, PART_NAMES.index("left_upper_leg")] *= 1.5
+    plain, stretched = model.rest(shape).joints[0], model.rest(shape, stretches=stretches).joints[0]
+    parts = ("left_upper_leg", "left_lower_leg", "left_foot")
+    hip, knee, ankle = (model.part_joints[PART_NAMES.index(part)] for part in parts)
+    for start, end, factor in ((hip, knee, 1.5), (knee, ankle, 1.0)):
+        bone = (stretched[end] - stretched[start]).norm()
+        assert float(bone) == pytest.approx(factor * float((plain[end] - plain[start]).norm()), rel=1e-4)
+    torch.testing.assert_close(stretched[hip], plain[hip])

@@ -16,7 +16,7 @@ from warp_partdr.body.template import JOINT_NAMES, NUM_PARTS, PARENTS, PART_NAME
 from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.load import load_model
 from warp_partdr.clothing.model import DetailedModel, detailed_mesh
-from warp_partdr.clothing.pose import pose_from_ellipbody
+from warp_partdr.clothing.pose import end_joints, pose_from_ellipbody
 from warp_partdr.render.part_mesh import ellipbody_mesh
 from warp_partdr.synthetic.poses import mean_body
 
@@ -186,3 +186,17 @@ def test_label_loss_moves_a_detailed_model(device):
     assert inputs[1].grad[0, arm].abs().max() > 0
     maps = draw_on_screen(project(model.pose(*inputs).vertices, 96), mesh, (96, 96), num_maps=NUM_PARTS).maps
     assert maps.shape == (1, NUM_PARTS, 96, 96)
+
+
+def test_a_trunk_bends_halfway_at_its_first_joint():
+    local = REST.clone()
+    local[:, PART_NAMES.index("abdomen")] = rotation_from_axis_angle(torch.tensor([0.8, 0.0, 0.0]))
+    model, shape, *_ = at_rest()
+    rotations, _ = pose_from_ellipbody(model, mean_body(local), shape)
+    straight, _ = pose_from_ellipbody(model, mean_body(REST), shape)
+    first = model.part_joints[PART_NAMES.index("abdomen")]
+    second = end_joints(model)[PART_NAMES.index("abdomen")]
+    assert first != second
+    for joint in (first, second):
+        bent = rotation_to_axis_angle(straight[:, joint].mT @ rotations[:, joint]).norm()
+        assert float(bent) == pytest.approx(0.4, abs=np.radians(2)), model.joint_names[joint]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from scenes.bodies import walker
+from trimesh.triangles import closest_point
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.rotations import rotation_from_axis_angle
@@ -18,7 +19,7 @@ from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.model import DetailedModel, detailed_mesh
 from warp_partdr.clothing.pose import pose_from_ellipbody
 from warp_partdr.clothing.reduction import Reduced, reduce_model, reduce_within
-from warp_partdr.clothing.surfaces import is_closed
+from warp_partdr.clothing.surfaces import is_closed, vertex_parts
 from warp_partdr.fit.mesh_energy import mesh_energy
 from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.render.mesh import draw_mesh
@@ -159,3 +160,28 @@ def test_as_many_vertices_are_kept_as_an_error_needs(error, first, monkeypatch):
 
 def test_a_model_that_has_no_more_than_it_needs_stays_whole():
     assert reduce_within(anny(), 1e-4) is None
+
+
+def test_small_parts_are_denser(reduced):
+    """A part has as many vertices as the root of its skin's area asks for: hands keep their fingers."""
+    model = anny()
+    part, areas = vertex_parts(model)
+    counts = {name: int((part[reduced.kept] == index).sum()) for index, name in enumerate(PART_NAMES)}
+    skin = {name: float(areas[part == index].sum()) for index, name in enumerate(PART_NAMES)}
+    for small, large in (("left_hand", "left_upper_leg"), ("right_foot", "chest"), ("left_forearm", "head")):
+        wanted = np.sqrt(skin[small] / skin[large])
+        assert counts[small] / counts[large] == pytest.approx(wanted, rel=0.05)
+
+
+def test_the_error_holds_for_nearly_all_of_the_surface(reduced):
+    """Of a sample of the whole model's vertices, weighed by the skin around them."""
+    model = anny()
+    _, areas = vertex_parts(model)
+    some = (areas > 0).nonzero()[::23, 0]
+    triangles = reduced.model.rest_vertices[reduced.model.faces.long()].double().numpy()
+    distances = []
+    for point in model.rest_vertices[some].double().numpy():
+        nearest = closest_point(triangles, np.broadcast_to(point, (len(triangles), 3)))
+        distances.append(np.linalg.norm(nearest - point, axis=1).min())
+    beyond = areas[some].numpy()[np.array(distances) > reduced.error].sum() / areas[some].sum().item()
+    assert beyond < 0.1

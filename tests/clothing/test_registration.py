@@ -16,6 +16,7 @@ from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.pose import pose_from_ellipbody
 from warp_partdr.clothing.registration import (
     MATCHED_JOINTS,
+    SCALE,
     Registered,
     RegistrationOptions,
     RegistrationWeights,
@@ -172,3 +173,25 @@ def test_bad_bodies_are_refused(device: str) -> None:
         register(replace(posed, joints=broken), model)
     with pytest.raises(ValueError, match=r"joints: torch\.float64; expected torch\.float32"):
         register(Posed(*(tensor.double() for tensor in vars(posed).values())), model)
+
+
+def test_far_samples_count_less_and_less(registered: Registered, device: str) -> None:
+    """By Geman and McClure's weight, the square of 1 / (1 + d² / scale²)."""
+    loss = _Loss(registered.model, ellipbodies(device), RegistrationWeights())
+    loss.search(registered.detailed.vertices)
+    batch = torch.arange(2, device=loss.corners.device)[:, None, None]
+    nearest = (registered.detailed.vertices[batch, loss.corners] * loss.places[..., None]).sum(-2)
+    squares = (nearest - loss.samples).square().sum(-1)
+    wanted = loss.sample_weights / (1 + squares / SCALE**2) ** 2
+    found = loss.icp_weights > 0
+    assert found.float().mean() > 0.5
+    torch.testing.assert_close(loss.icp_weights[found], wanted[found], rtol=1e-3, atol=1e-7)
+    assert float((squares[found] / SCALE**2).max()) > 0.1
+
+
+def test_the_term_of_joints_is_their_mean_square_in_centimetres(registered: Registered, device: str) -> None:
+    joints = registered.model.landmarks(registered.detailed, MATCHED_JOINTS)
+    wanted = ellipbodies(device).joints[:, [JOINT_NAMES.index(name) for name in MATCHED_JOINTS]]
+    squares = (100 * (joints - wanted)).square().sum(-1)
+    term = RegistrationWeights().joints * squares.mean(-1)
+    torch.testing.assert_close(registered.losses["joints"], term, rtol=1e-3, atol=1e-3)

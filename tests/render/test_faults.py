@@ -261,3 +261,16 @@ def test_pose_refuses_sizes_that_are_not_positive(device, name, value):
     mean.tensors()[name][1, 4] = value
     with pytest.raises(ValueError, match=f"^{name}: .*expected positive"):
         pose(mean.orientation, torch.zeros(2, 3, device=device), mean.rotations, mean.lengths, mean.thicknesses)
+
+
+def test_a_column_of_nan_and_zeros_is_no_rotation(device):
+    """The largest of its numbers is 0, but it is not a column of zeros, which another one replaces."""
+    mean = BodyParameters.mean(1, device=device)
+    for index in range(6):
+        columns = torch.tensor([[1.0, 0.0, 0.0, 0.0, 1.0, 0.0]], device=device)
+        columns[0, index // 3 * 3 : index // 3 * 3 + 3] = 0.0
+        columns[0, index] = math.nan
+        posed = pose(columns, columns.new_zeros(1, 3), mean.rotations, mean.lengths, mean.thicknesses, validate=False)
+        assert posed.axes.isnan().any()
+        loss = RENDERERS[0].crop_loss(replace(mean, orientation=columns), target(device))
+        assert loss.isnan().all()
