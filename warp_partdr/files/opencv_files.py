@@ -125,8 +125,11 @@ def to_matrix(value: object, where: str) -> np.ndarray:
         rows, shape = value["data"], tuple(sides) if isinstance(sides, list) else (sides,)
     try:
         found = np.array(rows, dtype=np.float64)
+        truths = any(isinstance(each, bool) for each in np.array(rows, dtype=object).ravel())
     except (TypeError, ValueError) as error:
         raise InputError(f"{where}: {shown(rows)}; expected numbers") from error
+    if truths:
+        raise InputError(f"{where}: {shown(rows)}; expected numbers, not true and false")
     if shape is not None:
         if found.ndim != 1 or not all(isinstance(side, int) for side in shape) or math.prod(shape) != found.size:
             raise InputError(f"{where}: {found.size} numbers; expected as many as {' x '.join(map(str, shape))}")

@@ -26,7 +26,10 @@ _MOST_STEPS = 50  # of Newton's iteration; a few serve
 _CLOSE = 1e-12  # at depth 1; about 1e-9 px
 _STEP = 1e-6  # of its derivatives
 _WIDEST = np.linspace(0.0, 10.0, 10_001)  # radii at depth 1, up to 84 degrees beside the axis
-_FARTHEST = 1_000.0  # [m], of the world's origin from a camera; more is in millimetres
+_FARTHEST = 1e6  # of the world's origin from a camera, in whatever unit a file has: a kilometre in millimetres
+_BLOCK = 16  # [px]; codecs pad pictures to multiples of it, at the right and at the bottom
+_WHOLE = 0.01  # [px], by which a whole number of pixels may be off
+_ROUNDING = 1.0  # [px], by which a side of a resized picture may be off
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,7 @@ class CalibratedCamera:
         distance = float(np.linalg.norm(self.translation))
         if self.translation.shape != (3,) or not distance <= _FARTHEST:
             raise InputError(
-                f"translation: {self.translation.tolist()}; expected 3 numbers in metres, up to {_FARTHEST:g}"
+                f"translation: {self.translation.tolist()}; expected 3 numbers in metres, {_FARTHEST:g} at most"
             )
 
     @property
@@ -149,6 +152,25 @@ class CalibratedCamera:
             expected = f"{self.size[1]} x {self.size[0]}"
             raise InputError(f"picture: {size[1]} x {size[0]} px; expected {expected}, as calibrated")
 
+    def fitted(self, size: tuple[int, int]) -> CalibratedCamera:
+        """The camera of its pictures at another (H, W): resized, and with or without the padding of a codec.
+
+        A codec pads 1080 rows to 1088, at the bottom and at the right, where the principal point does not move.
+
+        Raises:
+            InputError: If pictures of this size have another shape.
+        """
+        if self.size is None or self.size == size:
+            return replace(self, size=size)
+        zooms = [new / own for new, own in zip(size, self.size, strict=True)]
+        # If the size is another one, too, one side tells the zoom, and the other one is rounded or padded.
+        for zoom in (1.0, max(zooms), min(zooms)):
+            if all(_same_side(own, new / zoom, _ROUNDING / zoom) for own, new in zip(self.size, size, strict=True)):
+                focal, principal = ((zoom * pair[0], zoom * pair[1]) for pair in (self.focal, self.principal))
+                return replace(self, focal=focal, principal=principal, size=size)
+        self.check_size(size)
+        return self
+
     def resized(self, size: tuple[int, int]) -> CalibratedCamera:
         """The camera of its pictures drawn smaller or larger, at (H, W) of about their shape; its size is known."""
         assert self.size is not None
@@ -204,3 +226,10 @@ class CalibratedCamera:
             across = x * stretch + 2 * p1 * x * y + p2 * (square + 2 * x * x)
             down = y * stretch + p1 * (square + 2 * y * y) + 2 * p2 * x * y
         return np.stack([across, down], axis=-1)
+
+
+def _same_side(one: float, other: float, rounding: float) -> bool:
+    """True if two lengths [px] are equal but for rounding, or for padding of the shorter one to a whole block."""
+    short, long = sorted((one, other))
+    padded = long == _BLOCK * math.ceil(short / _BLOCK) and abs(short - round(short)) < _WHOLE
+    return long - short <= rounding or padded

@@ -1,4 +1,4 @@
-"""Files of calibrated cameras: Pose2Sim's ``Calib.toml``, OpenCV's ``FileStorage``, and a JSON of the project's own.
+"""Files of calibrated cameras, of many programs, and a JSON of the project's own.
 
 World to camera, metres. The project's own form has pixel centres at + 0.5, as all its pictures; the others' principal
 points are moved there::
@@ -10,7 +10,8 @@ points are moved there::
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,46 +23,73 @@ from ..errors import InputError, shown
 from ..files.opencv_files import is_matrix, read_opencv, to_matrix
 from ..files.sections import check_keys, read_toml
 from .calibrated_camera import CalibratedCamera
+from .camera_names import assign_cameras, film_names, natural_key
+from .qualisys import QUALISYS, read_qualisys
 
-_EXPECTED = "calibrated cameras: Pose2Sim's .toml, or OpenCV's .yml, .yaml or .json, or a folder of these"
-_KINDS = (".toml", ".yml", ".yaml", ".json")
+_EXPECTED = (
+    "calibrated cameras: .toml of Pose2Sim, Anipose, FreeMoCap or Caliscope; .yml, .yaml or .json of OpenCV, MC-Calib, "
+    "Kalibr or CMU Panoptic; Qualisys' .qca.txt; or a folder of these, or of EasyMocap's intri.yml and extri.yml"
+)
+_KINDS = (".toml", ".yml", ".yaml", ".json", *QUALISYS)
 _LARGEST_TURN = 2 * math.pi  # [rad], of Rodrigues' vectors
+_TENTHS = 10  # a vector of more than half a turn that is given in tenths is in degrees
 _STEREO = ("intrinsics", "extrinsics")  # files of OpenCV's stereo_calib, together two cameras
+_EASYMOCAP = ("intri", "extri")  # files of EasyMocap, together all cameras
 _OWN = ("size", "focal", "principal", "distortion", "rotation", "translation")
-# Names that OpenCV's samples, ROS and Pose2Sim write, without capitals and underscores.
-_MATRIX = ("cameramatrix", "matrix", "intrinsicmatrix", "k", "m", "mtx")
-_DISTORTION = ("distortioncoefficients", "distcoeffs", "distortions", "distortion", "dist", "d")
+# Names that OpenCV's samples, ROS, Pose2Sim and others write, without capitals and underscores.
+_MATRIX = ("cameramatrix", "matrix", "intrinsicmatrix", "k", "m", "mtx", "intrinsics")
+_DISTORTION = (
+    *("distortioncoefficients", "distortioncoeffs", "distcoeffs", "distcoef", "distortionvector"),
+    *("distortions", "distortion", "dist", "d"),
+)
 _ROTATION = ("r", "rotation", "rotationmatrix", "rvec", "rot")
 _TRANSLATION = ("t", "translation", "tvec", "tvecs")
+_POSE = ("cameraposematrix",)  # MC-Calib's, camera to reference
+_CHAIN = ("tcncnm1",)  # Kalibr's, camera before to camera
 _SIZE = ("size", "imagesize", "resolution")
-_WIDTH, _HEIGHT = ("imagewidth", "width"), ("imageheight", "height")
-_FISHEYE = ("fisheye", "fisheyemodel")
-_MODEL = ("distortionmodel", "cameramodel")
-_PLAIN_MODELS = ("plumb_bob", "rational_polynomial", "radtan", "pinhole", "brown", "brown_conrady", "opencv", "")
+_WIDTH, _HEIGHT = ("imagewidth", "imgwidth", "width", "w"), ("imageheight", "imgheight", "height", "h")
+_NAME = ("name", "id", "camid", "cameraid", "serial")
+_FISHEYE = ("fisheye", "fisheyemodel", "isfisheye", "omnidirectional", "xi")
+_MODEL = ("distortionmodel", "cameramodel", "cameratype", "lenstype", "projection")
+_PLAIN_MODELS = (
+    *("plumb_bob", "rational_polynomial", "radtan", "pinhole", "brown", "brown_conrady", "opencv", "perspective"),
+    *("none", ""),
+)
+_NOTHING = ("null", "none", "nan", "")  # rotations and translations of cameras that nobody placed
+_MILLIMETRES = 10.0  # side of a board's square, from which on it is in millimetres
+
+Say = Callable[[str], None]
 
 
-def read_cameras(path: str | Path) -> dict[str, CalibratedCamera]:
+def read_cameras(path: str | Path, *, say: Say | None = None) -> dict[str, CalibratedCamera]:
     """Read calibrated cameras by name, in the order of the file, or of the names of a folder's files.
 
     A file holds cameras by name, or one camera, which has the file's name. A stereo calibration of OpenCV (M1, D1, M2,
     D2, R, T; also as the files intrinsics and extrinsics of a folder) are the cameras "1" and "2", the world being the
-    first one's frame.
+    first one's frame. Translations are in metres; Qualisys' and FreeMoCap's are converted from millimetres.
+
+    Args:
+        path: A file, or a folder.
+        say: Told what was left out or converted, a sentence each.
 
     Raises:
         InputError: If a file can't be read, or a camera lacks something, is none, or has a fisheye lens.
     """
     path = Path(path)
+    tell = say or (lambda sentence: None)
+    if path.is_file() and path.stem in _EASYMOCAP and all(_sibling(path, name).is_file() for name in _EASYMOCAP):
+        path = path.parent
     if not path.is_dir():
-        return _cameras(_read(path), str(path), path.stem)
-    files = sorted(each for each in path.iterdir() if each.suffix.lower() in _KINDS)
-    if sorted(each.stem for each in files) == sorted(_STEREO):
-        both: dict[str, Any] = {}
-        for each in files:
-            both |= _read(each)
-        return _cameras(both, str(path), path.stem)
+        return _cameras(_read(path), str(path), _stem(path), tell)
+    files = [each for each in path.iterdir() if each.name.lower().endswith(_KINDS) and each.is_file()]
+    files.sort(key=lambda each: natural_key(each.name))
+    for pair in (_STEREO, _EASYMOCAP):
+        both = [each for each in files if each.stem in pair and each.suffix.lower() in (".yml", ".yaml", ".json")]
+        if sorted(each.stem for each in both) == sorted(pair) and (pair == _EASYMOCAP or both == files):
+            return _cameras({key: value for each in both for key, value in _read(each).items()}, str(path), "", tell)
     found: dict[str, CalibratedCamera] = {}
     for each in files:
-        for name, camera in _cameras(_read(each), str(each), each.stem).items():
+        for name, camera in _cameras(_read(each), str(each), _stem(each), tell).items():
             if name in found:
                 raise InputError(f"{each}: camera {name} a second time in {path}; expected each once")
             found[name] = camera
@@ -70,24 +98,30 @@ def read_cameras(path: str | Path) -> dict[str, CalibratedCamera]:
     return found
 
 
-def cameras_of_films(path: str | Path, films: Sequence[str | Path]) -> list[CalibratedCamera]:
-    """Calibrated cameras of films, in the frame of the first: by the films' names, else in the order of the file.
+def cameras_of_films(
+    path: str | Path, films: Sequence[str | Path], *, say: Say | None = None
+) -> list[CalibratedCamera]:
+    """Calibrated cameras of films, in the frame of the first, by ``assign_cameras``.
+
+    Args:
+        path: As of ``read_cameras``.
+        films: The films' files, or their names.
+        say: Told what was left out or converted, and which film is of which camera if only their order says it.
 
     Raises:
-        InputError: As of ``read_cameras``, or if it is not clear which camera took which film.
+        InputError: If a camera can't be read, or it is not clear which camera took which film.
     """
-    cameras = read_cameras(path)
-    names = [Path(film).stem for film in films]
-    if set(names) <= cameras.keys() and len(set(names)) == len(names):
-        found = [cameras[name] for name in names]
-    elif len(cameras) == len(films) and all(
-        name == camera or name not in cameras for name, camera in zip(names, cameras, strict=True)
-    ):
-        found = list(cameras.values())
-    else:
-        raise InputError(
-            f"{path}: cameras {', '.join(cameras)}; expected one a film: {', '.join(names)}, by name or in order"
-        )
+    cameras = read_cameras(path, say=say)
+    names = list(cameras)
+    try:
+        assigned = assign_cameras(films, names)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    if assigned.by_order and say is not None:
+        pairs = zip(film_names(films), assigned.cameras, strict=True)
+        told = ", ".join(f"{film} of {names[place]}" for film, place in pairs)
+        say(f"{path}: films are taken in the order of cameras, for no name says otherwise: {told}")
+    found = [cameras[names[place]] for place in assigned.cameras]
     return [camera.seen_from(found[0]) for camera in found]
 
 
@@ -103,31 +137,134 @@ def camera_data(cameras: Mapping[str, CalibratedCamera]) -> dict[str, Any]:
     return {"cameras": nodes}
 
 
+def _sibling(path: Path, name: str) -> Path:
+    return path.with_name(name + path.suffix)
+
+
+def _stem(path: Path) -> str:
+    """Name of a file without its ending, also if it has two."""
+    ending = next((each for each in QUALISYS if path.name.lower().endswith(each)), path.suffix)
+    return path.name[: len(path.name) - len(ending)]
+
+
 def _read(path: Path) -> dict[str, Any]:
-    if path.suffix.lower() not in _KINDS:
+    if not path.name.lower().endswith(_KINDS):
         raise InputError(f"{path}: {path.suffix or 'no ending'}; expected {_EXPECTED}")
     if path.suffix.lower() == ".toml":
         return read_toml(path, str(path), _EXPECTED)
+    if path.name.lower().endswith(QUALISYS):
+        return {"cameras": read_qualisys(path, _EXPECTED)}
     return read_opencv(path, _EXPECTED)
 
 
-def _cameras(data: Mapping[str, Any], where: str, name: str) -> dict[str, CalibratedCamera]:
+def _cameras(data: Mapping[str, Any], where: str, name: str, say: Say) -> dict[str, CalibratedCamera]:
     """Cameras in what a file holds."""
-    if isinstance(own := data.get("cameras"), Mapping):
-        return {str(key): _own_camera(node, f"{where}: cameras.{key}") for key, node in own.items()}
-    if {"M1", "M2"} <= data.keys():
-        return _stereo(data, where)
-    if _find(data, _MATRIX) is not None:
-        return {name: _camera(data, where, alone=True)}
+    listed = data.get("cameras")
+    if isinstance(listed, list):
+        listed = _by_name(listed, f"{where}: cameras")
+    if isinstance(listed, Mapping):
+        nodes = {f"{key}": node for key, node in _placed(listed, where, say).items()}
+        found = {key: _any_camera(node, f"{where}: cameras.{key}", alone=len(listed) == 1) for key, node in nodes.items()}
+    elif isinstance(data.get("names"), list):
+        found = _easymocap(data, where)
+    elif {"M1", "M2"} <= data.keys():
+        found = _stereo(data, where)
+    elif _find(data, _MATRIX) is not None:
+        found = {name: _camera(data, where, alone=True)}
+    else:
+        found = _tables(data, where, say)
+    if not found:
+        raise InputError(f"{where}: no camera in it; expected {_EXPECTED}")
+    if (unit := _told_unit(data)) != 1:
+        say(f"{where}: translations are taken as millimetres, as charuco_square_size is")
+        return {key: replace(camera, translation=unit * camera.translation) for key, camera in found.items()}
+    return found
+
+
+def _tables(data: Mapping[str, Any], where: str, say: Say) -> dict[str, CalibratedCamera]:
+    """Cameras that are a file's tables: Pose2Sim's, Anipose's, OpenCV's, MC-Calib's, Kalibr's."""
     nodes = {key: node for key, node in data.items() if isinstance(node, Mapping) and not is_matrix(node)}
     nodes.pop("metadata", None)
     if not nodes:
-        raise InputError(f"{where}: no camera in it, but {', '.join(data) or 'nothing'}; expected {_EXPECTED}")
+        raise InputError(f"{where}: no camera in it, but {', '.join(map(str, data)) or 'nothing'}; expected {_EXPECTED}")
     alone = len(nodes) == 1
-    found = {str(key): _camera(node, f"{where}: {key}", alone=alone) for key, node in nodes.items()}
+    nodes = _placed(nodes, where, say)
+    groups = {node["camera_group"] for node in nodes.values() if isinstance(node.get("camera_group"), int)}
+    if len(groups) > 1:
+        raise InputError(f"{where}: cameras of groups {sorted(groups)}; expected one group, whose cameras share a world")
+    if all(_find(node, _CHAIN) is not None for node in list(nodes.values())[1:]) and not alone:
+        found = _chained(nodes, where)
+    else:
+        found = {str(key): _camera(node, f"{where}: {key}", alone=alone) for key, node in nodes.items()}
     names = {key: node.get("name") for key, node in nodes.items()}
     if all(isinstance(each, str) for each in names.values()) and len(set(names.values())) == len(names):
-        return {str(names[key]): camera for key, camera in found.items()}
+        return {str(names[key]): found[str(key)] for key in nodes}
+    return found
+
+
+def _by_name(listed: Sequence[Any], where: str) -> dict[str, Any]:
+    """Cameras of a list by their names, or by their places in it."""
+    named = [_find(node, _NAME) if isinstance(node, Mapping) else None for node in listed]
+    names = [str(place if each is None else each[1]) for place, each in enumerate(named)]
+    if len(set(names)) < len(names):
+        raise InputError(f"{where}: {', '.join(names)}; expected each name once")
+    return dict(zip(names, listed, strict=True))
+
+
+def _placed(nodes: Mapping[Any, Any], where: str, say: Say) -> dict[Any, Any]:
+    """Cameras without those that are marked as ignored, or that nobody placed, as Caliscope has them."""
+    found: dict[Any, Any] = {}
+    for key, node in nodes.items():
+        if isinstance(node, Mapping):
+            pose = [_find(node, names) for names in (_ROTATION, _TRANSLATION)]
+            if node.get("ignore") is True:
+                say(f"{where}: camera {key} is left out, for it is marked with ignore")
+                continue
+            if any(each is not None and _is_nothing(each[1]) for each in pose):
+                say(f"{where}: camera {key} is left out, for it has no place")
+                continue
+        found[key] = node
+    return found
+
+
+def _is_nothing(value: object) -> bool:
+    """True for null, also as a text, for TOML has none."""
+    return value is None or (isinstance(value, str) and value.lower() in _NOTHING)
+
+
+def _told_unit(data: Mapping[str, Any]) -> float:
+    """Metres a unit of translations as FreeMoCap's file tells it by the size of the board's squares."""
+    metadata = data.get("metadata")
+    side = metadata.get("charuco_square_size") if isinstance(metadata, Mapping) else None
+    told = isinstance(side, int | float) and not isinstance(side, bool) and side >= _MILLIMETRES
+    return 0.001 if told else 1.0
+
+
+def _easymocap(data: Mapping[str, Any], where: str) -> dict[str, CalibratedCamera]:
+    """Cameras of EasyMocap: K_01, dist_01, R_01 (Rodrigues) or Rot_01, T_01, and perhaps H_01 and W_01."""
+    cameras: dict[str, CalibratedCamera] = {}
+    for name in map(str, data["names"]):
+        keys = {"K": "K", "D": "dist", "dist": "dist", "Rot": "R", "R": "R", "T": "T", "W": "width", "H": "height"}
+        node = {to: data[f"{key}_{name}"] for key, to in keys.items() if f"{key}_{name}" in data}
+        for key in ("K", "T"):
+            if key not in node:
+                raise InputError(
+                    f"{where}: {key}_{name}: missing; expected a folder of EasyMocap's intri.yml and extri.yml"
+                )
+        cameras[name] = _camera(node, f"{where}: camera {name}", alone=False)
+    return cameras
+
+
+def _chained(nodes: Mapping[str, Any], where: str) -> dict[str, CalibratedCamera]:
+    """Cameras of Kalibr, each of which stands beside the one before."""
+    found: dict[str, CalibratedCamera] = {}
+    rotation, translation = np.eye(3), np.zeros(3)
+    for key, node in nodes.items():
+        camera = _camera(node, f"{where}: {key}", alone=True)
+        if found:
+            step = _numbers(node, _CHAIN, f"{where}: {key}", "a transformation", (4, 4))
+            rotation, translation = step[:3, :3] @ rotation, step[:3, :3] @ translation + step[:3, 3]
+        found[str(key)] = _made(f"{where}: {key}", **vars(camera) | {"rotation": rotation, "translation": translation})
     return found
 
 
@@ -152,22 +289,26 @@ def _find(node: Mapping[str, Any], names: tuple[str, ...]) -> tuple[str, Any] | 
     return next(((keys[name], node[keys[name]]) for name in names if name in keys), None)
 
 
+def _any_camera(node: object, where: str, *, alone: bool) -> CalibratedCamera:
+    """A camera of a list, in the project's own form or with OpenCV's matrix."""
+    if isinstance(node, Mapping) and "focal" not in node and _find(node, _MATRIX) is not None:
+        return _camera(node, where, alone=alone)
+    return _own_camera(node, where)
+
+
 def _camera(node: Mapping[str, Any], where: str, *, alone: bool) -> CalibratedCamera:
     """A camera of OpenCV's matrices; ``alone``, it may stand at the world's origin without saying so."""
     _refuse_fisheye(node, where)
-    matrix = _numbers(node, _MATRIX, where, "a camera matrix", (3, 3))
-    assert matrix is not None
-    if matrix[2].tolist() != [0.0, 0.0, 1.0] or matrix[1, 0] != 0 or abs(matrix[0, 1]) > 1e-3 * matrix[0, 0]:
+    matrix = _numbers(node, _MATRIX, where, "a camera matrix", (3, 3), (4,))
+    if matrix.shape == (4,):  # Kalibr's
+        matrix = np.array([[matrix[0], 0.0, matrix[2]], [0.0, matrix[1], matrix[3]], [0.0, 0.0, 1.0]])
+    if matrix[2].tolist() != [0.0, 0.0, 1.0] or matrix[1, 0] != 0 or abs(matrix[0, 1]) > 1e-3 * abs(matrix[0, 0]):
         raise InputError(
             f"{where}: camera matrix {shown(matrix.tolist())}; expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
         )
-    rotation, translation = _find(node, _ROTATION), _find(node, _TRANSLATION)
-    placed = rotation is not None or translation is not None or not alone
-    turn, move = np.eye(3), np.zeros(3)
-    if placed:
-        turn, move = _rotation(node, where), _vector(node, where)
+    turn, move = _pose(node, where, alone=alone)
     found = _find(node, _DISTORTION)
-    coefficients = [] if found is None else to_matrix(found[1], f"{where}: {found[0]}").ravel().tolist()
+    coefficients = [] if found is None else _coefficients(found[1], f"{where}: {found[0]}")
     return _made(
         where,
         focal=(float(matrix[0, 0]), float(matrix[1, 1])),
@@ -177,6 +318,25 @@ def _camera(node: Mapping[str, Any], where: str, *, alone: bool) -> CalibratedCa
         translation=move,
         size=_size(node, where),
     )
+
+
+def _pose(node: Mapping[str, Any], where: str, *, alone: bool) -> tuple[np.ndarray, np.ndarray]:
+    """R and t, world to camera."""
+    if _find(node, _POSE) is not None:
+        pose = _numbers(node, _POSE, where, "a camera's pose", (4, 4))
+        turn = pose[:3, :3].T
+        return turn, -turn @ pose[:3, 3]
+    if alone and _find(node, _ROTATION) is None and _find(node, _TRANSLATION) is None:
+        return np.eye(3), np.zeros(3)
+    return _rotation(node, where), _vector(node, where)
+
+
+def _coefficients(value: object, where: str) -> list[float]:
+    """Numbers of a list that may be empty."""
+    if value is None or (isinstance(value, Sequence) and not value):
+        return []
+    numbers: list[float] = to_matrix(value, where).ravel().tolist()
+    return numbers
 
 
 def _own_camera(node: object, where: str) -> CalibratedCamera:
@@ -193,14 +353,11 @@ def _own_camera(node: object, where: str) -> CalibratedCamera:
         if values.shape != (2,):
             raise InputError(f"{where}: {key}: {shown(node[key])}; expected two numbers [px]")
         pairs.append((float(values[0]), float(values[1])))
-    coefficients = to_matrix(node.get("distortion") or [0.0], f"{where}: distortion").ravel().tolist()
     return _made(
         where,
         focal=pairs[0],
         principal=pairs[1],
-        distortion=_distortion(
-            to_matrix(coefficients, f"{where}: distortion").ravel().tolist() if coefficients else [], where
-        ),
+        distortion=_distortion(_coefficients(node.get("distortion"), f"{where}: distortion"), where),
         rotation=_rotation(node, where),
         translation=_vector(node, where),
         size=_size(node, where),
@@ -232,8 +389,13 @@ def _rotation(node: Mapping[str, Any], where: str) -> np.ndarray:
     values = _numbers(node, _ROTATION, where, "a rotation, world to camera", (3, 3), (3,), (3, 1), (1, 3))
     if values.shape == (3, 3):
         return values
-    if (angle := float(np.linalg.norm(values))) > _LARGEST_TURN:
-        raise InputError(f"{where}: rotation by {angle:g} radians; expected {_LARGEST_TURN:g} at most, not degrees")
+    angle = float(np.linalg.norm(values))
+    tenths = _TENTHS * values
+    if angle > _LARGEST_TURN or (angle > math.pi and np.allclose(tenths, tenths.round(), rtol=0, atol=1e-9)):
+        raise InputError(
+            f"{where}: rotation {shown(values.ravel().tolist())}, by {angle:g} radians; expected {_LARGEST_TURN:g} at "
+            "most, and radians, not degrees"
+        )
     return rotation_from_axis_angle(torch.from_numpy(values.reshape(3))).numpy()
 
 
@@ -258,15 +420,29 @@ def _size(node: Mapping[str, Any], where: str) -> tuple[int, int] | None:
         if sides[0] is None or sides[1] is None:
             return None
         values = [side[1] for side in sides if side is not None]
-    if len(values) != 2 or not all(isinstance(side, int | float) and side > 0 and side % 1 == 0 for side in values):
+    if len(values) != 2 or not all(map(_is_side, values)):
         raise InputError(f"{where}: size {shown(values)}; expected width and height [px]")
     return int(values[1]), int(values[0])
 
 
+def _is_side(side: object) -> bool:
+    """True for a whole number above 0."""
+    return isinstance(side, int | float) and not isinstance(side, bool) and 0 < side < math.inf and side % 1 == 0
+
+
 def _refuse_fisheye(node: Mapping[str, Any], where: str) -> None:
-    found = _find(node, _FISHEYE)
-    model = _find(node, _MODEL)
-    if found is not None and found[1] not in (False, 0, None):
-        raise InputError(f"{where}: {found[0]}: a fisheye lens is not supported; expected Brown's distortion")
-    if model is not None and str(model[1]).lower() not in _PLAIN_MODELS:
-        raise InputError(f"{where}: {model[0]}: {shown(model[1])} is not supported; expected Brown's distortion")
+    expected = "expected a pinhole camera with Brown's distortion"
+    for key, value in _found(node, _FISHEYE):
+        if value not in (False, 0, None, "false"):
+            raise InputError(f"{where}: {key}: a fisheye lens is not supported; {expected}")
+    for key, value in _found(node, _MODEL):
+        if str(value).lower() not in _PLAIN_MODELS:
+            raise InputError(f"{where}: {key}: {shown(value)} is not supported; {expected}")
+    for key, value in _found(node, ("distortiontype",)):  # MC-Calib's
+        if value not in (0, "0"):
+            raise InputError(f"{where}: {key}: {shown(value)}, a fisheye lens, is not supported; {expected}")
+
+
+def _found(node: Mapping[str, Any], names: tuple[str, ...]) -> Iterable[tuple[str, Any]]:
+    """Keys and values of all of these names that are there."""
+    return [(key, value) for key, value in node.items() if _plain(key) in names]
