@@ -12,6 +12,7 @@ import torch
 
 from .errors import check_type
 from .interop.checks import FLOATS, check_tensor
+from .interop.derivatives import is_transformed
 from .interop.movable import Movable
 
 
@@ -25,7 +26,8 @@ class WeakPerspective(Movable):
         near: Depth at or before which nothing is drawn [m]; none by default.
 
     Raises:
-        ValueError: If a shape or dtype is wrong, the two differ in dtype or device, or ``near`` is NaN.
+        ValueError: If a shape or dtype is wrong, the two differ in dtype or device, ``near`` is NaN, or a scale on the
+            CPU is not positive.
     """
 
     scale: torch.Tensor
@@ -37,6 +39,7 @@ class WeakPerspective(Movable):
     def __post_init__(self) -> None:
         _check_near(self.near)
         check_tensor("scale", self.scale, (None,), dtypes=FLOATS)
+        _check_positive("scale", self.scale)
         shape = (self.scale.shape[0], 2)
         check_tensor("translation", self.translation, shape, dtypes=FLOATS, like=("scale", self.scale))
 
@@ -111,7 +114,8 @@ class Perspective(Movable):
         near: Depth at or before which nothing is drawn [m]; not below 1e-6, whatever it says.
 
     Raises:
-        ValueError: If a shape or dtype is wrong, the two differ in dtype or device, or ``near`` is NaN.
+        ValueError: If a shape or dtype is wrong, the two differ in dtype or device, ``near`` is NaN, or a focal length
+            on the CPU is not positive; on a GPU, fits and scenes' views say so.
     """
 
     focal: torch.Tensor
@@ -123,6 +127,7 @@ class Perspective(Movable):
     def __post_init__(self) -> None:
         _check_near(self.near)
         check_tensor("focal", self.focal, (None, 2), dtypes=FLOATS)
+        _check_positive("focal", self.focal)
         shape = (self.focal.shape[0], 2)
         check_tensor("centre", self.centre, shape, dtypes=FLOATS, like=("focal", self.focal))
 
@@ -213,6 +218,12 @@ _ROTATION_ERROR = 1e-3  # of R^T R
 def _check_near(near: float) -> None:
     if math.isnan(near):
         raise ValueError(f"near: {near}; expected a depth")
+
+
+def _check_positive(name: str, values: torch.Tensor) -> None:
+    """Raise ValueError if a number is 0 or less; NaN passes, and a GPU is not waited for."""
+    if values.is_cpu and not torch.compiler.is_compiling() and not is_transformed(values) and (values <= 0).any():
+        raise ValueError(f"{name}: {values.detach().min():g}; expected positive numbers")
 
 
 def _check_side(image_size: float) -> None:

@@ -89,8 +89,8 @@ def test_distortion_is_taken_away(pair: SceneSample) -> None:
     assert np.abs(seen.rows["keypoints"] - truth.rows["keypoints"])[sure].max() > 1
     assert film.lens is not None
     assert film.lens.size == SIZE
-    with pytest.raises(InputError, match="picture: 640 x 480 px; expected 320 x 240, as calibrated"):
-        SeenFilm.calibrated(seen, replace(bent, size=(240, 320)))
+    with pytest.raises(InputError, match="picture: 640 x 480 px; expected 320 x 200, as calibrated"):
+        SeenFilm.calibrated(seen, replace(bent, size=(200, 320)))
 
 
 def test_two_films_put_people_where_they_are(pair: SceneSample) -> None:

@@ -120,13 +120,13 @@ def fit_films(run: FilmRun) -> None:
     options = read_section(SceneOptions, run.values, base=SceneOptions.film())
     check_folder(run.out)
     check_inputs(run.out, (*films, run.cameras), [CAMERAS, *map(overlay_name, range(len(films)))])
-    rig = None if run.cameras is None else cameras_of_films(run.cameras, films)
+    rig = None if run.cameras is None else cameras_of_films(run.cameras, films, say=_say)
     if rig is not None:  # faults are told before people are looked for
         options.check_sights(1, len(films))
         for film, camera in zip(films, rig, strict=True):
             picture = next(read_frames(film)).picture
             with told_as("picture", film):
-                camera.check_size((picture.shape[0], picture.shape[1]))
+                camera.fitted((picture.shape[0], picture.shape[1]))
     photos = [film for film in films if rig is None and is_photo(film)]
     lenses = {film: run.view.of_photo(scan_photo(film), film) for film in photos}
     networks = GivenNetworks(**run.networks.load(where))
@@ -170,6 +170,10 @@ def fit_films(run: FilmRun) -> None:
         for gap in each.given.gaps if each.given is not None else ():
             typer.echo(f"partdr: warning: {film}: {gap}", err=True)
     _tell(run, seen, report)
+
+
+def _say(sentence: str) -> None:
+    typer.echo(f"partdr: {sentence}", err=True)
 
 
 def _tell(run: FilmRun, seen: Sequence[SeenFilm], report: dict[str, Any]) -> None:

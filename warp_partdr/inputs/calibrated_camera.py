@@ -208,7 +208,7 @@ class CalibratedCamera:
         """Radius at depth 1 up to which a place that is farther out is seen farther out."""
         with np.errstate(all="ignore"):
             seen = _WIDEST * self._stretch(_WIDEST**2)
-            outward = (np.diff(seen) > 0) & (seen[1:] > 0)
+            outward = np.diff(seen) > 0
         return math.inf if outward.all() else float(_WIDEST[outward.argmin()])
 
     def _stretch(self, square: np.ndarray) -> np.ndarray:

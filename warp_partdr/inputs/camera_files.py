@@ -164,7 +164,9 @@ def _cameras(data: Mapping[str, Any], where: str, name: str, say: Say) -> dict[s
         listed = _by_name(listed, f"{where}: cameras")
     if isinstance(listed, Mapping):
         nodes = {f"{key}": node for key, node in _placed(listed, where, say).items()}
-        found = {key: _any_camera(node, f"{where}: cameras.{key}", alone=len(listed) == 1) for key, node in nodes.items()}
+        found = {
+            key: _any_camera(node, f"{where}: cameras.{key}", alone=len(listed) == 1) for key, node in nodes.items()
+        }
     elif isinstance(data.get("names"), list):
         found = _easymocap(data, where)
     elif {"M1", "M2"} <= data.keys():
@@ -186,12 +188,16 @@ def _tables(data: Mapping[str, Any], where: str, say: Say) -> dict[str, Calibrat
     nodes = {key: node for key, node in data.items() if isinstance(node, Mapping) and not is_matrix(node)}
     nodes.pop("metadata", None)
     if not nodes:
-        raise InputError(f"{where}: no camera in it, but {', '.join(map(str, data)) or 'nothing'}; expected {_EXPECTED}")
+        raise InputError(
+            f"{where}: no camera in it, but {', '.join(map(str, data)) or 'nothing'}; expected {_EXPECTED}"
+        )
     alone = len(nodes) == 1
     nodes = _placed(nodes, where, say)
     groups = {node["camera_group"] for node in nodes.values() if isinstance(node.get("camera_group"), int)}
     if len(groups) > 1:
-        raise InputError(f"{where}: cameras of groups {sorted(groups)}; expected one group, whose cameras share a world")
+        raise InputError(
+            f"{where}: cameras of groups {sorted(groups)}; expected one group, whose cameras share a world"
+        )
     if all(_find(node, _CHAIN) is not None for node in list(nodes.values())[1:]) and not alone:
         found = _chained(nodes, where)
     else:

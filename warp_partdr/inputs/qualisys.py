@@ -102,9 +102,7 @@ def _camera(parts: Mapping[str, Mapping[str, str]], where: str) -> dict[str, Any
         left, top = number("fov_video", "left"), number("fov_video", "top")
         width, height = number("fov_video", "right") - left + 1, number("fov_video", "bottom") - top + 1
     else:  # the last subpixel is that of the last pixel
-        width, height = (
-            math.ceil((number("intrinsic", f"sensorMax{axis}") + 1) / _SUBPIXELS) for axis in "UV"
-        )
+        width, height = (math.ceil((number("intrinsic", f"sensorMax{axis}") + 1) / _SUBPIXELS) for axis in "UV")
     focal = [number("intrinsic", f"focalLength{axis}") / _SUBPIXELS for axis in "UV"]
     u, v = (number("intrinsic", f"centerPoint{axis}") / _SUBPIXELS for axis in "UV")
     k1, k2, k3 = (number("intrinsic", f"radialDistortion{order}") for order in (1, 2, 3))

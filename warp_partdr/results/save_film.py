@@ -87,6 +87,7 @@ def save_film_fit(
     check_formats("formats", formats)
     tell = progress or (lambda name, done, total: None)
     told = [f"{seen.people.fault}; frames before were fitted" for seen in fit.films if seen.people.fault]
+    told += [_with_names(warning, films) for warning in fit.warnings]
     told += _misfits(fit, films)
     report: dict[str, Any] = {"rate": fit.people.rate, "frames": len(fit.times), "warnings": told, "people": []}
     report["views"] = [_view(Path(film).name, seen) for film, seen in zip(films, fit.films, strict=True)]
@@ -228,6 +229,13 @@ def _rows(fit: FilmFit, person: int, motion: Motion) -> tuple[np.ndarray, float]
         for name, values in zip(names, measure_ellipbody(bodies), strict=True):
             rows[name][some] = values.cpu().numpy()
     return rows, lowest
+
+
+def _with_names(warning: str, films: Sequence[str | Path]) -> str:
+    """A warning about films[1] and so on that names the files."""
+    for place, film in enumerate(films):
+        warning = warning.replace(f"films[{place}]", str(film))
+    return warning
 
 
 def _misfits(fit: FilmFit, films: Sequence[str | Path]) -> list[str]:

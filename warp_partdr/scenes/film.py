@@ -16,6 +16,7 @@ import torch
 from ..body.rotations import nearest_rotation
 from ..cameras import Perspective
 from ..clothing.anny import anny
+from ..clothing.measuring import statures
 from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
 from ..detection.film_people import FilmPeople
@@ -23,12 +24,14 @@ from ..errors import check_type
 from ..fit.fitting import Progress
 from ..inputs.films import check_rates
 from ..interop.ahead import made_ahead
+from .camera_units import in_metres
 from .film_looks import FilmLooks
 from .film_pieces import FilmPieces
 from .fitting import SceneFit, fit_scene
 from .looks import Looked
 from .options import SceneOptions
 from .photo import check_whose, person_place
+from .rig_faults import impossible_people, missing_rays, unmatched_films
 from .same_people import Track, check_films, match_people
 from .scene import PersonShape, Scene, Sight, View
 from .seen_film import SeenFilm
@@ -67,11 +70,13 @@ class FilmFit:
         films: The films; of one, the world is its camera's frame.
         tracks: Of each person, who it is in which film.
         motions: By person.
+        warnings: Faults of films and cameras, a sentence each, in which films are films[0] and so on.
     """
 
     films: tuple[SeenFilm, ...]
     tracks: dict[int, tuple[Track, ...]]
     motions: dict[int, Motion]
+    warnings: tuple[str, ...] = ()
 
     @property
     def people(self) -> FilmPeople:
@@ -123,7 +128,10 @@ def fit_film(
     check_films(films)
     check_type("options", options, SceneOptions | None, "such as SceneOptions.film()")
     options, model = options or SceneOptions.film(), model or anny(device)
+    warnings = [f"films[{place}]: {told}" for place, film in enumerate(films) for told in film.warnings]
+    films, told = in_metres(films)
     everyone = dict(enumerate(match_people(films)))
+    warnings += [*told, *unmatched_films(films, everyone.values()), *missing_rays(films, everyone)]
     if person is not None:
         everyone = {person: everyone[person_place(person, len(everyone))]}
     check_whose(options.stature, len(everyone))
@@ -165,7 +173,20 @@ def fit_film(
             found[number].add(part, window, row)
         tell("motions", place + 1, len(parts))
     motions = {number: found[number].motion(model, film.span(number)) for number in everyone}
-    return FilmFit(film.films, everyone, motions)
+    fit = FilmFit(film.films, everyone, motions)
+    return replace(fit, warnings=(*warnings, *_impossible(fit)))
+
+
+def _impossible(fit: FilmFit) -> list[str]:
+    """Warnings of people before several cameras who are no people."""
+    if len(fit.films) == 1:
+        return []
+    tall, far = {}, {}
+    for person, motion in fit.motions.items():
+        tall[person] = float(statures(motion.model, motion.shape.values[None]))
+        eyes = torch.stack([fit.films[film].view.eye for film, _ in fit.tracks[person]])
+        far[person] = float((motion.translation.cpu()[:, None] - eyes).norm(dim=-1).mean(0).min())
+    return impossible_people(tall, far)
 
 
 def _rows_of(films: Sequence[SeenFilm], tracks: Sequence[Track], film: int) -> np.ndarray:

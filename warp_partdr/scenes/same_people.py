@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -18,8 +19,7 @@ _SURE = 0.5  # confidence of keypoints that are compared, at least
 _LEAST = 24  # pairs of rays that tell anything
 _APART = 0.15  # [m], median distance of rays, above which it is two people
 _LIMBS = (("shoulder", "hip"), ("hip", "knee"), ("knee", "ankle"))
-_LENGTHS = (0.5, 2.0)  # [m] together, of children and adults: what meets elsewhere is no body
-_BEHIND = 10.0  # [m], distance of rays that meet behind a camera
+LENGTHS = (0.5, 2.0)  # [m] together, of children and adults: what meets elsewhere is no body
 
 Track = tuple[int, int]  # film, and number of a person in it
 
@@ -70,12 +70,33 @@ def ray_distance(one: SeenFilm, rows: np.ndarray, other: SeenFilm, others: np.nd
         other: Another film.
         others: A person's there.
     """
+    found = meeting(one, rows, other, others)
+    return found.distance if np.isnan(found.size) or LENGTHS[0] <= found.size <= LENGTHS[1] else np.inf
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Two tracks' rays, in the unit in which the cameras stand.
+
+    Attributes:
+        distance: Median where they come nearest; infinite if they do so behind a camera, or too few can be compared.
+        size: Median length of trunk, thigh and shin together there; NaN where they are not seen.
+        compared: False if too few keypoints are seen in both at once.
+    """
+
+    distance: float
+    size: float
+    compared: bool = True
+
+
+def meeting(one: SeenFilm, rows: np.ndarray, other: SeenFilm, others: np.ndarray) -> Meeting:
+    """Meeting of two tracks' rays; arguments as of ``ray_distance``."""
     both, places, other_places = np.intersect1d(rows["frames"], others["frames"], return_indices=True)
     some: np.ndarray = np.unique(np.linspace(0, len(both) - 1, _FRAMES).round().astype(int)) if len(both) else both
     seen, facing = rows["keypoints"][places[some]], others["keypoints"][other_places[some]]
     sure = (seen[..., 2] >= _SURE) & (facing[..., 2] >= _SURE)
     if sure.sum() < _LEAST:
-        return np.inf
+        return Meeting(np.inf, np.nan, compared=False)
     (start, rays), (end, back) = (
         _rays(film, each[..., :2]) for film, each in zip((one, other), (seen, facing), strict=True)
     )
@@ -87,9 +108,8 @@ def ray_distance(one: SeenFilm, rows: np.ndarray, other: SeenFilm, others: np.nd
         depth, facing_depth = ((each * normal).sum(-1) / length**2 for each in along)
     before = (depth > 0) & (facing_depth > 0)
     points = 0.5 * (start + depth[..., None] * rays + end + facing_depth[..., None] * back)
-    distance = float(np.median(np.where(before, apart, _BEHIND)[sure]))
-    size = _limbs(np.where((sure & before)[..., None], points, np.nan))
-    return distance if np.isnan(size) or _LENGTHS[0] <= size <= _LENGTHS[1] else np.inf
+    distance = float(np.median(np.where(before, apart, np.inf)[sure]))
+    return Meeting(distance, _limbs(np.where((sure & before)[..., None], points, np.nan)))
 
 
 def _rays(film: SeenFilm, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -103,7 +123,7 @@ def _rays(film: SeenFilm, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _limbs(points: np.ndarray) -> float:
-    """Median length of trunk, thigh and shin together, of points (T, 33, 3) [m]; NaN where they are not seen."""
+    """Median length of trunk, thigh and shin together, of points (T, 33, 3); NaN where they are not seen."""
     names = skeleton(SKELETON).landmarks
     total = 0.0
     for pair in _LIMBS:

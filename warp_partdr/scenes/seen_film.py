@@ -30,6 +30,8 @@ class SeenFilm:
         given: What networks of others see of the people, in the same pixels; None: the packaged ones' masks and
             keypoints serve.
         skipped: Frames at the film's start that are left out.
+        by_calibration: True if the camera stands where a calibration says.
+        warnings: Differences between the film and its camera, a sentence each.
     """
 
     people: FilmPeople
@@ -37,6 +39,8 @@ class SeenFilm:
     lens: CalibratedCamera | None = None
     given: FilmSights | None = None
     skipped: int = 0
+    by_calibration: bool = False
+    warnings: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, people: FilmPeople, camera: Perspective | None = None, *, given: FilmSights | None = None) -> SeenFilm:
@@ -55,14 +59,16 @@ class SeenFilm:
     def calibrated(cls, people: FilmPeople, camera: CalibratedCamera, *, given: FilmSights | None = None) -> SeenFilm:
         """Film of a calibrated camera, whose distortion is taken away.
 
+        Pictures may be resized, or padded by a codec, which the film's ``warnings`` say.
+
         Raises:
-            InputError: If the camera's pictures have another size.
+            InputError: If the camera's pictures have another shape.
         """
         size = people.image_size
-        camera.check_size(size)
-        camera = replace(camera, size=size)
+        warnings = _size_warnings(camera, size)
+        camera = camera.fitted(size)
         if not camera.distorts:
-            return cls(people, View.of(camera), given=given)
+            return cls(people, View.of(camera), given=given, by_calibration=True, warnings=warnings)
         rows, small = people.rows.copy(), camera.resized(kept_size(size))
         rows["keypoints"] = _without_distortion(rows["keypoints"], camera)
         packed = [pack_owners(small.undistort_picture(people.owners(frame))) for frame in range(len(people.times))]
@@ -72,7 +78,8 @@ class SeenFilm:
             flat = (None if each is None else small.undistort_picture(each, fill=IGNORE) for each in seen)
             points = _without_distortion(given.keypoints, camera)
             given = replace(given, keypoints=points, packed=tuple(map(pack_groups, flat)))
-        return cls(replace(people, rows=rows, packed=tuple(packed)), View.of(camera), camera, given)
+        people, view = replace(people, rows=rows, packed=tuple(packed)), View.of(camera)
+        return cls(people, view, camera, given, by_calibration=True, warnings=warnings)
 
     def since(self, frame: int) -> SeenFilm:
         """The film without the frames before one."""
@@ -81,7 +88,12 @@ class SeenFilm:
 
     def standing(self, rotation: torch.Tensor, translation: torch.Tensor) -> SeenFilm:
         """The film, taken from there: X_camera = R X_world + t, shapes (3, 3) and (3,) [m]."""
-        return replace(self, view=View(self.view.camera, rotation, translation))
+        return replace(self, view=View(self.view.camera, rotation, translation), by_calibration=False)
+
+    def scaled(self, factor: float) -> SeenFilm:
+        """The film in a world whose lengths are multiplied by a factor."""
+        lens = self.lens and replace(self.lens, translation=factor * self.lens.translation)
+        return replace(self, view=replace(self.view, translation=factor * self.view.translation), lens=lens)
 
     @property
     def camera(self) -> CalibratedCamera:
@@ -124,3 +136,13 @@ def _without_distortion(keypoints: np.ndarray, camera: CalibratedCamera) -> np.n
     points = camera.undistort_points(keypoints[..., :2])
     there = np.isfinite(points).all(-1, keepdims=True) & (keypoints[..., 2:] > 0)
     return np.where(there, np.concatenate([points, keypoints[..., 2:]], axis=-1), 0.0).astype(keypoints.dtype)
+
+
+def _size_warnings(camera: CalibratedCamera, size: tuple[int, int]) -> tuple[str, ...]:
+    """Warning of pictures of another (H, W) than the camera's."""
+    if camera.size is None or camera.size == size:
+        return ()
+    zoom = camera.fitted(size).focal[0] / camera.focal[0]
+    taken = "the difference is taken for a codec's padding" if zoom == 1 else f"the camera is scaled by {zoom:.4g}"
+    own, new = (f"{width} x {height} px" for height, width in (camera.size, size))
+    return (f"pictures of {new}, calibrated at {own}: {taken}",)
