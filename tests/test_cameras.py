@@ -84,3 +84,24 @@ def test_a_weak_camera_takes_the_mean_focal_length():
     off = (camera.project(aside) - full().project(point + aside))[0, 0]
     assert off[0] > 1
     assert off[1] == pytest.approx(-off[0])
+
+
+@pytest.mark.parametrize("wrong", [0.0, -900.0])
+def test_cameras_look_forward(wrong):
+    centre = torch.tensor([[320.0, 240.0]] * 2)
+    for focal in ([[900.0, 900.0], [wrong, 900.0]], [[900.0, wrong], [900.0, 900.0]]):
+        with pytest.raises(ValueError, match=f"focal: {wrong:g}; expected positive numbers"):
+            Perspective(torch.tensor(focal), centre)
+    with pytest.raises(ValueError, match=f"scale: {wrong:g}; expected positive numbers"):
+        WeakPerspective(torch.tensor([120.0, wrong]), centre)
+    # A number that a training lost stays NaN.
+    assert Perspective(torch.full((2, 2), torch.nan), centre).focal.isnan().all()
+
+
+def test_cameras_are_made_within_transforms():
+    centre = torch.tensor([[320.0, 240.0]])
+
+    def seen(focal: torch.Tensor) -> torch.Tensor:
+        return Perspective(focal[None], centre).project(torch.tensor([[[0.1, 0.2, 2.0]]])).sum()
+
+    torch.testing.assert_close(torch.func.grad(seen)(torch.tensor([900.0, 950.0])), torch.tensor([0.05, 0.1]))

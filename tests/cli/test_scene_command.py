@@ -71,6 +71,42 @@ def test_films_of_two_cameras_say_how_far_a_person_is(run: Run, films: int) -> N
     assert turned["views"][1]["translation"] == pytest.approx([BESIDE, 0, 0])
 
 
+def test_cameras_of_another_unit_size_and_order_are_told(run: Run, films: int) -> None:
+    """Centimetres, pictures of twice the size, and cam10 before cam2."""
+    Path("left.mp4").rename("walk_cam10.mp4")
+    Path("right.mp4").rename("walk_cam2.mp4")
+    rig = json.loads(Path("rig.json").read_text())["cameras"]
+    for camera in rig.values():
+        camera |= {key: [2 * value for value in camera[key]] for key in ("size", "focal", "principal")}
+    rig["right"]["translation"] = [-100 * BESIDE, 0, 0]
+    Path("cm.json").write_text(json.dumps({"cameras": {"cam2": rig["right"], "cam10": rig["left"]}}))
+    code, said, complaint = run(f"scene walk_cam10.mp4 walk_cam2.mp4 --cameras cm.json --out out {QUICK}")
+    assert code == 0
+    assert "seen in 4, by walk_cam10.mp4, walk_cam2.mp4; " in said
+    report = json.loads(Path("out", "people.json").read_text())
+    first, second, unit = report["warnings"]
+    size = f"pictures of {films} x {SIDE} px, calibrated at {2 * films} x {2 * SIDE} px: the camera is scaled by 0.5"
+    assert (first, second) == (f"walk_cam10.mp4: {size}", f"walk_cam2.mp4: {size}")
+    assert unit.startswith("cameras: translations are taken as centimetres, with which people are about ")
+    assert complaint.splitlines() == [f"partdr: warning: {warning}" for warning in report["warnings"]]
+    assert report["people"][0]["distance_m"] == pytest.approx(AWAY, abs=0.25)
+    assert report["views"][1]["translation"] == pytest.approx([-BESIDE, 0, 0])
+    assert read_cameras("out/cameras.json")["walk_cam2"].translation.tolist() == pytest.approx([-BESIDE, 0, 0])
+    # Where only the order says whose a film is, and the films are the other way around, nobody is in both.
+    rig = {name: rig[camera] for name, camera in (("a", "right"), ("b", "left"))}
+    rig["b"]["rotation"] = [0.6, 0, 0]
+    Path("ab.json").write_text(json.dumps({"cameras": rig}))
+    code, _, complaint = run(f"scene walk_cam10.mp4 walk_cam2.mp4 --cameras ab.json --out other {QUICK}")
+    assert code == 0
+    order, *warnings = complaint.splitlines()
+    assert order.startswith("partdr: ab.json: films are taken in the order of cameras")
+    assert order.endswith("walk_cam10 of b, walk_cam2 of a")
+    assert any("nobody is seen by two cameras at once" in warning for warning in warnings)
+    assert warnings == [
+        f"partdr: warning: {each}" for each in json.loads(Path("other/people.json").read_text())["warnings"]
+    ]
+
+
 @pytest.fixture
 def unplaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SceneSample:
     """Films and photos of a person who stands still, whose cameras nobody calibrated."""

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from warp_partdr.body.skeletons import skeleton
 from warp_partdr.fit.mesh_options import MeshOptions
+from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.scenes.fitting import fit_scene
-from warp_partdr.scenes.ground import Standing, find_ground
+from warp_partdr.scenes.ground import Standing, feet_seen, find_ground
 from warp_partdr.scenes.looks import look_at
 from warp_partdr.scenes.options import SceneOptions
 from warp_partdr.scenes.scene import Ground, Scene
@@ -78,6 +81,16 @@ def test_who_jumps_or_is_not_seen_is_not_on_the_ground() -> None:
     unseen = replace(bodies, seen=np.array([0.0, 1, 1, 1, 1, 1]))
     assert find_ground(unseen, turn @ LEVEL).shares[0] == 0
     assert abs(find_ground(unseen, turn @ LEVEL).sizes[0]) < 1e-9
+
+
+def test_feet_are_seen_as_surely_as_ankles_are(tmp_path: Path) -> None:
+    confidence = np.full(17, 0.5, np.float32)
+    confidence[-2:] = 0.8, 0.4  # coco17's ankles
+    points = np.ones((17, 2), np.float32)
+    assert feet_seen(Keypoints2D("coco17", points, confidence)) == pytest.approx(0.6)
+    (tmp_path / "trunk.json").write_text('{"landmarks": ["nose", "left_shoulder", "right_shoulder", "left_knee"]}')
+    trunk = Keypoints2D(skeleton(tmp_path / "trunk.json"), points[:4], np.ones(4, np.float32))
+    assert feet_seen(trunk) == 0  # nobody knows where feet are
 
 
 def test_who_lies_is_not_on_the_ground() -> None:

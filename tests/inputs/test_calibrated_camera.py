@@ -125,3 +125,74 @@ def test_cameras_that_can_t_be() -> None:
         CalibratedCamera((1.0, 1.0), (0.0, 0.0), rotation=np.zeros((3, 3)))
     with pytest.raises(InputError, match=r"translation: .*expected 3 numbers"):
         CalibratedCamera((1.0, 1.0), (0.0, 0.0), translation=np.zeros(2))
+    with pytest.raises(InputError, match="focal above 0"):
+        CalibratedCamera((900.0, -900.0), (0.0, 0.0))
+
+
+def sized(width: int, height: int) -> CalibratedCamera:
+    return CalibratedCamera((1000.0, 900.0), (500.0, 300.0), size=(height, width))
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "film", "zoom"),
+    [
+        ((1920, 1080), (1920, 1080), 1.0),
+        ((1920, 1088), (1920, 1080), 1.0),  # a codec's padding at the bottom
+        ((1088, 1920), (1080, 1920), 1.0),  # and at the right
+        ((1920, 1080), (1920, 1088), 1.0),
+        ((640, 368), (640, 360), 1.0),
+        ((1920, 1080), (960, 540), 0.5),
+        ((1280, 720), (1920, 1080), 1.5),
+        ((1366, 768), (1280, 720), 0.9375),  # a side is rounded
+        ((1088, 1920), (540, 960), 0.5),  # both
+        ((1920, 1088), (1280, 720), 2 / 3),
+        ((540, 960), (1088, 1920), 2.0),
+        ((1920, 1080), (1440, 816), 0.75),
+    ],
+)
+def test_pictures_are_resized_and_padded(calibrated: tuple[int, int], film: tuple[int, int], zoom: float) -> None:
+    """The principal point is as far from the left and from the top, in pixels of the calibration."""
+    found = sized(*calibrated).fitted(film[::-1])
+    assert found.size == film[::-1]
+    assert found.focal == pytest.approx((1000 * zoom, 900 * zoom))
+    assert found.principal == pytest.approx((500 * zoom, 300 * zoom))
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "film"),
+    [
+        ((1920, 1080), (1080, 1920)),
+        ((1920, 1080), (640, 480)),
+        ((1920, 1080), (1920, 1440)),
+        ((640, 480), (640, 460)),  # more than a block
+        ((640, 484), (640, 480)),  # nobody pads to 484
+        ((640, 500), (640, 490)),
+    ],
+)
+def test_pictures_of_another_shape_are_refused(calibrated: tuple[int, int], film: tuple[int, int]) -> None:
+    said = f"picture: {film[0]} x {film[1]} px; expected {calibrated[0]} x {calibrated[1]}, as calibrated"
+    with pytest.raises(InputError, match=said):
+        sized(*calibrated).fitted(film[::-1])
+
+
+def test_a_camera_of_unknown_size_takes_any() -> None:
+    found = replace(sized(640, 480), size=None).fitted((300, 200))
+    assert (found.size, found.focal, found.principal) == ((300, 200), (1000.0, 900.0), (500.0, 300.0))
+
+
+def test_a_resized_camera_sees_what_the_first_one_saw() -> None:
+    one = camera(LENSES["barrel"])
+    small = one.resized((360, 640))
+    place = np.array([[700.0, 250.0], [100.0, 600.0]])
+    np.testing.assert_allclose(small.undistort_points(place / 2), one.undistort_points(place) / 2, atol=1e-9)
+
+
+def test_a_lens_reaches_to_where_it_turns_back() -> None:
+    """k1 -0.3 is farthest out at r = 1.054; a pole of k4 -0.25 is at r = 2."""
+    for lens, reach in (((-0.3,), 1 / np.sqrt(0.9)), ((0.0, 0.0, 0.0, 0.0, 0.0, -0.25), 2.0)):
+        one = CalibratedCamera((1000.0, 1000.0), (0.0, 0.0), lens)
+        near, far = one.distort_points(np.array([[1000 * reach - 5, 0.0], [1000 * reach + 5, 0.0]]))
+        assert np.isfinite(near).all()
+        assert np.isnan(far).all()
+    straight = CalibratedCamera((1000.0, 1000.0), (0.0, 0.0), (0.1,))
+    assert np.isfinite(straight.distort_points(np.array([50_000.0, 0.0]))).all()

@@ -35,6 +35,7 @@ _LARGEST_TURN = 2 * math.pi  # [rad], of Rodrigues' vectors
 _TENTHS = 10  # a vector of more than half a turn that is given in tenths is in degrees
 _STEREO = ("intrinsics", "extrinsics")  # files of OpenCV's stereo_calib, together two cameras
 _EASYMOCAP = ("intri", "extri")  # files of EasyMocap, together all cameras
+_ALL = ("camera_array.toml", "calibrated_cameras_data.yml")  # files of Caliscope and MC-Calib, among others of theirs
 _OWN = ("size", "focal", "principal", "distortion", "rotation", "translation")
 # Names that OpenCV's samples, ROS, Pose2Sim and others write, without capitals and underscores.
 _MATRIX = ("cameramatrix", "matrix", "intrinsicmatrix", "k", "m", "mtx", "intrinsics")
@@ -82,6 +83,7 @@ def read_cameras(path: str | Path, *, say: Say | None = None) -> dict[str, Calib
     if not path.is_dir():
         return _cameras(_read(path), str(path), _stem(path), tell)
     files = [each for each in path.iterdir() if each.name.lower().endswith(_KINDS) and each.is_file()]
+    files = [each for each in files if each.name in _ALL][:1] or files
     files.sort(key=lambda each: natural_key(each.name))
     for pair in (_STEREO, _EASYMOCAP):
         both = [each for each in files if each.stem in pair and each.suffix.lower() in (".yml", ".yaml", ".json")]

@@ -174,18 +174,19 @@ def fit_film(
         tell("motions", place + 1, len(parts))
     motions = {number: found[number].motion(model, film.span(number)) for number in everyone}
     fit = FilmFit(film.films, everyone, motions)
-    return replace(fit, warnings=(*warnings, *_impossible(fit)))
+    return replace(fit, warnings=(*warnings, *find_impossible(fit)))
 
 
-def _impossible(fit: FilmFit) -> list[str]:
+def find_impossible(fit: FilmFit) -> list[str]:
     """Warnings of people before several cameras who are no people."""
     if len(fit.films) == 1:
         return []
-    tall, far = {}, {}
-    for person, motion in fit.motions.items():
-        tall[person] = float(statures(motion.model, motion.shape.values[None]))
-        eyes = torch.stack([fit.films[film].view.eye for film, _ in fit.tracks[person]])
-        far[person] = float((motion.translation.cpu()[:, None] - eyes).norm(dim=-1).mean(0).min())
+    eyes = torch.stack([film.view.eye for film in fit.films])
+    tall = {person: float(statures(each.model, each.shape.values[None])) for person, each in fit.motions.items()}
+    far = {
+        person: float((motion.translation.cpu()[:, None] - eyes).norm(dim=-1).mean(0).max())
+        for person, motion in fit.motions.items()
+    }
     return impossible_people(tall, far)
 
 

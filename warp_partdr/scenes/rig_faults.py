@@ -9,7 +9,7 @@ from .same_people import Track, meeting
 from .seen_film import SeenFilm
 
 _STATURES = (0.5, 2.6)  # [m], of people
-_FARTHEST = 100.0  # [m], from a camera that sees a person's joints
+_FARTHEST = 100.0  # [m], of people from the cameras of their films
 _MOST_OFF = 0.08  # median distance of one person's rays over trunk, thigh and shin together; real films had up to 0.034
 _ASKED = "are translations in metres, is each film of its camera, and do the films show the same moments?"
 
@@ -66,7 +66,7 @@ def impossible_people(statures: dict[int, float], distances: dict[int, float]) -
 
     Args:
         statures: Heights standing, by person [m].
-        distances: From the nearest camera that sees the person [m].
+        distances: From the farthest camera [m], by person.
     """
     found: list[str] = []
     for person, stature in statures.items():
@@ -74,6 +74,6 @@ def impossible_people(statures: dict[int, float], distances: dict[int, float]) -
             least, most = _STATURES
             found.append(f"person{person} is {stature:.2f} m tall; expected {least:g} to {most:g} m: {_ASKED}")
         elif not distances[person] <= _FARTHEST:
-            far = f"person{person} is {distances[person]:.0f} m away from cameras"
+            far = f"person{person} is {distances[person]:.0f} m away from a camera"
             found.append(f"{far}; expected {_FARTHEST:g} m at most: {_ASKED}")
     return found
