@@ -1,5 +1,7 @@
 """Cameras: what they project, and that every conversion is exact."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -47,6 +49,12 @@ def test_crop_camera_sees_the_cropped_picture(camera):
     torch.testing.assert_close(CROP.to_full(in_crop), in_full)
     back = camera.in_crop(CROP).in_full(CROP).project(points)[..., :2]
     torch.testing.assert_close(back, in_full)
+
+
+@pytest.mark.parametrize("camera", [weak(), full()])
+def test_crops_keep_the_near_plane(camera):
+    near = replace(camera, near=1.5)
+    assert near.in_crop(CROP).near == near.in_full(CROP).near == near.in_crop(CROP).near_plane == 1.5
 
 
 def test_hmr_parameters_round_trip_and_mean_what_they_say():

@@ -88,6 +88,24 @@ def test_rays_mend_what_the_network_says() -> None:
     assert angle(found.rotations[1], true.rotations[1]) < 1.5
 
 
+def test_pelvises_say_how_far_cameras_are() -> None:
+    """Rays meet however far cameras stand apart."""
+    true = true_places()
+    found = seen_at(true, [range(6)] * 3).refined(replace(true, translations=1.2 * true.translations))
+    torch.testing.assert_close(found.translations, true.translations, atol=2e-3, rtol=0)
+
+
+def test_places_are_in_the_world_of_the_first_view() -> None:
+    true = true_places()
+    lens = camera_at(0.0).without_distortion
+    first = View(lens, rotation_from_axis_angle(torch.tensor([0.2, -0.5, 0.1])), torch.tensor([0.5, -0.2, 3.0]))
+    views = true.views_of([first, View(lens), View(lens)])
+    point = torch.tensor([0.3, -0.1, 0.7])
+    seen = first.to_camera(point).double()
+    for view, turn, move in zip(views, true.rotations, true.translations, strict=True):
+        torch.testing.assert_close(view.to_camera(point).double(), turn @ seen + move, atol=1e-5, rtol=0)
+
+
 def test_a_keypoint_that_is_far_off_hardly_counts() -> None:
     true = true_places()
     moments = seen_at(true, [range(6)] * 3)

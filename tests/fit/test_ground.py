@@ -88,8 +88,8 @@ def test_feet_are_seen_as_surely_as_ankles_are(tmp_path: Path) -> None:
     confidence[-2:] = 0.8, 0.4  # coco17's ankles
     points = np.ones((17, 2), np.float32)
     assert feet_seen(Keypoints2D("coco17", points, confidence)) == pytest.approx(0.6)
-    (tmp_path / "trunk.json").write_text('{"landmarks": ["nose", "left_shoulder", "right_shoulder", "left_knee"]}')
-    trunk = Keypoints2D(skeleton(tmp_path / "trunk.json"), points[:4], np.ones(4, np.float32))
+    (tmp_path / "trunk.json").write_text('{"landmarks": ["nose", "left_knee", "right_knee"]}')
+    trunk = Keypoints2D(skeleton(tmp_path / "trunk.json"), points[:3], np.ones(3, np.float32))
     assert feet_seen(trunk) == 0  # nobody knows where feet are
 
 

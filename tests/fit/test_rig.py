@@ -14,7 +14,7 @@ from warp_partdr.errors import InputError
 from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.scenes.film import fit_film
 from warp_partdr.scenes.options import SceneOptions
-from warp_partdr.scenes.same_people import match_people, ray_distance
+from warp_partdr.scenes.same_people import match_people, meeting, ray_distance
 from warp_partdr.scenes.seen_film import SeenFilm
 from warp_partdr.synthetic.scene_people import SceneSample, make_pair
 
@@ -50,6 +50,30 @@ def test_rays_miss_by_as_much_as_a_camera_is_too_high(pair: SceneSample) -> None
     films = [SeenFilm.calibrated(people, camera) for people, camera in zip(seen, (one, high), strict=True)]
     found = ray_distance(films[0], films[0].people.of(0), films[1], films[1].people.of(0))
     assert found == pytest.approx(0.05, rel=0.1)
+
+
+def test_rays_that_meet_behind_a_camera_do_not_meet(pair: SceneSample) -> None:
+    """A camera that looks the other way, in whose picture the lines through all joints are the same."""
+    one, other = camera_at(-0.3), camera_at(0.3)
+    first, second = film_of(pair, one), film_of(pair, other)
+    rows = second.rows.copy()
+    rows["keypoints"][..., 1] = 2 * other.principal[1] - rows["keypoints"][..., 1]
+    away = np.diag([-1.0, 1.0, -1.0])
+    back = replace(other, rotation=away @ other.rotation, translation=away @ other.translation)
+    films = [SeenFilm.calibrated(first, one), SeenFilm.calibrated(replace(second, rows=rows), back)]
+    met = meeting(films[0], films[0].people.of(0), films[1], films[1].people.of(0))
+    assert (met.compared, met.distance) == (True, np.inf)
+
+
+def test_unsure_keypoints_are_not_compared(pair: SceneSample) -> None:
+    cameras = [camera_at(-0.3), camera_at(0.3)]
+    first, second = (film_of(pair, camera) for camera in cameras)
+    unsure = second.rows.copy()
+    unsure["keypoints"][..., 2] *= 0.4
+    both = zip((first, replace(second, rows=unsure)), cameras, strict=True)
+    films = [SeenFilm.calibrated(people, camera) for people, camera in both]
+    for mine, theirs in ((0, 1), (1, 0)):
+        assert not meeting(films[mine], films[mine].people.of(0), films[theirs], films[theirs].people.of(0)).compared
 
 
 def test_one_whom_one_camera_sees_is_a_person_too(pair: SceneSample) -> None:

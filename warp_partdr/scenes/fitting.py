@@ -124,7 +124,7 @@ def fit_scene(
     check_type("options", options, SceneOptions | None, "such as SceneOptions()")
     check_type("model", model, DetailedModel | None, "of load_model, or anny()")
     for place, sight in enumerate(scene.sights):
-        _check_near(f"sights[{place}]", sight, scene.views[sight.view])
+        _check_sight(f"sights[{place}]", sight, scene.views[sight.view])
     options = options or SceneOptions()
     options.check_sights(scene.num_people, len(scene.views))
     if scene.ground is not None and not options.ground:
@@ -211,7 +211,7 @@ def _refine(energy: SceneEnergy, people: SceneStarts, looks: Sequence[Looked], t
     return _Refined(people, looks, Unknowns(**found), terms)
 
 
-def _check_near(name: str, sight: Sight, view: View) -> None:
+def _check_sight(name: str, sight: Sight, view: View) -> None:
     """Raise InputError if a confident keypoint is where no lens without distortion sees anything."""
     focal, centre = (each[0].cpu().numpy() for each in (view.camera.focal, view.camera.centre))
     points = sight.keypoints.points
