@@ -304,7 +304,7 @@ cam1:
   intrinsics: [600.0, 605.0, 320.0, 240.0]
   resolution: [640, 480]
 cam2:
-  T_cn_cnm1: [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+  T_cn_cnm1: [[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
   camera_model: pinhole
   distortion_coeffs: [0.0, 0.0, 0.0, 0.0]
   distortion_model: none
@@ -323,8 +323,8 @@ def test_kalibr(tmp_path: Path) -> None:
     assert cameras["cam0"].translation.tolist() == [0, 0, 0]
     assert cameras["cam1"].translation.tolist() == [0.1, 0, 0]
     assert cameras["cam1"].rotation[0].tolist() == [0, -1, 0]
-    assert cameras["cam2"].rotation[0].tolist() == [0, -1, 0]
-    assert cameras["cam2"].translation.tolist() == [0.1, 0.5, 0]
+    assert cameras["cam2"].rotation.tolist() == [[-1, 0, 0], [0, -1, 0], [0, 0, 1]]  # a quarter twice
+    assert cameras["cam2"].translation.tolist() == [0, 0.6, 0]
     for old, new, message in (
         ("radtan", "equidistant", "distortion_model: 'equidistant' is not supported"),
         ("pinhole", "omni", "camera_model: 'omni' is not supported"),
@@ -378,6 +378,17 @@ def test_numbers_that_are_none_are_refused(tmp_path: Path, change: dict[str, obj
     with pytest.raises(InputError, match=message) as error:
         read_cameras(path)
     assert str(error.value).startswith(f"{path}: cameras.left")
+
+
+@pytest.mark.parametrize("side", [True, 0, -640, 640.5, "640"])
+def test_sides_are_whole_numbers(tmp_path: Path, side: object) -> None:
+    path = tmp_path / "left.json"
+    lens = {"K": [[900, 0, 320], [0, 900, 240], [0, 0, 1]], "image_width": 640.0, "image_height": side}
+    path.write_text(json.dumps(lens))
+    with pytest.raises(InputError, match=r"size .*expected width and height \[px\]"):
+        read_cameras(path)
+    path.write_text(json.dumps(lens | {"image_height": 480}))
+    assert read_cameras(path)["left"].size == (480, 640)
 
 
 def test_turns_of_more_than_half_a_turn_are_taken(tmp_path: Path) -> None:

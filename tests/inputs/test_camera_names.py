@@ -49,6 +49,7 @@ def test_names_say_whose_a_film_is(films: str, cameras: str, expected: str) -> N
         ("take10 take9", "left right", "right left"),  # as a shell's * lists them
         ("take9 take10", "left right", "left right"),
         ("left_sync middle", "left right", "left right"),
+        ("trial1_left trial1_right", "1 2", "1 2"),  # a number that all films have is no camera's
     ],
 )
 def test_only_the_order_is_left(films: str, cameras: str, expected: str) -> None:

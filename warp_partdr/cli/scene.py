@@ -20,10 +20,11 @@ Examples: `partdr scene left.mp4 right.mp4`; `partdr scene left.jpg right.jpg`; 
 cameras, `partdr scene cam*.mp4 --cameras calibration/ --person 0`
 
 Films (or photos) show the same moments, frame by frame, else `--align` finds which frames do. Who is who in them is
-found by where rays meet. **Cameras** stand still: Pose2Sim's Calib.toml, OpenCV's YAML or JSON (a file, or a folder of
-them), or a JSON of ours (docs/inputs.md). Each is of the film of its name (cam1.mp4 of cam1), else they are in the
-films' order. Distortion is taken away. Without --cameras they are placed by the people; say one's height with `--set
-stature=1.78` (metres), or distances are as large as people seem.
+found by where rays meet. **Cameras** stand still: a file or a folder of Pose2Sim, Anipose, FreeMoCap, Caliscope,
+OpenCV, EasyMocap, MC-Calib, Kalibr or Qualisys, or a JSON of ours (docs/inputs.md), in metres. Each is of the film of
+its name or number (cam1_sync.mp4 of cam1), else they are in the films' order. Distortion is taken away. Without
+--cameras they are placed by the people; say one's height with `--set stature=1.78` (metres), or distances are as large
+as people seem.
 
 Results are those of `partdr fit film.mp4`, in the frame of the first film's camera, with an overlay of each film; a
 run that was ended goes on where it was. **Settings** for --set and --config are the same: `window=64`, `overlap=12`,
