@@ -112,4 +112,6 @@ def test_cameras_are_made_within_transforms():
     def seen(focal: torch.Tensor) -> torch.Tensor:
         return Perspective(focal[None], centre).project(torch.tensor([[[0.1, 0.2, 2.0]]])).sum()
 
-    torch.testing.assert_close(torch.func.grad(seen)(torch.tensor([900.0, 950.0])), torch.tensor([0.05, 0.1]))
+    focals = torch.tensor([[900.0, 950.0], [400.0, 450.0]])
+    slopes = torch.func.vmap(torch.func.grad(seen))(focals)
+    torch.testing.assert_close(slopes, torch.tensor([[0.05, 0.1]] * 2))
