@@ -15,7 +15,8 @@ from warp_partdr.clothing.measuring import statures
 from warp_partdr.inputs.calibrated_camera import CalibratedCamera
 from warp_partdr.scenes.camera_units import in_metres
 from warp_partdr.scenes.film import find_impossible
-from warp_partdr.scenes.rig_faults import impossible_people, missing_rays, unmatched_films
+from warp_partdr.scenes.impossible import impossible_people
+from warp_partdr.scenes.rig_faults import missing_rays, unmatched_films
 from warp_partdr.scenes.same_people import match_people
 from warp_partdr.scenes.seen_film import SeenFilm
 from warp_partdr.synthetic.scene_people import SceneSample, make_pair
@@ -60,9 +61,9 @@ def test_people_tell_the_unit(films: list[SeenFilm], factor: float, words: str) 
     assert distances(found) == pytest.approx([4.0] * 3, rel=1e-6)
     assert words in told
     assert all(len({place for place, _ in person}) == 3 for person in match_people(found))
-    lens = found[2].lens
+    lens = films[2].scaled(factor).lens  # of which cameras.json is made
     assert lens is not None
-    assert np.linalg.norm(lens.translation) == pytest.approx(4.0)  # of which cameras.json is made
+    assert np.linalg.norm(lens.translation) == pytest.approx(4.0 * factor)
     assert np.linalg.norm(found[2].camera.translation) == pytest.approx(4.0)
 
 

@@ -250,6 +250,16 @@ def walkers() -> Scene:
     return replace(scene, sights=sights)
 
 
+def test_cameras_in_centimetres_are_told() -> None:
+    scene = make_views(3, 2).scene
+    quick = replace(QUICK, mesh=replace(QUICK.mesh, iterations=2))
+    assert not fit_scene(scene, options=quick).warnings
+    far = [replace(view, translation=100 * view.translation) for view in scene.views]
+    (told,) = fit_scene(replace(scene, views=far), options=quick).warnings
+    assert told.startswith("person0 is ")
+    assert "are translations in metres" in told
+
+
 def test_keypoints_far_from_any_picture_are_refused() -> None:
     scene = make_views(3, 1).scene
     (sight,) = scene.sights

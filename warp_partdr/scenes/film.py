@@ -28,10 +28,11 @@ from .camera_units import in_metres
 from .film_looks import FilmLooks
 from .film_pieces import FilmPieces
 from .fitting import SceneFit, fit_scene
+from .impossible import impossible_people
 from .looks import Looked
 from .options import SceneOptions
 from .photo import check_whose, person_place
-from .rig_faults import impossible_people, missing_rays, unmatched_films
+from .rig_faults import missing_rays, unmatched_films
 from .same_people import Track, check_films, match_people
 from .scene import PersonShape, Scene, Sight, View
 from .seen_film import SeenFilm

@@ -36,6 +36,7 @@ from .depth_order import LEAST_GAIN, exchange, order_people
 from .energy import SceneEnergy, SceneStarts
 from .feet import FEET
 from .ground import Grounded, stand_on_ground
+from .impossible import impossible_people
 from .looks import Looked, look_at
 from .options import SceneOptions
 from .scene import Ground, Scene, Sight, View
@@ -55,7 +56,7 @@ class SceneFit(Movable):
         energy: Weighted terms before the last step, by name.
         seconds: Wall time of each stage.
         ground: That people stand on, where one was found.
-        warnings: Faults of sights that were found, a sentence each.
+        warnings: Faults of sights and cameras that were found, a sentence each.
     """
 
     scene: Scene
@@ -173,7 +174,8 @@ def fit_scene(
         clothes = bounded(best.unknowns.clothes)
     seconds = {"network": looked - started, "scene": time.perf_counter() - looked}
     ground = None if grounded is None else grounded.ground
-    return SceneFit(scene, bodies, clothes, best.terms, seconds, warnings, ground)
+    fit = SceneFit(scene, bodies, clothes, best.terms, seconds, warnings, ground)
+    return replace(fit, warnings=(*warnings, *_impossible(fit)))
 
 
 @dataclass(frozen=True)
@@ -209,6 +211,16 @@ def _refine(energy: SceneEnergy, people: SceneStarts, looks: Sequence[Looked], t
         found = {name: value.clone() for name, value in vars(steps.unknowns).items()}
     terms = {name: float(term.sum()) for name, term in steps.terms.items()}
     return _Refined(people, looks, Unknowns(**found), terms)
+
+
+def _impossible(fit: SceneFit) -> list[str]:
+    """Warnings of people before several views who are no people."""
+    if len(fit.scene.views) == 1:
+        return []
+    eyes = torch.stack([view.eye.cpu() for view in fit.scene.views])
+    places = fit.landmarks(("pelvis",))[:, :, 0].cpu()
+    far = (places[:, :, None] - eyes.to(places)).norm(dim=-1).mean(1).amax(1).tolist()
+    return impossible_people(dict(enumerate(fit.statures.tolist())), dict(enumerate(far)))
 
 
 def _check_sight(name: str, sight: Sight, view: View) -> None:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations, product
 
+from .impossible import ASKED
 from .same_people import Track, meeting
 from .seen_film import SeenFilm
 
-_STATURES = (0.5, 2.6)  # [m], of people
-_FARTHEST = 100.0  # [m], of people from the cameras of their films
 _MOST_OFF = 0.08  # median distance of one person's rays over trunk, thigh and shin together; real films had up to 0.034
-_ASKED = "are translations in metres, is each film of its camera, and do the films show the same moments?"
 
 
 def unmatched_films(films: Sequence[SeenFilm], people: Iterable[Sequence[Track]]) -> list[str]:
@@ -24,10 +22,10 @@ def unmatched_films(films: Sequence[SeenFilm], people: Iterable[Sequence[Track]]
     shared = [tracks for tracks in people if len({film for film, _ in tracks}) > 1]
     showing = [place for place, film in enumerate(films) if film.people.num_people]
     if len(showing) > 1 and not shared:
-        return [f"films: nobody is seen by two cameras at once, for no two people's rays meet; {_ASKED}"]
+        return [f"films: nobody is seen by two cameras at once, for no two people's rays meet; {ASKED}"]
     matched = {film for tracks in shared for film, _ in tracks}
     return [
-        f"films[{place}]: shows nobody whom another film shows, for rays do not meet; {_ASKED}"
+        f"films[{place}]: shows nobody whom another film shows, for rays do not meet; {ASKED}"
         for place in showing
         if place not in matched and any(_compared(films[place], films[other]) for other in matched)
     ]
@@ -50,7 +48,7 @@ def missing_rays(films: Sequence[SeenFilm], people: Mapping[int, Sequence[Track]
             if met.distance > _MOST_OFF * met.size:  # never of a size that is NaN
                 found.append(
                     f"person{person}: rays of films[{one[0]}] and films[{other[0]}] miss one another by "
-                    f"{met.distance:.2f} m; expected {_MOST_OFF * met.size:.2f} m at most: {_ASKED}"
+                    f"{met.distance:.2f} m; expected {_MOST_OFF * met.size:.2f} m at most: {ASKED}"
                 )
     return found
 
@@ -59,21 +57,3 @@ def _compared(one: SeenFilm, other: SeenFilm) -> bool:
     """True if two films show people at once, whoever they are."""
     pairs = product(range(one.people.num_people), range(other.people.num_people))
     return any(meeting(one, one.people.of(mine), other, other.people.of(theirs)).compared for mine, theirs in pairs)
-
-
-def impossible_people(statures: dict[int, float], distances: dict[int, float]) -> list[str]:
-    """Warnings of people who are too small, too tall or too far away.
-
-    Args:
-        statures: Heights standing, by person [m].
-        distances: From the farthest camera [m], by person.
-    """
-    found: list[str] = []
-    for person, stature in statures.items():
-        if not _STATURES[0] <= stature <= _STATURES[1]:
-            least, most = _STATURES
-            found.append(f"person{person} is {stature:.2f} m tall; expected {least:g} to {most:g} m: {_ASKED}")
-        elif not distances[person] <= _FARTHEST:
-            far = f"person{person} is {distances[person]:.0f} m away from a camera"
-            found.append(f"{far}; expected {_FARTHEST:g} m at most: {_ASKED}")
-    return found
