@@ -172,6 +172,19 @@ def told_focal(path: PhotoFile) -> float | None:
         return None
 
 
+def read_orientation(path: PhotoFile) -> int:
+    """Orientation in a picture's EXIF data, 1 to 8, by which ``read_photo`` turns it; 1: it is stored upright.
+
+    Raises:
+        InputError: If the file can't be read.
+    """
+    from PIL import ExifTags
+
+    with _opened(path, "a picture") as image:
+        told = image.getexif().get(ExifTags.Base.Orientation)
+    return told if isinstance(told, int) and 1 <= told <= 8 else 1
+
+
 def _number(value: Any) -> float:
     """A number of EXIF data, which may be anything; 0 if it is none."""
     try:

@@ -1,0 +1,210 @@
+"""Sizes at which annotations were made, against the picture that is read: annotations are scaled or turned with it.
+
+Files of annotations often state the size of their picture: COCO's ``width`` and ``height`` of an image, LabelMe's
+``imageWidth`` and ``imageHeight``. The picture may have been resized since. Phones store a photo as its sensor lies and
+write into EXIF data how to turn it: people see it upright, and so does ``read_photo``, but some tools annotate the
+pixels as they are stored. ``match_sizes`` finds out which of these explains the two sizes, and refuses what none does.
+
+Sizes cannot tell everything. A photo that EXIF data turn by 180° or mirror (orientations 2, 3 and 4) has the same size
+before and after, and so has a square one. Its annotations are then taken to be of the upright picture, with a warning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, shown
+from .keypoints import Keypoints2D
+from .part_labels import LARGEST_PICTURE
+from .person import Box
+
+_ROUNDING = 1.0  # [px] of the smaller picture: resizing rounds its sides
+_THUMBNAIL = 0.02  # share of a side that rounding may change at most, in very small pictures
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """Turn of a stored picture upright: transposed first, then mirrored."""
+
+    transposed: bool = False
+    mirrored: bool = False  # left becomes right
+    flipped: bool = False  # top becomes bottom
+
+
+_UPRIGHT = 1  # EXIF's orientation of pictures that are stored upright
+_TURNS = {
+    _UPRIGHT: _Turn(),
+    2: _Turn(mirrored=True),
+    3: _Turn(mirrored=True, flipped=True),
+    4: _Turn(flipped=True),
+    5: _Turn(transposed=True),
+    6: _Turn(transposed=True, mirrored=True),
+    7: _Turn(transposed=True, mirrored=True, flipped=True),
+    8: _Turn(transposed=True, flipped=True),
+}
+
+
+@dataclass(frozen=True)
+class PictureChange:
+    """Change from the picture that was annotated to the picture that is read.
+
+    Attributes:
+        annotated: (H, W) [px] of the picture that was annotated.
+        picture: (H, W) [px] of the picture that is read.
+        orientation: EXIF's orientation, 1 to 8, by which annotations are turned; 1: they stay upright.
+        warning: Sentence about the change, or about what the sizes do not tell; None where there is nothing to say.
+    """
+
+    annotated: tuple[int, int]
+    picture: tuple[int, int]
+    orientation: int = _UPRIGHT
+    warning: str | None = None
+
+    @property
+    def changes(self) -> bool:
+        """True if annotations move at all."""
+        return self.annotated != self.picture or self.orientation != _UPRIGHT
+
+    def points(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 2) of the annotated picture, x and y [px], in the picture that is read, of the same type."""
+        if not self.changes:
+            return points
+        turn = _TURNS[self.orientation]
+        shares = points / np.array(self.annotated[::-1], dtype=np.float64)
+        if turn.transposed:
+            shares = shares[..., ::-1]
+        x, y = shares[..., 0], shares[..., 1]
+        shares = np.stack([1.0 - x if turn.mirrored else x, 1.0 - y if turn.flipped else y], axis=-1)
+        return (shares * self.picture[::-1]).astype(points.dtype)
+
+    def keypoints(self, keypoints: Keypoints2D) -> Keypoints2D:
+        """Keypoints of the annotated picture in the picture that is read; missing ones stay at 0."""
+        if not self.changes:
+            return keypoints
+        moved = np.where(keypoints.visible[:, None], self.points(keypoints.points), keypoints.points)
+        return replace(keypoints, points=moved)
+
+    def box(self, box: Box) -> Box:
+        """A box of the annotated picture in the picture that is read."""
+        if not self.changes:
+            return box
+        corners = self.points(np.array([box[:2], box[2:]], dtype=np.float64))
+        (left, top), (right, bottom) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+        return left, top, right, bottom
+
+    def mask(self, mask: np.ndarray) -> np.ndarray:
+        """A mask or label image of the annotated picture, (H, W), for the picture that is read: nearest pixels.
+
+        Raises:
+            ValueError: If the mask has another size than the annotated picture.
+        """
+        if mask.shape != self.annotated:
+            raise ValueError(f"mask: shape {mask.shape}; expected {self.annotated}")
+        if not self.changes:
+            return mask
+        turn = _TURNS[self.orientation]
+        turned = mask.T if turn.transposed else mask
+        turned = turned[:: -1 if turn.flipped else 1, :: -1 if turn.mirrored else 1]
+        rows, columns = (
+            ((np.arange(now) + 0.5) * was / now).astype(np.int64)
+            for was, now in zip(turned.shape, self.picture, strict=True)
+        )
+        return turned[rows[:, None], columns]
+
+
+def stated_size(
+    entry: Mapping[str, Any], where: str, width: str = "width", height: str = "height"
+) -> tuple[int, int] | None:
+    """The (H, W) that an entry of a file states; None where it is missing, null or 0, as many tools write it.
+
+    Args:
+        entry: Of the file.
+        where: Begins messages.
+        width: Key of the width, such as LabelMe's "imageWidth".
+        height: Key of the height.
+
+    Raises:
+        InputError: If a number there is no size.
+    """
+    sides: list[int] = []
+    for key in (height, width):
+        given = entry.get(key)
+        try:
+            side = None if isinstance(given, bool) else float(given or 0)
+        except (TypeError, ValueError, OverflowError):
+            side = None
+        if side is None or not side.is_integer() or abs(side) > LARGEST_PICTURE:
+            raise InputError(f"{where}: {key}: {shown(given)}; expected whole pixels")
+        sides.append(int(side))
+    return (sides[0], sides[1]) if min(sides) > 0 else None
+
+
+def match_sizes(
+    annotated: tuple[int, int] | None, picture: tuple[int, int], orientation: int, where: str
+) -> PictureChange:
+    """Find the change from the picture that was annotated to the picture that is read.
+
+    Args:
+        annotated: (H, W) [px] that the annotations' file states; None if it states none: nothing changes.
+        picture: (H, W) [px] of the picture as it is read, upright.
+        orientation: EXIF's orientation of the picture's file (``read_orientation``).
+        where: Begins messages, such as the picture's name.
+
+    Raises:
+        InputError: If neither a resized picture nor one that was annotated as it is stored explains the sizes.
+    """
+    if annotated is None:
+        return PictureChange(picture, picture)
+    turned = orientation in _TURNS and orientation != _UPRIGHT
+    stored = picture[::-1] if turned and _TURNS[orientation].transposed else picture
+    for explains in (_equal, _resized):  # equal sizes are no accident, so they go first
+        if explains(annotated, picture):
+            open_still = turned and explains(annotated, stored)
+            return PictureChange(annotated, picture, warning=_told(annotated, picture, orientation, open_still))
+        if turned and explains(annotated, stored):
+            told = (
+                f"annotated at {_side_by_side(annotated)} px, as the photo is stored; turned by its EXIF orientation "
+                f"{orientation} to the picture's {_side_by_side(picture)}"
+            )
+            return PictureChange(annotated, picture, orientation, told)
+    raise InputError(
+        f"{where}: annotated at {_side_by_side(annotated)} px, picture {_side_by_side(picture)} (width x height); "
+        "expected one shape: the picture that was annotated, resized at most"
+    )
+
+
+def _told(annotated: tuple[int, int], picture: tuple[int, int], orientation: int, open_still: bool) -> str | None:
+    """Warning about upright annotations; None where the sizes are equal but for rounding, and tell all."""
+    told: list[str] = []
+    if max(abs(was - now) for was, now in zip(annotated, picture, strict=True)) > _ROUNDING:
+        told.append(f"annotated at {_side_by_side(annotated)} px; scaled to the picture's {_side_by_side(picture)}")
+    if open_still:
+        told.append(
+            f"EXIF orientation {orientation} turns the photo, and its size does not tell if annotations were made "
+            "before; taken as made on the upright picture"
+        )
+    return "; ".join(told) or None
+
+
+def _equal(annotated: tuple[int, int], picture: tuple[int, int]) -> bool:
+    return annotated == picture
+
+
+def _resized(annotated: tuple[int, int], picture: tuple[int, int]) -> bool:
+    """True if one factor makes one size of the other, but for rounding of the smaller one's sides."""
+    (height, width), (tall, wide) = sorted((annotated, picture))
+    lows, highs = [], []
+    for small, large in ((height, tall), (width, wide)):
+        slack = min(_ROUNDING, _THUMBNAIL * small)
+        lows.append((small - slack) / large)
+        highs.append((small + slack) / large)
+    return max(lows) <= min(highs)
+
+
+def _side_by_side(size: tuple[int, int]) -> str:
+    """Width x height of (H, W)."""
+    return f"{size[1]} x {size[0]}"
