@@ -8,7 +8,8 @@ annotators meant stands in:
 * "mid_hip" is the middle of the hips: OpenPose's MidHip, MPII's pelvis, Human3.6M's Hip.
 
 COCO's annotators marked what they saw, OpenPose learned from them, and Halpe and COCO-WholeBody add to them; these have
-``marks`` nearer the skin than joints. Human3.6M's and BlazePose's joints are centres; of LSP's and MPII's nothing is
+``marks`` nearer the skin than joints. PoseTrack's, CrowdPose's and AI Challenger's (``aic14``) people were marked in
+photos, too, and are taken likewise. Human3.6M's and BlazePose's joints are centres; of LSP's and MPII's nothing is
 known here.
 
 Points of a format that are no landmark, such as a cheek or a fingertip, which bends, are left out: ``places`` tells
@@ -31,7 +32,10 @@ from ..files.json_files import read_json
 from .landmarks import LANDMARKS, annotated, mirror_name, mirror_order
 
 _ANNOTATED = "coco_"  # begins the names of landmarks where COCO's annotators mark them
-_ANNOTATED_FORMATS = ("coco17", "body25", "coco18", "halpe26", "wholebody133")
+_ANNOTATED_FORMATS = (
+    *("coco17", "body25", "body25b", "body135", "coco18", "halpe26", "halpe136", "wholebody133"),
+    *("posetrack17", "crowdpose14", "aic14"),
+)
 _FEWEST = 2  # points that tell anything
 
 
@@ -44,7 +48,7 @@ class Skeleton:
         landmarks: Landmark of each of its J joints, in the format's order.
         marks: Point of the body (``LANDMARKS``) that each joint marks, in the same order.
         edges: Pairs of joint indices to draw.
-        places: Row of each joint among the points of a file.
+        places: Row of each joint among the points of a file; -1 for a joint that such files lack.
         count: Points that a file holds of a person, J or, with those that are no landmark, more.
     """
 
@@ -92,6 +96,11 @@ _COCO = (
     "right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
 )
 _FACE = "nose-*_eye-*_ear-*_shoulder"
+_BODY_25B = f"{_COCO} head head_top left_big_toe left_small_toe left_heel right_big_toe right_small_toe right_heel"
+_BODY_25B_EDGES = f"head-head_top head-*_shoulder {_FACE} {_BOX} {_ARMS_AND_LEGS} {_FEET}"
+_HALPE = f"{_COCO} head_top neck mid_hip left_big_toe right_big_toe left_small_toe right_small_toe left_heel right_heel"
+_HALPE_EDGES = f"mid_hip-neck-head_top neck-nose-*_eye-*_ear neck-*_shoulder mid_hip-*_hip {_ARMS_AND_LEGS} {_FEET}"
+_NECK_AND_BOX = f"neck-head_top neck-*_shoulder {_BOX} {_ARMS_AND_LEGS}"
 # Of COCO-WholeBody's 68 points of a face, from row 23 on, and its 21 of either hand, from rows 91 and 112 on.
 _FACE_AND_HANDS = {
     59: "right_eye_outer",
@@ -107,6 +116,7 @@ _FACE_AND_HANDS = {
     117: "right_index",
     129: "right_pinky",
 }
+_FACE_AND_HANDS_EDGES = "*_wrist-*_thumb *_wrist-*_index-*_pinky-*_wrist mouth_left-mouth_right *_eye_inner-*_eye_outer"
 
 SKELETONS: dict[str, Skeleton] = {
     skeleton.name: skeleton
@@ -125,17 +135,21 @@ SKELETONS: dict[str, Skeleton] = {
             "right_ankle left_hip left_knee left_ankle right_eye left_eye right_ear left_ear",
             f"neck-nose-*_eye-*_ear neck-*_shoulder neck-*_hip {_ARMS_AND_LEGS}",
         ),
+        _skeleton("body25b", _BODY_25B, _BODY_25B_EDGES),
+        # OpenPose's whole bodies: BODY_25B, then 20 points of either hand and 70 of the face.
+        _skeleton("body135", _BODY_25B, _BODY_25B_EDGES, count=135),
+        _skeleton("halpe26", _HALPE, _HALPE_EDGES),
         _skeleton(
-            "halpe26",
-            f"{_COCO} head_top neck mid_hip left_big_toe right_big_toe left_small_toe right_small_toe left_heel "
-            "right_heel",
-            f"mid_hip-neck-head_top neck-nose-*_eye-*_ear neck-*_shoulder mid_hip-*_hip {_ARMS_AND_LEGS} {_FEET}",
+            "halpe136",
+            _HALPE,
+            f"{_HALPE_EDGES} {_FACE_AND_HANDS_EDGES}",
+            rows={row + 3: name for row, name in _FACE_AND_HANDS.items()},
+            count=136,
         ),
         _skeleton(
             "wholebody133",
             f"{_COCO} left_big_toe left_small_toe left_heel right_big_toe right_small_toe right_heel",
-            f"{_FACE} {_BOX} {_ARMS_AND_LEGS} {_FEET} *_wrist-*_thumb *_wrist-*_index-*_pinky-*_wrist "
-            "mouth_left-mouth_right *_eye_inner-*_eye_outer",
+            f"{_FACE} {_BOX} {_ARMS_AND_LEGS} {_FEET} {_FACE_AND_HANDS_EDGES}",
             rows=_FACE_AND_HANDS,
             count=133,
         ),
@@ -165,6 +179,24 @@ SKELETONS: dict[str, Skeleton] = {
             "right_ankle right_knee right_hip left_hip left_knee left_ankle mid_hip neck head head_top right_wrist "
             "right_elbow right_shoulder left_shoulder left_elbow left_wrist",
             f"mid_hip-neck-head-head_top neck-*_shoulder mid_hip-*_hip {_ARMS_AND_LEGS}",
+        ),
+        _skeleton(
+            "crowdpose14",
+            "left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_hip right_hip left_knee "
+            "right_knee left_ankle right_ankle head_top neck",
+            _NECK_AND_BOX,
+        ),
+        _skeleton(
+            "aic14",
+            "right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist right_hip right_knee "
+            "right_ankle left_hip left_knee left_ankle head_top neck",
+            _NECK_AND_BOX,
+        ),
+        _skeleton(
+            "posetrack17",
+            "nose neck head_top left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist "
+            "right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle",
+            f"neck-nose-head_top nose-*_ear neck-*_shoulder {_BOX} {_ARMS_AND_LEGS}",
         ),
     )
 }
@@ -216,7 +248,12 @@ def _from_json(data: Any, path: Path) -> Skeleton:
             raise ValueError(f"{name} twice; expected each landmark once, and null for other points")
         if mirror_name(name) not in landmarks:
             raise ValueError(f"{name} without {mirror_name(name)}; expected both sides")
+    name = str(data.get("name", path.stem))
+    return Skeleton(name, landmarks, marks, known_edges(landmarks), places, len(points))
+
+
+def known_edges(landmarks: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
+    """Edges that the project's formats have between some landmarks, as pairs of their indices."""
     known = {(form.landmarks[a], form.landmarks[b]) for form in SKELETONS.values() for a, b in form.edges}
     pairs = [(landmarks.index(a), landmarks.index(b)) for a, b in known if {a, b} <= set(landmarks)]
-    edges = tuple(sorted({(min(pair), max(pair)) for pair in pairs}))
-    return Skeleton(str(data.get("name", path.stem)), landmarks, marks, edges, places, len(points))
+    return tuple(sorted({(min(pair), max(pair)) for pair in pairs}))

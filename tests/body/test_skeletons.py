@@ -122,7 +122,7 @@ def test_skeleton_tables(name: str) -> None:
     this = SKELETONS[name]
     assert this.count == int("".join(filter(str.isdigit, name.replace("h36m", ""))))
     assert len(set(this.landmarks)) == len(this) == len(this.marks) == len(set(this.places))
-    assert set(this.places) == set(range(this.count)) or name == "wholebody133"
+    assert set(this.places) == set(range(this.count)) or name in ("wholebody133", "halpe136", "body135")
     np.testing.assert_array_equal(this.mirror[this.mirror], np.arange(len(this)))
     edges = {frozenset(edge) for edge in this.edges}
     assert len(edges) == len(this.edges)
@@ -149,6 +149,16 @@ def test_skeleton_tables(name: str) -> None:
         ("blazepose33", {9: "mouth_left", 18: "right_pinky", 21: "left_thumb"}, "-lllrrr" + "lr" * 13),
         ("h36m17", {0: "mid_hip", 1: "right_hip", 7: "spine", 10: "head_top"}, "-rrrlll----lllrrr"),
         ("lsp14", {0: "right_ankle", 6: "right_wrist", 12: "neck", 13: "head_top"}, "rrrlllrrrlll--"),
+        ("body25b", {17: "head", 18: "head_top", 19: "left_big_toe", 24: "right_heel"}, "-" + "lr" * 8 + "--lllrrr"),
+        ("body135", {17: "head", 18: "head_top", 19: "left_big_toe", 24: "right_heel"}, "-" + "lr" * 8 + "--lllrrr"),
+        (
+            "halpe136",
+            {17: "head_top", 25: "right_heel", 62: "right_eye_outer", 80: "mouth_left", 97: "left_thumb"},
+            "-" + "lr" * 8 + "---lrlrlr" + "rrllrl" + "lllrrr",
+        ),
+        ("crowdpose14", {0: "left_shoulder", 11: "right_ankle", 12: "head_top", 13: "neck"}, "lr" * 6 + "--"),
+        ("aic14", {0: "right_shoulder", 5: "left_wrist", 11: "left_ankle", 12: "head_top"}, "rrrlllrrrlll--"),
+        ("posetrack17", {1: "neck", 2: "head_top", 3: "left_ear", 16: "right_ankle"}, "---" + "lr" * 7),
         ("mpii16", {6: "mid_hip", 7: "neck", 8: "head", 9: "head_top", 15: "left_wrist"}, "rrrlll----rrrlll"),
     ],
 )
@@ -161,10 +171,10 @@ def test_joint_order_and_sides(name: str, joints: dict[int, str], sides: str) ->
 
 def test_annotators_marks_are_points_of_their_own(at: dict[str, np.ndarray]) -> None:
     """COCO's, and those of OpenPose, which learned from it; inside the limb, up to 3 cm from the joint."""
-    for name in ("coco17", "body25", "coco18", "halpe26", "wholebody133"):
+    for name in SKELETONS.keys() - {"blazepose33", "h36m17", "lsp14", "mpii16"}:
         marks = dict(zip(SKELETONS[name].landmarks, SKELETONS[name].marks, strict=True))
         own = {mark.removeprefix("coco_") for mark in marks.values() if mark.startswith("coco_")}
-        assert own == marks.keys() & {*JOINT_NAMES, "mid_hip"} - {"head_top"}
+        assert own == marks.keys() & {*JOINT_NAMES, "mid_hip"} - {"head", "head_top"}
         assert [mirror_name(mark) for mark in marks.values()] == [marks[mirror_name(joint)] for joint in marks]
     for name in ("blazepose33", "h36m17", "lsp14", "mpii16"):
         assert SKELETONS[name].marks == SKELETONS[name].landmarks

@@ -54,8 +54,18 @@ _ALIASES: dict[str, str] = {
     "human36m17": "h36m17",
     "lsp": "lsp14",
     "mpii": "mpii16",
+    "openposebody25b": "body25b",
+    "openposebody135": "body135",
+    "halpefullbody": "halpe136",
+    "crowdpose": "crowdpose14",
+    "aic": "aic14",
+    "aichallenger": "aic14",
+    "posetrack": "posetrack17",
+    "posetrack18": "posetrack17",
 }
-_BY_COUNT: dict[int, Skeleton] = {form.count: form for name, form in SKELETONS.items() if name != "h36m17"}
+# Formats with as many points as another, which the number alone is taken for.
+NAMED_ALONE = ("h36m17", "posetrack17", "crowdpose14", "aic14", "body25b")
+_BY_COUNT: dict[int, Skeleton] = {form.count: form for name, form in SKELETONS.items() if name not in NAMED_ALONE}
 # Keys of objects that hold a list of people, or of frames.
 _LISTS = ("people", "instances", "annotations", "instance_info", "predictions")
 _KEYPOINTS = ("keypoints", "pose_keypoints_2d", "pose_keypoints")  # the last: OpenPose's before version 1.2
@@ -122,7 +132,7 @@ def parse_keypoints(
     for (form, width), group in alike.items():
         table = np.array([numbers[index] for index in group]).reshape(len(group), -1, width)
         points, confidence = _checked(table, form, [places[index] for index in group])
-        known = form.name if SKELETONS.get(form.name) is form else form
+        known = form.name if _is_known(form) else form
         for row, (index, reason) in enumerate(zip(group, _why_unusable(points, confidence), strict=True)):
             if reason is None:
                 people[index] = Keypoints2D(known, points[row], confidence[row])
@@ -131,6 +141,12 @@ def parse_keypoints(
     if not people:
         raise InputError(reasons[0])
     return [people[index] for index in sorted(people)]
+
+
+def _is_known(form: Skeleton) -> bool:
+    """True if a skeleton has the joints of the format of its name, whatever the order of a file."""
+    known = SKELETONS.get(form.name)
+    return known is not None and (form.landmarks, form.marks) == (known.landmarks, known.marks)
 
 
 def given_format(given: str | Path | Skeleton) -> Skeleton:
@@ -240,7 +256,8 @@ def _person(entry: Mapping[str, Any], given: Skeleton | None, where: str) -> tup
         if not isinstance(scores, list) or len(scores) != len(rows):
             raise InputError(f"{where}: keypoint_scores: not one a keypoint; expected {len(rows)}")
         rows = [[*row[:2], score] for row, score in zip(rows, scores, strict=True)]
-    rows = [rows[place] for place in form.places]
+    missing = [None] * len(rows[0]) if rows else []
+    rows = [missing if place < 0 else rows[place] for place in form.places]
     width, values = len(rows[0]), list(chain.from_iterable(rows))
     if set(map(type, values)) <= _NUMBERS:
         with suppress(OverflowError):

@@ -1,0 +1,99 @@
+"""Categories of COCO's annotations: whose keypoints they name, and in which order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..body.keypoint_names import left_out_warning, skeleton_of_names
+from ..body.skeletons import Skeleton
+from ..errors import InputError, shown
+
+_PEOPLE = {"person", "persons", "people", "human", "humans", "pedestrian", "man", "woman", "child", "player"}
+# Last words of the names of AP-10K's, Animal Pose's and COCO's animals, and others that are annotated.
+_ANIMALS = set(
+    "animal animals alouatta antelope ape bat bear beaver bee bird bison boar bobcat buffalo bug bull camel cat cats "
+    "cattle cheetah chicken chimp chimpanzee cow cows crab deer dog dogs dolphin donkey duck elephant fish fly fox "
+    "frog giraffe goat goose gorilla hamster hare hippo hippopotamus horse horses insect jaguar kangaroo koala lamb "
+    "leopard lion lizard lynx macaque marmot meerkat mice monkey moose mouse mule orangutan otter owl ox panda panther "
+    "pig pigeon pony pup puma puppy rabbit raccoon rat reindeer rhino rhinoceros rodent seal sheep skunk sloth snake "
+    "spider squirrel swan tiger turtle uakari weasel whale wolf yak zebra".split()
+)
+
+
+@dataclass(frozen=True)
+class KeypointCategory:
+    """One of a file's categories.
+
+    Attributes:
+        name: Its name in the file.
+        skeleton: Skeleton of its keypoint names; None if the file gives it none, or only numbers.
+        warning: Sentence about names that are no landmarks and were left out; None if there are none.
+        refusal: Sentence about why its annotations show no people; None if they do.
+    """
+
+    name: str
+    skeleton: Skeleton | None = None
+    warning: str | None = None
+    refusal: str | None = None
+
+
+def read_categories(given: Any, where: str) -> dict[int | str, KeypointCategory]:
+    """Read COCO's list ``categories``.
+
+    Annotations of a category with a ``refusal`` are to be left out, and the sentence is to be told; those of one with a
+    ``skeleton`` are to be read with it, whatever their number of points.
+
+    Args:
+        given: The list, such as ``[{"id": 1, "name": "person", "keypoints": ["nose", ...]}]``; None if there is none.
+        where: Begins the messages, such as the file's name.
+
+    Returns:
+        The categories by their ``id``.
+
+    Raises:
+        InputError: If it is no list of objects with an ``id`` each, or a category of people has faulty names.
+    """
+    if given is None:
+        return {}
+    if not isinstance(given, list):
+        raise InputError(f"{where}: categories: {type(given).__name__}; expected a list")
+    categories: dict[int | str, KeypointCategory] = {}
+    for entry in given:
+        if not isinstance(entry, Mapping) or type(entry.get("id")) not in (int, str):
+            raise InputError(f"{where}: categories: {shown(entry)}; expected objects with id and name")
+        categories[entry["id"]] = _category(entry, where)
+    if any(category.skeleton is not None and _is_people(category.name) for category in categories.values()):
+        for number, category in categories.items():
+            if category.skeleton is None and category.refusal is None and not _is_people(category.name):
+                refusal = f"{where}: category {shown(category.name)} has no keypoint names; expected people"
+                categories[number] = KeypointCategory(category.name, refusal=refusal)
+    return categories
+
+
+def _category(entry: Mapping[str, Any], where: str) -> KeypointCategory:
+    name = str(entry.get("name", entry["id"]))
+    told = f"{where}: category {shown(name)}"
+    kinds = name, str(entry.get("supercategory", ""))
+    if any(words and words[-1] in _ANIMALS for words in map(_words, kinds)) and not _is_people(name):
+        return KeypointCategory(name, refusal=f"{told}; expected keypoints of people, not of animals")
+    names = entry.get("keypoints")
+    if names is None or names == []:
+        return KeypointCategory(name)
+    if not isinstance(names, list):
+        raise InputError(f"{told}: keypoints: {type(names).__name__}; expected a list of names")
+    try:
+        form = skeleton_of_names(names, told)
+    except InputError as error:
+        return KeypointCategory(name, refusal=str(error))
+    return KeypointCategory(name, form, None if form is None else left_out_warning(names, form))
+
+
+def _is_people(name: str) -> bool:
+    return not _PEOPLE.isdisjoint(_words(name))
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r"[a-z]+", name.lower())
