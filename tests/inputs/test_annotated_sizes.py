@@ -30,7 +30,8 @@ def test_what_was_annotated_as_stored_is_turned_as_the_photo_is(tmp_path: Path, 
     pixels = np.zeros((*STORED, 3), dtype=np.uint8)
     pixels[3:9, 5:21] = 255
     upright = read_photo(save(tmp_path / "photo.png", pixels, orientation))[..., 0] > 0
-    assert read_orientation(tmp_path / "photo.png") == orientation
+    for ending in ("png", "jpg", "webp", "tiff"):
+        assert read_orientation(save(tmp_path / f"photo.{ending}", pixels, orientation)) == orientation
     change = PictureChange(STORED, upright.shape, orientation)
     np.testing.assert_array_equal(change.mask(pixels[..., 0] > 0), upright)
     rows, columns = np.flatnonzero(upright.any(axis=1)), np.flatnonzero(upright.any(axis=0))
@@ -45,8 +46,8 @@ def test_what_was_annotated_as_stored_is_turned_as_the_photo_is(tmp_path: Path, 
         found = match_sizes(STORED, upright.shape, orientation, "p")
         assert found.orientation == orientation
         assert found.warning == (
-            f"annotated at 40 x 24 px, as the photo is stored; turned by its EXIF orientation {orientation} to the "
-            "picture's 24 x 40"
+            f"made at 40 x 24 px, as the photo is stored; turned by its EXIF orientation {orientation} "
+            "to the picture's 24 x 40"
         )
         upright_too = match_sizes((40, 24), upright.shape, orientation, "p")
         assert not upright_too.changes
@@ -58,16 +59,17 @@ def test_what_sizes_do_not_tell_is_a_warning(orientation: int, size: tuple[int, 
     change = match_sizes(size, size, orientation, "p")
     assert not change.changes
     assert change.warning is not None
-    assert change.warning.startswith(f"EXIF orientation {orientation} turns the photo, and its size does not tell")
+    told = f"the photo is turned by its EXIF orientation {orientation}, and no size tells"
+    assert change.warning.startswith(told)
     halved = match_sizes((size[0] * 2, size[1] * 2), size, orientation, "p")
     assert halved.orientation == 1
     assert "scaled" in str(halved.warning)
-    assert "does not tell" in str(halved.warning)
+    assert "no size tells" in str(halved.warning)
 
 
 def test_annotations_are_scaled_with_the_picture() -> None:
     change = match_sizes((400, 300), (200, 150), 1, "p")
-    assert change.warning == "annotated at 300 x 400 px; scaled to the picture's 150 x 200"
+    assert change.warning == "made at 300 x 400 px, scaled to the picture's 150 x 200"
     np.testing.assert_allclose(change.points(np.array([[300.0, 400], [30, 100]])), [[150, 200], [15, 50]])
     assert change.box((10, 20, 30, 44)) == (5, 10, 15, 22)
     mask = np.zeros((400, 300), dtype=bool)
@@ -75,6 +77,8 @@ def test_annotations_are_scaled_with_the_picture() -> None:
     expected = np.zeros((200, 150), dtype=bool)
     expected[50:100, 20:30] = True
     np.testing.assert_array_equal(change.mask(mask), expected)
+    thinned = PictureChange((6, 2), (2, 1)).mask(np.arange(12).reshape(6, 2))
+    np.testing.assert_array_equal(thinned, [[3], [9]])  # centres of pixels
     larger = match_sizes((200, 150), (400, 300), 1, "p")
     np.testing.assert_array_equal(larger.mask(expected), mask)
     both = match_sizes((48, 80), (40, 24), 6, "p")  # stored, and at twice the size
@@ -141,9 +145,10 @@ def test_a_size_may_be_missing_and_of_any_spelling() -> None:
     assert stated_size({"imageWidth": "30", "imageHeight": 40}, "i", "imageWidth", "imageHeight") == (40, 30)
     for entry in ({}, {"width": None, "height": None}, {"width": 0, "height": 0}, {"width": 30}, {"width": -1}):
         assert stated_size(entry, "i") is None
-    change = match_sizes(None, (40, 30), 6, "p")
-    assert not change.changes
-    assert change.warning is None
+    for orientation in range(1, 9):
+        change = match_sizes(None, (40, 30), orientation, "p")
+        assert not change.changes
+        assert (change.warning is None) == (orientation == 1)
     for wrong in (30.5, "wide", True, [30], float("nan"), float("inf"), 10**400):
         with pytest.raises(InputError, match=r"^i: width: .*; expected whole pixels"):
             stated_size({"width": wrong, "height": 40}, "i")

@@ -36,7 +36,7 @@ class _Turn:
 
 
 _UPRIGHT = 1  # EXIF's orientation of pictures that are stored upright
-_TURNS = {
+_TURN_OF_ORIENTATION = {
     _UPRIGHT: _Turn(),
     2: _Turn(mirrored=True),
     3: _Turn(mirrored=True, flipped=True),
@@ -56,7 +56,8 @@ class PictureChange:
         annotated: (H, W) [px] of the picture that was annotated.
         picture: (H, W) [px] of the picture that is read.
         orientation: EXIF's orientation, 1 to 8, by which annotations are turned; 1: they stay upright.
-        warning: Sentence about the change, or about what the sizes do not tell; None where there is nothing to say.
+        warning: Sentence about the change, or about what the sizes do not tell, without its subject, the annotations;
+            None where there is nothing to say.
     """
 
     annotated: tuple[int, int]
@@ -73,7 +74,7 @@ class PictureChange:
         """Points (..., 2) of the annotated picture, x and y [px], in the picture that is read, of the same type."""
         if not self.changes:
             return points
-        turn = _TURNS[self.orientation]
+        turn = _TURN_OF_ORIENTATION[self.orientation]
         shares = points / np.array(self.annotated[::-1], dtype=np.float64)
         if turn.transposed:
             shares = shares[..., ::-1]
@@ -106,7 +107,7 @@ class PictureChange:
             raise ValueError(f"mask: shape {mask.shape}; expected {self.annotated}")
         if not self.changes:
             return mask
-        turn = _TURNS[self.orientation]
+        turn = _TURN_OF_ORIENTATION[self.orientation]
         turned = mask.T if turn.transposed else mask
         turned = turned[:: -1 if turn.flipped else 1, :: -1 if turn.mirrored else 1]
         rows, columns = (
@@ -149,7 +150,8 @@ def match_sizes(
     """Find the change from the picture that was annotated to the picture that is read.
 
     Args:
-        annotated: (H, W) [px] that the annotations' file states; None if it states none: nothing changes.
+        annotated: (H, W) [px] that the annotations' file states; None if it states none: nothing changes, but there is
+            a warning if the photo is turned.
         picture: (H, W) [px] of the picture as it is read, upright.
         orientation: EXIF's orientation of the picture's file (``read_orientation``).
         where: Begins messages, such as the picture's name.
@@ -157,18 +159,18 @@ def match_sizes(
     Raises:
         InputError: If neither a resized picture nor one that was annotated as it is stored explains the sizes.
     """
+    turned = orientation in _TURN_OF_ORIENTATION and orientation != _UPRIGHT
     if annotated is None:
-        return PictureChange(picture, picture)
-    turned = orientation in _TURNS and orientation != _UPRIGHT
-    stored = picture[::-1] if turned and _TURNS[orientation].transposed else picture
-    for explains in (_equal, _resized):  # equal sizes are no accident, so they go first
+        return PictureChange(picture, picture, warning=_told(picture, picture, orientation, turned))
+    stored = picture[::-1] if turned and _TURN_OF_ORIENTATION[orientation].transposed else picture
+    for explains in (_is_equal, _is_resized):  # equal sizes are no accident, so they go first
         if explains(annotated, picture):
             open_still = turned and explains(annotated, stored)
             return PictureChange(annotated, picture, warning=_told(annotated, picture, orientation, open_still))
         if turned and explains(annotated, stored):
             told = (
-                f"annotated at {_side_by_side(annotated)} px, as the photo is stored; turned by its EXIF orientation "
-                f"{orientation} to the picture's {_side_by_side(picture)}"
+                f"made at {_side_by_side(annotated)} px, as the photo is stored; turned by its EXIF "
+                f"orientation {orientation} to the picture's {_side_by_side(picture)}"
             )
             return PictureChange(annotated, picture, orientation, told)
     raise InputError(
@@ -181,20 +183,20 @@ def _told(annotated: tuple[int, int], picture: tuple[int, int], orientation: int
     """Warning about upright annotations; None where the sizes are equal but for rounding, and tell all."""
     told: list[str] = []
     if max(abs(was - now) for was, now in zip(annotated, picture, strict=True)) > _ROUNDING:
-        told.append(f"annotated at {_side_by_side(annotated)} px; scaled to the picture's {_side_by_side(picture)}")
+        told.append(f"made at {_side_by_side(annotated)} px, scaled to the picture's {_side_by_side(picture)}")
     if open_still:
         told.append(
-            f"EXIF orientation {orientation} turns the photo, and its size does not tell if annotations were made "
-            "before; taken as made on the upright picture"
+            f"the photo is turned by its EXIF orientation {orientation}, and no size tells if they were made before; "
+            "taken as made on the upright picture"
         )
     return "; ".join(told) or None
 
 
-def _equal(annotated: tuple[int, int], picture: tuple[int, int]) -> bool:
+def _is_equal(annotated: tuple[int, int], picture: tuple[int, int]) -> bool:
     return annotated == picture
 
 
-def _resized(annotated: tuple[int, int], picture: tuple[int, int]) -> bool:
+def _is_resized(annotated: tuple[int, int], picture: tuple[int, int]) -> bool:
     """True if one factor makes one size of the other, but for rounding of the smaller one's sides."""
     (height, width), (tall, wide) = sorted((annotated, picture))
     lows, highs = [], []

@@ -178,10 +178,11 @@ def read_orientation(path: PhotoFile) -> int:
     Raises:
         InputError: If the file can't be read.
     """
-    from PIL import ExifTags
+    from PIL import ExifTags, Image
 
     with _opened(path, "a picture") as image:
-        told = image.getexif().get(ExifTags.Base.Orientation)
+        # PNG's own getexif would decode all pixels, for these data may stand behind them, where nobody puts them.
+        told = Image.Image.getexif(image).get(ExifTags.Base.Orientation)
     return told if isinstance(told, int) and 1 <= told <= 8 else 1
 
 
