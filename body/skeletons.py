@@ -207,8 +207,8 @@ MPJPE_JOINTS = SKELETONS[MPJPE_SKELETON].landmarks
 MPJPE_HIPS = [MPJPE_JOINTS.index(name) for name in ("left_hip", "right_hip")]
 
 
-def skeleton(source: str | Path | Skeleton) -> Skeleton:
-    """Read a keypoint format by name, or one's own from a JSON file.
+def skeleton(source: str | Path | Skeleton | Mapping[str, Any]) -> Skeleton:
+    """Read a keypoint format by name, or one's own from a JSON file or its content.
 
     Such a file holds ``{"name": "mine", "landmarks": ["nose", null, "left_wrist", ...]}``: for each point, in the order
     of the keypoints, the landmark (``LANDMARKS``) that it marks; null leaves a point out. ``name`` may be missing.
@@ -218,6 +218,11 @@ def skeleton(source: str | Path | Skeleton) -> Skeleton:
     """
     if isinstance(source, Skeleton):
         return source
+    if isinstance(source, Mapping):
+        try:
+            return _from_json(source, Path("skeleton"))
+        except ValueError as error:
+            raise InputError(f"skeleton: {error}") from error
     if str(source) in SKELETONS:
         return SKELETONS[str(source)]
     path = Path(source)
@@ -228,6 +233,15 @@ def skeleton(source: str | Path | Skeleton) -> Skeleton:
         return _from_json(data, path)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def describe_skeleton(form: str | Skeleton) -> str | dict[str, Any]:
+    """What to write into JSON so that ``skeleton`` gives the joints of a format again: its name, or its landmarks."""
+    own = skeleton(form)
+    known = SKELETONS.get(own.name)
+    if known is not None and (own.landmarks, own.marks) == (known.landmarks, known.marks):
+        return own.name
+    return {"name": own.name, "landmarks": list(own.marks)}
 
 
 def _from_json(data: Any, path: Path) -> Skeleton:

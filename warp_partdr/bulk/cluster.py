@@ -134,9 +134,10 @@ def make_on_cluster(
     for row in made.iter_rows():
         if row["fault"]:
             raise InputError(row["fault"])
-        for name in ("shards", "pictures", "people", "errors"):
+        for name in ("shards", "pictures", "people", "errors", "annotations"):
             setattr(total, name, getattr(total, name) + row[name])
         total.first_error = total.first_error or row["first_error"]
+        total.first_annotation = total.first_annotation or row["first_annotation"]
         written(row["shard"], total)
     return total
 

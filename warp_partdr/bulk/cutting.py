@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..body.skeletons import skeleton
+from ..body.skeletons import Skeleton, skeleton
 from ..cameras import Perspective
 from ..detection.person import SKELETON
 from ..errors import InputError
@@ -20,7 +20,7 @@ from ..inputs.masked_people import MaskedPerson, cut_masks
 from ..inputs.observation import LABEL_SIZE, crop_evidence
 from ..inputs.part_labels import PartLabels
 from ..inputs.person import check_inside
-from .rows import PeopleRows, Row
+from .rows import FILE_WARNINGS, PeopleRows, Row
 from .sources import KnownPerson, PictureSource, SourcePicture
 
 CameraOf = Callable[[str, tuple[int, int]], Perspective | None]
@@ -63,7 +63,7 @@ class Cutter:
     """
 
     camera: CameraOf = no_camera
-    skeleton: str = SKELETON
+    skeleton: str | Skeleton = SKELETON
     label_size: int = LABEL_SIZE
 
     def cut(self, held: Sequence[Held], found: Mapping[int, Read]) -> Cut:
@@ -87,11 +87,12 @@ class Cutter:
                 rows.append(row | {"error": one_line(error)})
                 continue
             assert known.people is not None
-            row["people"] = len(known.people)
-            if not known.people:
+            row["people"] = len(known.people) + len(known.faults)
+            if not row["people"]:
                 rows.append(row)
             for number, person in enumerate(known.people):
-                rows.append(row | {"person": number} | _describe(person, self.skeleton))
+                told = [*row.get(FILE_WARNINGS, ()), *person.warnings]
+                rows.append(row | {"person": number, FILE_WARNINGS: told} | _describe(person, self.skeleton))
                 try:
                     if place not in found:
                         check_inside(person.keypoints, (row["height"], row["width"]))
@@ -104,6 +105,9 @@ class Cutter:
                         cut.append((len(rows) - 1, self._cut_alone(person.keypoints, None, (), camera)))
                 except FAULTS as error:
                     rows[-1]["error"] = one_line(error)
+            for number, fault in enumerate(known.faults, start=len(known.people)):
+                wrong = {"person": number, "annotation": fault.annotation, "error": one_line(InputError(fault.error))}
+                rows.append(row | wrong)
         for own, some in attempt(_cut_masked, [person for _, person in masked]):
             places = [number for number, _ in masked[own]]
             if isinstance(some, Exception):
@@ -164,13 +168,13 @@ def one_line(error: Exception) -> str:
     return (text if isinstance(error, InputError) else f"{type(error).__name__}: {text}")[:300]
 
 
-def _describe(person: KnownPerson, form: str) -> dict[str, Any]:
+def _describe(person: KnownPerson, form: str | Skeleton) -> dict[str, Any]:
     given = person.keypoints
     keypoints = np.column_stack([given.points, given.confidence])
-    if given.format.name != form:
-        own = given.format.landmarks
+    own, landmarks = given.format.landmarks, skeleton(form).landmarks
+    if own != landmarks:
         missing = np.zeros(3, dtype=np.float32)
-        order = [own.index(name) if name in own else None for name in skeleton(form).landmarks]
+        order = [own.index(name) if name in own else None for name in landmarks]
         keypoints = np.stack([missing if place is None else keypoints[place] for place in order])
     return {
         "annotation": person.annotation,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..body.skeletons import Skeleton, skeleton
 from ..cameras import Crop
 from ..clothing.model import DetailedModel
 from ..results.pictures import blend, draw_keypoints, shade_body, shade_detailed
@@ -63,7 +64,7 @@ def draw_worst(
     """
     values = dict(zip(worst.addresses, worst.values.tolist(), strict=True))
     for shard, rows in by_shard(worst.addresses).items():
-        form = files.about(shard)["skeleton"]
+        form = skeleton(files.about(shard)["skeleton"])
         for address, row in files.rows(shard, rows):
             person = PersonRow.of(address, row, str(files.path(shard)))
             assert person is not None
@@ -82,7 +83,9 @@ def _photo(read: Callable[[str], np.ndarray], person: PersonRow) -> np.ndarray |
     return photo if photo.shape[:2] == tuple(person.saved.image_size.tolist()) else None
 
 
-def draw_person(person: PersonRow, form: str, photo: np.ndarray | None, model: DetailedModel | None) -> Image:
+def draw_person(
+    person: PersonRow, form: str | Skeleton, photo: np.ndarray | None, model: DetailedModel | None
+) -> Image:
     """A person's part of the photo with the keypoints, and beside it the body; without a photo both on gray.
 
     Args:

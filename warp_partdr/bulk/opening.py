@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..errors import InputError, cause
 from ..inputs.films import FILM_SUFFIXES
+from ..inputs.keypoint_files import given_format
 from ..inputs.part_labels import PHOTO_SUFFIXES
 from .coco import CocoPictures, open_coco
 from .containers import PARTS, TAR_SUFFIX, check_webdataset
@@ -17,7 +18,9 @@ from .picture_files import PictureFiles, open_files
 _MANY = (*FILM_SUFFIXES, TAR_SUFFIX)  # of files that hold many pictures
 
 
-def open_source(path: Path, images: Path | None = None, labels: str | None = None) -> PictureFiles | CocoPictures:
+def open_source(
+    path: Path, images: Path | None = None, labels: str | None = None, keypoint_format: str | Path | None = None
+) -> PictureFiles | CocoPictures:
     """Open what a user names: photos, films, tar files, or a COCO file of annotations.
 
     Args:
@@ -25,29 +28,34 @@ def open_source(path: Path, images: Path | None = None, labels: str | None = Non
             tar file; tar files as "shards/{000..009}.tar"; or COCO's annotations (.json).
         images: Folder of a COCO file's pictures; default: the file's own.
         labels: Name or JSON file of the label set of part labels beside photos; default: ``labels.json``.
+        keypoint_format: Name or JSON file of the format of all keypoints, if the files do not tell it.
 
     Raises:
         InputError: If there is no such thing, or no picture in it.
     """
+    form = None if keypoint_format is None else given_format(keypoint_format)
     ending = path.suffix.lower()
     if images is not None and (path.is_dir() or ending != ".json"):
         raise InputError(f"--images: {images}, with {path}; expected a COCO file of annotations with it")
     source: PictureFiles | CocoPictures
     if path.is_dir():
-        source, expected = open_files(path, _search(path), labels), f"some: {', '.join((*PHOTO_SUFFIXES, *_MANY))}"
+        source, expected = (
+            open_files(path, _search(path), labels, form),
+            f"some: {', '.join((*PHOTO_SUFFIXES, *_MANY))}",
+        )
     elif ending == ".json":
         if labels is not None:
             raise InputError(f"--labels: {labels}, with {path}; expected part labels beside photos")
-        source, expected = open_coco(path, images or path.parent), "some in the list images"
+        source, expected = open_coco(path, images or path.parent, form), "some in the list images"
     elif ending == ".txt":
-        source, expected = open_files(path.parent, _read_list(path), labels), "the path of one a line"
+        source, expected = open_files(path.parent, _read_list(path), labels, form), "the path of one a line"
     elif "{" in str(path) and not path.exists():
         files = _expand(path)
         folder = Path(os.path.commonpath([file.parent for file in files]))
-        source = open_files(folder, [file.relative_to(folder).as_posix() for file in files], labels)
+        source = open_files(folder, [file.relative_to(folder).as_posix() for file in files], labels, form)
         expected = "some in the tar files"
     elif ending in _MANY and path.is_file():
-        source, expected = open_files(path.parent, [path.name], labels), "some"
+        source, expected = open_files(path.parent, [path.name], labels, form), "some"
     else:
         expected = "a folder of photos, a list of them (.txt), a film, tar files, or COCO's annotations (.json)"
         raise InputError(f"{path}: {'a file' if path.exists() else 'No such file or folder'}; expected {expected}")

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from ..body.labels import LabelSet, label_set
+from ..body.skeletons import Skeleton
 from ..detection.person import SKELETON
 from ..errors import InputError
 from ..files.json_files import parse_json
@@ -55,6 +56,7 @@ class PictureFiles:
         skeleton: Format of the first keypoints; without any, that of people who are found.
         digest: SHA-256 of names and sizes of the files beside photos, and of the label set; None without such files.
         labels: What the ids of part labels mean.
+        keypoint_format: Format of all keypoints, as the user says; None: the files tell.
         spans: Of photos in tar files, where these and the files beside them are: start and size by ``ENDINGS``, -1
             where there is none, shape (number of names, 3, 2). Whoever has a copy need not read the tar files' headers.
     """
@@ -62,10 +64,12 @@ class PictureFiles:
     folder: Path
     names: tuple[str, ...]
     containers: frozenset[str] = frozenset()
-    skeleton: str = SKELETON
+    skeleton: str | Skeleton = SKELETON
     digest: str | None = None
     labels: LabelSet | None = None
+    keypoint_format: Skeleton | None = None
     finds: bool = True
+    warnings: tuple[str, ...] = ()
     spans: np.ndarray = field(default_factory=lambda: np.zeros((0, len(ENDINGS), 2), dtype=np.int64), compare=False)
     _films: Latest[FilmFrames] = field(default_factory=lambda: Latest(FilmFrames), compare=False)
 
@@ -100,7 +104,7 @@ class PictureFiles:
                 found = SourcePicture(read_photo(photo))
             else:
                 scanned = ScannedPhoto(photo, scan_photo(photo))
-                found = SourcePicture(scanned, tuple(map(_known, _read_keypoints(keypoints))))
+                found = SourcePicture(scanned, tuple(map(_known, self.read_keypoints(keypoints))))
             return replace(found, parts=self._read_labels(name, found.size))
         except InputError as error:  # messages are the same wherever the folder is
             raise InputError(str(error).replace(str(self.folder / (container or name)), container or name)) from error
@@ -112,6 +116,17 @@ class PictureFiles:
             return None if is_film(container) else self._member(container, name, ending)
         path = (self.folder / name).with_suffix(f".{ending}")
         return path if path.is_file() else None
+
+    def read_keypoints(self, file: PhotoFile) -> list[Keypoints2D]:
+        """Everyone's keypoints of a file, which may be in memory."""
+        if not isinstance(file, NamedBytes):
+            return read_keypoints(str(file), self.keypoint_format)
+        try:
+            text = file.read().decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise InputError(f"{file}: not JSON ({error}); expected keypoints in JSON") from error
+        data = parse_json(text, str(file), "keypoints in JSON")
+        return parse_keypoints(data, self.keypoint_format, name=str(file))
 
     def _member(self, container: str, name: str, ending: str) -> NamedBytes | None:
         """A photo of a tar file, or a file beside it; None if there is none."""
@@ -136,16 +151,20 @@ class PictureFiles:
         return (container, inside) if container in self.containers else (None, name)
 
 
-def open_files(folder: Path, entries: Iterable[str], labels: str | None) -> PictureFiles:
+def open_files(
+    folder: Path, entries: Iterable[str], labels: str | None, keypoint_format: Skeleton | None = None
+) -> PictureFiles:
     """Open photos, films and tar files by their paths from a folder on.
 
     Args:
         folder: The source's.
         entries: In the order in which their pictures are to come.
         labels: Name or JSON file of the label set of part labels; None: ``labels.json`` in the folder.
+        keypoint_format: Format of all keypoints; None: the files tell.
 
     Raises:
-        InputError: If a library that is needed is not installed, or the label set of part labels is unknown.
+        InputError: If a library that is needed is not installed, the label set of part labels is unknown, or there are
+            no part labels or keypoints of which something is said.
     """
     names: list[str] = []
     containers: list[str] = []
@@ -180,7 +199,9 @@ def open_files(folder: Path, entries: Iterable[str], labels: str | None) -> Pict
     every = np.full((len(names) if spans else 0, len(ENDINGS), 2), -1, dtype=np.int64)
     for first, each in spans.items():
         every[first : first + len(each)] = each
-    source = PictureFiles(folder, tuple(names), frozenset(containers), spans=every)
+    source = PictureFiles(folder, tuple(names), frozenset(containers), keypoint_format=keypoint_format, spans=every)
+    if keypoint_format is not None and not any(ending == KEYPOINTS for _, ending, _ in beside):
+        raise InputError(f"--format: {keypoint_format.name}, without keypoints; expected N.{KEYPOINTS} beside N.jpg")
     return _with_labels(source, beside, labels) if beside or labels is not None else source
 
 
@@ -194,13 +215,13 @@ def _with_labels(source: PictureFiles, beside: Sequence[Beside], labels: str | N
         known = label_set(file if labels is None else labels)
     elif labels is not None:
         raise InputError(f"--labels: {labels}, without part labels; expected N.{PARTS} beside N.jpg")
-    form = SKELETON
+    form: str | Skeleton = SKELETON
     for name, ending, _ in beside:
         if ending == KEYPOINTS:
             with suppress(InputError):  # a row will tell
                 given = source.beside(name, KEYPOINTS)
                 assert given is not None
-                form = _read_keypoints(given)[0].format.name
+                form = source.read_keypoints(given)[0].skeleton
                 break
     digest = hashlib.sha256()
     for each in beside:
@@ -217,17 +238,6 @@ def _beside(folder: Path) -> dict[str, int]:
             return {each.name: each.stat().st_size for each in entries if each.name.endswith((KEYPOINTS, PARTS))}
     except OSError:
         return {}  # reading a photo tells
-
-
-def _read_keypoints(file: PhotoFile) -> list[Keypoints2D]:
-    """Everyone's keypoints of a file, which may be in memory."""
-    if not isinstance(file, NamedBytes):
-        return read_keypoints(str(file))
-    try:
-        text = file.read().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file}: not JSON ({error}); expected keypoints in JSON") from error
-    return parse_keypoints(parse_json(text, str(file), "keypoints in JSON"), name=str(file))
 
 
 def _known(keypoints: Keypoints2D) -> KnownPerson:

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from ..body.posing import Posed, pose
+from ..body.skeletons import Skeleton
 from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
 from ..errors import InputError, cause, shown
@@ -222,7 +223,7 @@ class PersonRow:
         """EllipBody in the camera frame."""
         return pose(*(torch.from_numpy(getattr(self.saved, name))[None] for name in BODY_ARRAYS))
 
-    def keypoints(self, form: str) -> Keypoints2D:
+    def keypoints(self, form: str | Skeleton) -> Keypoints2D:
         """Keypoints of the person, of the data set's format."""
         numbers = self.row["keypoints"]
         return Keypoints2D(form, numbers[:, :2].copy(), numbers[:, 2].copy())

@@ -66,6 +66,7 @@ if TYPE_CHECKING:
 
 FORMAT = "warp-partdr people 1"
 METADATA = b"warp-partdr"  # key in the schema's metadata
+FILE_WARNINGS = "file_warnings"  # a column that is not written as such: those of the files come before the fit's
 
 Row = dict[str, Any]
 Values = np.ndarray | Sequence[Any]  # arrays (N, ...), or N values, of which some may be None
@@ -142,7 +143,7 @@ class Column:
     names: tuple[str, ...] = ()
 
 
-def columns(form: str, model: DetailedModel | None = None) -> tuple[Column, ...]:
+def columns(form: str | Skeleton, model: DetailedModel | None = None) -> tuple[Column, ...]:
     """Columns of people with keypoints of a format, and with the model's bodies, if there is one."""
     points = skeleton(form)
     axes: dict[str, tuple[str, ...]] = {
@@ -304,12 +305,14 @@ def _array(column: Column, rows: PeopleRows) -> pa.Array:
     import pyarrow as pa
 
     given = [(part.rows, part.columns[column.name]) for part in rows.parts if column.name in part.columns]
-    if column.kind in ("string", "strings"):
-        texts: list[Any] = [None] * rows.count
-        for places, values in given:
-            for place, value in zip(places.tolist(), values, strict=True):
-                texts[place] = value
-        return pa.array(texts, pa.string() if column.kind == "string" else pa.list_(pa.string()))
+    if column.kind == "string":
+        return pa.array(_texts(rows, column.name), pa.string())
+    if column.kind == "strings":
+        lists = _texts(rows, column.name)
+        for place, first in enumerate(_texts(rows, FILE_WARNINGS)):
+            if first is not None:
+                lists[place] = [*first, *(lists[place] or ())]
+        return pa.array(lists, pa.list_(pa.string()))
     size = math.prod(column.shape)
     missing, numbers = np.ones(rows.count, dtype=bool), np.zeros((rows.count, size), dtype=column.kind)
     for places, values in given:
@@ -322,6 +325,16 @@ def _array(column: Column, rows: PeopleRows) -> pa.Array:
     # Not as lists of a fixed size: Arrow before version 26 can't read nulls of these (apache/arrow issue 35692).
     ends = np.concatenate([[0], np.cumsum(~missing * size)]).astype(np.int32)
     return pa.ListArray.from_arrays(ends, pa.array(numbers[~missing].reshape(-1)), mask=pa.array(missing))
+
+
+def _texts(rows: PeopleRows, name: str) -> list[Any]:
+    """Values of a column of texts, or of lists of them; None where there is none."""
+    texts: list[Any] = [None] * rows.count
+    for part in rows.parts:
+        if name in part.columns:
+            for place, value in zip(part.rows.tolist(), part.columns[name], strict=True):
+                texts[place] = value
+    return texts
 
 
 def _keypoint_errors(known: _Known, points: np.ndarray) -> list[float | None]:

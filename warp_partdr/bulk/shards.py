@@ -18,25 +18,30 @@ from ..errors import InputError, cause
 from ..files.disk import sync
 from ..results.result_sets import scratch_folder
 from .rows import FORMAT, METADATA
+from .sources import ANNOTATIONS
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+TALLIED = ["picture", "error", "warnings", "camera_scale"]  # columns that a tally counts
 
 _DIGITS = 5
 
 
 @dataclass
 class Tally:
-    """Numbers of what a run wrote, and of what failed."""
+    """Numbers of what a run wrote, of what failed, and of rows with a warning about their annotations."""
 
     shards: int = 0
     pictures: int = 0
     people: int = 0
     errors: int = 0
     first_error: str = ""
+    annotations: int = 0
+    first_annotation: str = ""
 
     def add(self, pictures: int, table: pa.Table) -> None:
-        """Count a shard of so many pictures, by its columns picture, error and camera_scale."""
+        """Count a shard of so many pictures, by its columns ``TALLIED``."""
         faults = table.filter(table["error"].is_valid())
         self.shards += 1
         self.pictures += pictures
@@ -45,6 +50,11 @@ class Tally:
         if faults.num_rows:
             name, error = (faults[column][0].as_py() for column in ("picture", "error"))
             self.first_error = self.first_error or (error if error.startswith(name) else f"{name}: {error}")
+        for row, warnings in enumerate(table["warnings"].to_pylist()):
+            told = [warning for warning in warnings or () if warning.startswith(ANNOTATIONS)]
+            self.annotations += bool(told)
+            if told and not self.first_annotation:
+                self.first_annotation = f"{table['picture'][row].as_py()}: {told[0]}"
 
 
 @dataclass(frozen=True)
@@ -147,7 +157,7 @@ class Shards:
         import pyarrow.parquet as pq
 
         tally = Tally()
-        table = pq.read_table(self.path(index), columns=["picture", "error", "camera_scale"])
+        table = pq.read_table(self.path(index), columns=TALLIED)
         tally.add(len(self.pictures(index)), table)
         return tally
 

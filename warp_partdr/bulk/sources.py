@@ -7,15 +7,18 @@ A source has names, in an order that is the same in each run, and reads one pict
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
 
+from ..body.skeletons import Skeleton
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels, PhotoFile, read_photo
 from ..inputs.person import Box
+
+ANNOTATIONS = "annotations: "  # begins warnings about what was done to a picture's annotations
 
 
 @dataclass(frozen=True)
@@ -27,11 +30,30 @@ class KnownPerson:
         score: Confidence that there is a person.
         box: Left, top, right, bottom [px].
         annotation: Number of the annotation; None of people who were found.
+        warnings: Sentences about what was done to the annotation.
     """
 
     keypoints: Keypoints2D
     score: float
     box: Box
+    annotation: int | None = None
+    warnings: tuple[str, ...] = ()
+
+    def warned(self, warning: str) -> KnownPerson:
+        """The same person with one more warning."""
+        return replace(self, warnings=(*self.warnings, warning))
+
+
+@dataclass(frozen=True)
+class FaultyPerson:
+    """A person whose annotation can't be used.
+
+    Attributes:
+        error: Why, in a sentence.
+        annotation: Number of the annotation, if it has one.
+    """
+
+    error: str
     annotation: int | None = None
 
 
@@ -50,13 +72,16 @@ class SourcePicture:
         picture: RGB, shape (H, W, 3), uint8; or a photo whose pixels are read when they are asked for.
         people: None: they are to be found.
         owners: Whom each pixel shows, 1 for the first of ``people``, 0 for nobody, shape (H, W), int32; None: unknown.
+            Larger numbers than there are people are of others, such as people without keypoints.
         parts: Part labels, which go before ``owners``; None: unknown.
+        faults: People beside ``people``, whose annotations can't be used.
     """
 
     picture: np.ndarray | ScannedPhoto
     people: tuple[KnownPerson, ...] | None = None
     owners: torch.Tensor | None = None
     parts: PartLabels | None = None
+    faults: tuple[FaultyPerson, ...] = ()
 
     @property
     def pixels(self) -> np.ndarray:
@@ -79,8 +104,12 @@ class PictureSource(Protocol):
         """Names of all pictures, each once, in their order."""
 
     @property
-    def skeleton(self) -> str:
-        """Format of the keypoints that rows have."""
+    def skeleton(self) -> str | Skeleton:
+        """Format of the keypoints that rows have: its name, or a skeleton of the files' own."""
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Sentences about the source as a whole, such as what was left out of it."""
 
     @property
     def digest(self) -> str | None:

@@ -15,6 +15,7 @@ import typer
 from typer import Argument, Option
 
 from .. import __version__
+from ..body.skeletons import describe_skeleton
 from ..detection import MIN_SCORE
 from ..errors import InputError, install_command, shown
 from ..files.disk import file_sha256
@@ -49,6 +50,10 @@ PICTURES is a folder of photos, with all folders in it; a .txt file, a path a li
 or as "shards/{000..009}.tar"; a film (.[film]), each frame a picture, film.mp4#0; or COCO's annotations (.json), whose
 keypoints and masks are taken then. Beside 7.jpg, also in tar files, may lie 7.keypoints.json and 7.parts.png (--labels
 says what its ids mean). People without keypoints are found, as by `partdr fit photo.jpg`.
+
+Names in COCO's categories say which keypoint is which; --format NAME says it of files without names, and goes before
+them. Of pictures that were resized since, or annotated as they are stored, annotations are scaled or turned, which the
+column warnings says; a size that this does not explain is an error.
 
 **How far**, --quality: network (what `partdr predict` says), fast (ellipsoids refined), or mesh (the detailed body of
 `partdr fit`, too). `--set mirror=false` makes the network faster, `--set mesh.iterations=30` the mesh stage. Without
@@ -111,21 +116,23 @@ class BulkOptions(SettingOptions):
         quality: BulkQuality = self.quality.value  # type: ignore[assignment]  # its names
         return change_options(replace(stages_of_quality(quality), half=half), values)
 
-    def record(self, view: CameraOptions, source: PictureSource, *, half: bool) -> dict[str, Any]:
+    def record(
+        self, view: CameraOptions, source: PictureSource, keypoint_format: str | None, *, half: bool
+    ) -> dict[str, Any]:
         """All that rows depend on but the pictures, as shards state it."""
         check_score("--min-score", self.min_score)
         options = self.fit_options(half=half)
         settings = {name: value for name, value in self.read().items() if name != "half"}
-        model = _sha256(Path(self.model)) if Path(self.model).is_file() else self.model
         return {
             "version": __version__,
             "quality": self.quality.value,
             "people": source.digest or "found",
             "min_score": self.min_score if source.finds else None,
             "network": None if self.network is None else _sha256(self.network),
-            "model": model if self.quality == "mesh" else None,
+            "model": _name_or_sha256(self.model) if self.quality == "mesh" else None,
             "half": options.half,
             **({"settings": settings} if settings else {}),
+            **({} if keypoint_format is None else {"format": _name_or_sha256(keypoint_format)}),
             **{name: getattr(view, name) for name in ("focal", "fov", "principal")},
         }
 
@@ -232,6 +239,10 @@ def dataset(
     ] = None,
     device: DeviceOption = "auto",
     labels: LabelsOption = None,
+    keypoint_format: Annotated[
+        str | None,
+        Option("--format", help="Of the keypoints, if the files do not say; or a JSON file.", metavar="NAME"),
+    ] = None,
     *,
     how: BulkOptions,
     parts: ShardOptions,
@@ -253,11 +264,13 @@ def dataset(
     from ..interop.precision import multiplies_bfloat16
     from ..results.result_sets import check_folder
 
-    source = open_source(pictures, images, labels)
+    source = open_source(pictures, images, labels, keypoint_format)
+    for warning in source.warnings:
+        typer.echo(f"partdr: warning: {warning}", err=True)
     where = choose_device(device) if cluster.ray is None else device
     half = cluster.ray is None and multiplies_bfloat16(where)  # machines of a cluster may differ, its rows may not
     check_folder(out)
-    shards = Shards(out, source.names, parts.shard, how.record(view, source, half=half))
+    shards = Shards(out, source.names, parts.shard, how.record(view, source, keypoint_format, half=half))
     done = shards.done()
     todo = [index for index in parts.mine(shards.count) if index not in done]
     if not todo:
@@ -269,7 +282,8 @@ def dataset(
 
             room = stack.enter_context(connected_cluster(cluster.ray))
             where = ("cuda" if room.get("GPU") else "cpu") if device == "auto" else device
-        work = _Work(source, replace(shards, about=_versions(where) | {"skeleton": source.skeleton}), todo, len(done))
+        about = _versions(where) | {"skeleton": describe_skeleton(source.skeleton)}
+        work = _Work(source, replace(shards, about=about), todo, len(done))
         work.run(FitterSetup(how, view, batch, where, half), cluster)
 
 
@@ -335,6 +349,16 @@ def _tell(tally: Tally, shards: Shards, seconds: float, where: str) -> None:
     if tally.errors:
         rows = f"{tally.errors} row{'s' * (tally.errors > 1)}"
         typer.echo(f"partdr: warning: {rows} with an error, first {tally.first_error}", err=True)
+    if tally.annotations:
+        rows = f"{tally.annotations} row{'s' * (tally.annotations > 1)}"
+        typer.echo(
+            f"partdr: warning: {rows} with a warning about their annotations, first {tally.first_annotation}", err=True
+        )
+
+
+def _name_or_sha256(given: str) -> str:
+    """A name as it is, and the SHA-256 of a file."""
+    return _sha256(Path(given)) if Path(given).is_file() else given
 
 
 def _sha256(path: Path) -> str:
