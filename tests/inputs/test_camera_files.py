@@ -282,7 +282,7 @@ last:
         ("- 1", r"\[1\]; expected a file of OpenCV"),
         ("word", "'word'; expected a file of OpenCV"),
         ('{"a": 1, "a": 2}', "key 'a' twice"),
-        ("a: " + "[" * 4000 + "]" * 4000, "maximum recursion depth"),
+        ("a: " + "[" * 4000 + "]" * 4000, "nested more than 32 levels deep"),
     ],
 )
 def test_other_yaml_is_refused(tmp_path: Path, text: str, message: str) -> None:
