@@ -68,11 +68,21 @@ def test_easymocap(tmp_path: Path, turn: str) -> None:
     assert read_cameras(easymocap(tmp_path / "other", size=False))["7"].size is None
 
 
+def test_names_of_easymocap_without_quotes(tmp_path: Path) -> None:
+    folder = easymocap(tmp_path / "rig")
+    for path in folder.iterdir():
+        path.write_text(path.read_text().replace("- 7", "- 07").replace("_7:", "_07:"))
+    assert list(read_cameras(folder)) == ["07", "left"]
+
+
 def test_halves_of_easymocap(tmp_path: Path) -> None:
     folder = easymocap(tmp_path / "rig")
     (folder / "extri.yml").unlink()
     with pytest.raises(InputError, match=r"T_7: missing; expected a folder of EasyMocap's intri\.yml and extri\.yml"):
         read_cameras(folder / "intri.yml")
+    (easymocap(tmp_path / "other") / "intri.yml").unlink()
+    with pytest.raises(InputError, match="places of cameras alone; expected a folder of EasyMocap"):
+        read_cameras(tmp_path / "other" / "extri.yml")
 
 
 CALISCOPE = """

@@ -169,8 +169,10 @@ def _cameras(data: Mapping[str, Any], where: str, name: str, say: Say) -> dict[s
         found = {
             key: _any_camera(node, f"{where}: cameras.{key}", alone=len(listed) == 1) for key, node in nodes.items()
         }
-    elif isinstance(data.get("names"), list):
+    elif any(str(key).startswith("K_") for key in data):
         found = _easymocap(data, where)
+    elif isinstance(data.get("names"), list) and any(str(key).startswith(("Rot_", "R_")) for key in data):
+        raise InputError(f"{where}: places of cameras alone; expected a folder of EasyMocap's intri.yml and extri.yml")
     elif {"M1", "M2"} <= data.keys():
         found = _stereo(data, where)
     elif _find(data, _MATRIX) is not None:
@@ -251,14 +253,15 @@ def _told_unit(data: Mapping[str, Any]) -> float:
 def _easymocap(data: Mapping[str, Any], where: str) -> dict[str, CalibratedCamera]:
     """Cameras of EasyMocap: K_01, dist_01, R_01 (Rodrigues) or Rot_01, T_01, and perhaps H_01 and W_01."""
     cameras: dict[str, CalibratedCamera] = {}
-    for name in map(str, data["names"]):
+    listed = data.get("names")
+    names = list(map(str, listed)) if isinstance(listed, list) else []
+    if not names or any(f"K_{name}" not in data for name in names):  # 01 without quotes is 1
+        names = [str(key).removeprefix("K_") for key in data if str(key).startswith("K_")]
+    for name in names:
         keys = {"K": "K", "D": "dist", "dist": "dist", "Rot": "R", "R": "R", "T": "T", "W": "width", "H": "height"}
         node = {to: data[f"{key}_{name}"] for key, to in keys.items() if f"{key}_{name}" in data}
-        for key in ("K", "T"):
-            if key not in node:
-                raise InputError(
-                    f"{where}: {key}_{name}: missing; expected a folder of EasyMocap's intri.yml and extri.yml"
-                )
+        if "T" not in node:
+            raise InputError(f"{where}: T_{name}: missing; expected a folder of EasyMocap's intri.yml and extri.yml")
         cameras[name] = _camera(node, f"{where}: camera {name}", alone=False)
     return cameras
 
