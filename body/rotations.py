@@ -39,6 +39,8 @@ def rotation_from_axis_angle(axis_angle: torch.Tensor) -> torch.Tensor:
         ValueError: If the shape or dtype is wrong.
     """
     _check("axis_angle", axis_angle, (3,))
+    if torch.finfo(axis_angle.dtype).bits == 16:  # whose squares of small angles are 0
+        return rotation_from_axis_angle(axis_angle.float()).to(axis_angle.dtype)
     square = (axis_angle * axis_angle).sum(-1)[..., None, None]
     small = square < _TINY_ANGLE**2
     # where() alone would still differentiate the branch not taken, through sqrt(0)

@@ -130,3 +130,11 @@ def test_quaternions_are_scipys(vector):
     expected = turn.as_quat(canonical=True)[[3, 0, 1, 2]]
     assert abs(found @ expected) == pytest.approx(1, abs=1e-9)  # at half a turn both signs are
     assert found[0] >= 0
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_small_angles_of_half_precision_are_rotations(dtype):
+    angles = torch.tensor([0.0, 1e-7, 1e-4, 1e-3, 0.01, 0.3, 3.0], dtype=dtype)[:, None] * torch.eye(3, dtype=dtype)[1]
+    turns = rotation_from_axis_angle(angles)
+    assert turns.dtype == dtype
+    torch.testing.assert_close(turns.double(), rotation_from_axis_angle(angles.double()), atol=5e-3, rtol=0)

@@ -272,3 +272,21 @@ def test_halves_of_a_limb_go_on_into_each_other():
     gap = (capsules.ends[second, 0] - capsules.ends[first, 1]).norm()
     share = float(gap / (capsules.radii[first] + capsules.radii[second]))
     assert 0.4 < share < 0.95
+
+
+@pytest.mark.parametrize(
+    ("change", "people", "says"),
+    [
+        (lambda placed: placed, 0, "people: 0; expected an integer of 1 or more"),
+        (lambda placed: placed, 4, "people: 4; expected a divisor of the 6 bodies"),
+        (lambda placed: placed, 12, "people: 12; expected a divisor"),
+        (lambda placed: placed[..., :6], 2, r"placed: shape \(6, 5, 6\); expected \(\*, 5, 7\)"),
+        (lambda placed: placed[:, :4], 2, r"placed: shape \(6, 4, 7\)"),
+        (lambda placed: placed.double(), 2, "placed: torch.float64; expected torch.float32"),
+    ],
+)
+def test_what_no_capsules_are_is_refused(crowd, change, people, says):
+    placed, allowed = crowd
+    with pytest.raises(ValueError, match=says):
+        find_overlap(change(placed), allowed, people)
+    assert find_overlap(placed[:0], allowed, 2).shape == (0,)

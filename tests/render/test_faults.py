@@ -274,3 +274,20 @@ def test_a_column_of_nan_and_zeros_is_no_rotation(device):
         assert posed.axes.isnan().any()
         loss = RENDERERS[0].crop_loss(replace(mean, orientation=columns), target(device))
         assert loss.isnan().all()
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype", "says"),
+    [
+        ((2, 48, 40), torch.uint8, r"target: shape \(2, 48, 40\); expected square crops"),
+        ((3, 48, 48), torch.uint8, "target: batch 3; expected 2"),
+        ((48, 48), torch.uint8, r"target: shape \(48, 48\)"),
+        ((2, 48, 48), torch.float32, "target: torch.float32; expected torch.uint8"),
+    ],
+)
+def test_targets_that_are_no_crops_are_refused(device, shape, dtype, says):
+    bodies = BodyParameters.mean(2, device=device)
+    with pytest.raises(ValueError, match=says):
+        RENDERERS[0].crop_loss(bodies, torch.zeros(shape, dtype=dtype, device=device))
+    with pytest.raises(ValueError, match=r"subdivisions: auto; expected 0 to 3"):
+        RendererMesh("auto").crop_loss(bodies, target(device))

@@ -15,8 +15,10 @@ import warp as wp
 
 from ..body.landmarks import without_side
 from ..body.template import PARENTS, PART_NAMES
+from ..errors import check_whole
 from ..interop.arrays import warp_array
 from ..interop.captured_function import Fixed, call_captured
+from ..interop.checks import check_tensor
 from ..interop.derivatives import once
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
@@ -80,12 +82,19 @@ class Capsules(Movable):
             placed: Of ``of``, float32.
             people: P; body b meets b + B / P, b + 2 B / P and so on, too. Each of two bodies has half of their cost,
                 and the gradient of each cost is that with respect to both.
+
+        Raises:
+            ValueError: If ``placed`` has another shape, dtype or device, or P does not divide B.
         """
         return find_overlap(placed, self.allowed, people)
 
 
 def find_overlap(placed: torch.Tensor, allowed: torch.Tensor, people: int = 1) -> torch.Tensor:
-    """``Capsules.overlap`` with ``allowed`` in its place."""
+    """``Capsules.overlap`` with ``allowed`` in its place; ``placed`` has C capsules, ``allowed`` is (C, C)."""
+    check_tensor("placed", placed, (None, len(allowed), _NUMBERS), dtypes=(torch.float32,), like=("allowed", allowed))
+    people = check_whole("people", people, 1)
+    if len(placed) % people:
+        raise ValueError(f"people: {people}; expected a divisor of the {len(placed)} bodies")
     found: torch.Tensor = _OverlapCost.apply(placed, allowed, people)
     return found
 

@@ -189,6 +189,8 @@ class BodyLoss:
     ) -> torch.Tensor:
         """L_seg of bodies in square crops, as ``body_loss`` of a fixed renderer; their numbers are not looked at.
 
+        A body with NaN, infinity, or a size of 0 or less has a loss and gradients of NaN.
+
         Args:
             bodies: ``BodyParameters``, whose hips don't turn, or what a network predicts.
             target: Labels, shape (B, S, S) or (1, S, S) for all, uint8.
@@ -196,8 +198,16 @@ class BodyLoss:
 
         Returns:
             The loss of each body [pixels of maps], shape (B,).
+
+        Raises:
+            ValueError: If the target has another shape, dtype or device, or the renderer's level is "auto".
         """
-        size, labels, lengths = target.shape[-1], tuple(part_labels), bodies.lengths
+        labels, lengths = tuple(part_labels), bodies.lengths
+        check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))
+        size = target.shape[-1]
+        if target.shape[1] != size:
+            raise ValueError(f"target: shape {tuple(target.shape)}; expected square crops, (B, S, S) or (1, S, S)")
+        check_target(target, ("lengths", lengths), len(lengths))
         if torch.compiler.is_compiling():
             camera = bodies.camera(size)
             return self.label_loss(bodies.posed(), camera, target, part_labels=labels, validate=False)[0]

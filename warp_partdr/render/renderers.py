@@ -181,7 +181,8 @@ def _ellipsoid_body_passes(renderer: RendererEllipsoids, seeing: Seeing) -> Body
 
 @lru_cache(maxsize=64)
 def _mesh_body_passes(renderer: RendererMesh, seeing: Seeing, device: torch.device) -> BodyPasses:
-    assert renderer.subdivisions != "auto"
+    if renderer.subdivisions == "auto":
+        raise ValueError("subdivisions: auto; expected 0 to 3, or the renderer that fixed(posed, camera) returns")
     rule = check_mesh_rule(**renderer._rule)
     mesh = labelled_mesh(renderer.subdivisions, seeing.part_labels, device)
     options = seeing.perspective, seeing.near_plane, *rule
