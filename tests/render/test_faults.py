@@ -48,7 +48,11 @@ NOT_NUMBERS = [
     ("log_scale", (), 1e9),  # whose exponential is infinite
     ("shift", (0,), math.nan),
 ]
-NO_SIZES = [("lengths", (8,), 0.0), ("lengths", (2,), -0.2), ("thicknesses", (14,), 0.0), ("thicknesses", (6,), -1e-3)]
+NO_SIZES = [
+    *(("lengths", (8,), 0.0), ("lengths", (2,), -0.2)),
+    *(("thicknesses", (14,), 0.0), ("thicknesses", (6,), -1e-3)),
+    ("thicknesses", (13,), -0.02),  # the first of a hand's alone
+]
 faults = pytest.mark.parametrize(("name", "place", "value"), NOT_NUMBERS + NO_SIZES)
 
 

@@ -235,8 +235,8 @@ def _of_each_map(grad_maps: wp.array) -> Iterator[DenseGradient]:
 
 def _empty_picture(shape: tuple[int, ...], device: torch.device) -> Picture:
     types = torch.uint8, torch.float32, torch.int32
-    images = (torch.empty(shape, dtype=dtype, device=device) for dtype in types)
-    return Picture(*images, faults=torch.empty(shape[0], device=device))
+    labels, depth, faces = (torch.empty(shape, dtype=dtype, device=device) for dtype in types)
+    return Picture(labels, depth, faces, torch.empty(shape[0], device=device))
 
 
 def _labels_alone(labels: torch.Tensor, faults: torch.Tensor) -> tuple[torch.Tensor, ...]:
