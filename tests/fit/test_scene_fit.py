@@ -209,11 +209,17 @@ def test_a_mesh_several_times():
 def test_scenes_that_can_t_be():
     scene = make_views(3, 1).scene
     sight, views = scene.sights[0], scene.views
+    points = sight.keypoints.points.copy()
+    joint = int(np.flatnonzero(sight.keypoints.confident)[-1])
+    points[joint, 0] -= 1e5
+    far, name = replace(sight.keypoints, points=points), sight.keypoints.format.landmarks[joint]
     for sights, message in (
         ([], "sights: none"),
         ([sight, sight], r"sights\[1\]: person, frame, view \(0, 0, 0\) a second time"),
         ([replace(sight, view=1)], r"sights\[0\].view: 1; expected 0 to 0"),
         ([replace(sight, person=1)], "sights: person 0 in none"),
+        ([replace(sight, keypoints=far)], rf"sights\[0\]\.keypoints: {name} at \(.*; expected it in the picture's"),
+        ([replace(sight, keypoints=far, parts=None)], rf"sights\[0\]\.keypoints: {name} at \(.* the camera's picture"),
     ):
         with pytest.raises(InputError, match=message):
             Scene(views, sights)

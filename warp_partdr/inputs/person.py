@@ -58,19 +58,26 @@ def check_inside(keypoints: Keypoints2D, size: tuple[int, int] | None) -> None:
     None if there is no picture: then they may be anywhere that a picture can be.
     """
     width, height = size[::-1] if size else (_LARGEST, _LARGEST)
-    shown = f"the picture's {width}x{height} pixels" if size else f"{_LARGEST:g} pixels"
-    reach = _BEYOND * max(width, height)
     points = keypoints.points[keypoints.confident]
     if len(points) and points.min() >= 0 and points[:, 0].max() <= width and points[:, 1].max() <= height:
         return
+    shown = f"the picture's {width}x{height} pixels" if size else f"{_LARGEST:g} pixels"
+    check_near(keypoints, (height, width), shown)
+    if not ((points >= 0) & (points <= [width, height])).all(axis=1).any():
+        (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
+        raise InputError(f"keypoints: all from ({x0:g}, {y0:g}) to ({x1:g}, {y1:g}); expected some in {shown}")
+
+
+def check_near(keypoints: Keypoints2D, size: tuple[float, float], shown: str) -> None:
+    """Raise InputError if a confident keypoint is very far from a picture of size (H, W), which ``shown`` describes."""
+    height, width = size
+    reach = _BEYOND * max(width, height)
     sure = np.flatnonzero(keypoints.confident)
+    points = keypoints.points[sure]
     far = np.flatnonzero(((points < -reach) | (points > [width + reach, height + reach])).any(axis=1))
     if far.size:
         name, (x, y) = keypoints.format.landmarks[sure[far[0]]], points[far[0]]
         raise InputError(f"keypoints: {name} at ({x:g}, {y:g}); expected it in {shown}, or near them")
-    if not ((points >= 0) & (points <= [width, height])).all(axis=1).any():
-        (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
-        raise InputError(f"keypoints: all from ({x0:g}, {y0:g}) to ({x1:g}, {y1:g}); expected some in {shown}")
 
 
 def label_bounds(mask: np.ndarray) -> tuple[slice, slice]:

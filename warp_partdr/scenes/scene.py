@@ -14,6 +14,7 @@ from ..errors import InputError, check_each, check_type, check_whole
 from ..inputs.calibrated_camera import CalibratedCamera
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
+from ..inputs.person import check_near
 from ..interop.checks import FLOATS, check_tensor
 
 _UNIT = 1e-4  # that the length of a normal may be off 1
@@ -133,8 +134,8 @@ class Scene:
         ground: In the world, where it is known; fits take it with ``SceneOptions.ground``, which else looks for one.
 
     Raises:
-        InputError: If a person, frame or view is out of range or comes twice, somebody is never seen, or labels differ
-            in their set.
+        InputError: If a person, frame or view is out of range or comes twice, somebody is never seen, a keypoint is
+            very far from the picture, or labels differ in their set.
     """
 
     views: Sequence[View]
@@ -160,6 +161,7 @@ class Scene:
             if key in seen:
                 raise InputError(f"sights[{place}]: person, frame, view {key} a second time; expected once")
             seen.add(key)
+            _check_places(sight, self.views[sight.view], f"sights[{place}]")
         if unseen := sorted(set(range(self.num_people)) - {person for person, _, _ in seen}):
             raise InputError(f"sights: person {unseen[0]} in none; expected people 0 to {self.num_people - 1}")
         for person, shape in self.shapes.items():
@@ -180,3 +182,19 @@ class Scene:
     def num_frames(self) -> int:
         """T."""
         return 1 + max(sight.frame for sight in self.sights)
+
+
+def _check_places(sight: Sight, view: View, where: str) -> None:
+    """Raise InputError if a keypoint is very far from the picture; without labels, the camera tells its rough size."""
+    check_type(f"{where}.keypoints", sight.keypoints, Keypoints2D, "of read_keypoints")
+    if sight.parts is None:
+        focal, centre = view.camera.focal[0].tolist(), view.camera.centre[0].tolist()
+        side = max(2 * abs(centre[0]), 2 * abs(centre[1]), focal[0])
+        size, shown = (side, side), f"the camera's picture, of about {side:.0f} pixels"
+    else:
+        height, width = sight.parts.groups.shape
+        size, shown = (float(height), float(width)), f"the picture's {width}x{height} pixels"
+    try:
+        check_near(sight.keypoints, size, shown)
+    except InputError as error:
+        raise InputError(f"{where}.{error}") from None
