@@ -28,7 +28,7 @@ _FEWEST = 2  # landmarks that tell anything
 _SURE = 8  # landmarks that make a person of a list of many other points, such as a face's and fingers'
 
 # Words for landmarks without a side, written together.
-_MIDDLE: dict[str, tuple[str, ...]] = {
+_MIDDLE_WORDS: dict[str, tuple[str, ...]] = {
     "nose": ("nose", "nosetip", "tipnose"),
     "neck": ("neck", "thorax", "headbottom", "bottomhead", "lowerneck", "necklower", "neckbase", "baseneck"),
     "head": ("upperneck", "neckupper", "skullbase", "baseskull"),
@@ -40,7 +40,7 @@ _MIDDLE: dict[str, tuple[str, ...]] = {
     "spine": ("spine", "midspine", "spinemid"),
 }
 # The same of those with a side.
-_SIDED: dict[str, tuple[str, ...]] = {
+_SIDED_WORDS: dict[str, tuple[str, ...]] = {
     "eye_inner": ("eyeinner", "innereye"),
     "eye": ("eye", "eyecenter", "eyecentre"),
     "eye_outer": ("eyeouter", "outereye"),
@@ -62,8 +62,8 @@ _SIDED: dict[str, tuple[str, ...]] = {
     "small_toe": ("smalltoe", "toesmall", "littletoe", "toelittle", "pinkytoe", "babytoe"),
     "heel": ("heel", "heels"),
 }
-_LANDMARK_OF_WORDS = {word: name for name, words in _MIDDLE.items() for word in words}
-_SIDED_OF_WORDS = {word: name for name, words in _SIDED.items() for word in words}
+_MIDDLE_OF_WORD = {word: name for name, words in _MIDDLE_WORDS.items() for word in words}
+_SIDED_OF_WORD = {word: name for name, words in _SIDED_WORDS.items() for word in words}
 _SIDES = {word: side for side in ("left", "right") for word in (side, side[0], f"{side[0]}t")}
 # Words that add nothing.
 _FILLERS = {"joint", "point", "keypoint", "kpt", "kp", "landmark", "of", "the", "body", "human", "person", "coco", "op"}
@@ -83,7 +83,7 @@ _HUMAN36M_LISTS = (
     ("hip", *_HUMAN36M_LEGS, "spine", "thorax", "neck_nose", "head", *_HUMAN36M_LIMBS),
 )
 # COCO-WholeBody's names of the points of face and hands that are landmarks, and BlazePose's of its knuckles.
-_FACE_AND_HANDS: dict[str, str] = {
+_FACE_AND_HAND_NAMES: dict[str, str] = {
     "face36": "right_eye_outer",
     "face39": "right_eye_inner",
     "face42": "left_eye_inner",
@@ -103,7 +103,8 @@ def skeleton_of_names(names: Sequence[Any], where: str) -> Skeleton | None:
     skeleton are rows of this list, so a file's rows are taken by them; a landmark whose mirror image alone is named has
     the place -1, and its keypoint is missing. Such rows are read by ``inputs.keypoint_files.parse_keypoints(data,
     skeleton)``. If the landmarks are those of a known format, in any order, the skeleton has that format's name,
-    landmarks and marks, in the format's own order. Otherwise it is called "named", and its marks are COCO's.
+    landmarks and marks, in the format's own order; if they are some of those, the others have the place -1. Otherwise
+    it is called "named", and its marks are COCO's.
 
     Args:
         names: One name a row, such as COCO's ``categories[].keypoints``.
@@ -118,10 +119,10 @@ def skeleton_of_names(names: Sequence[Any], where: str) -> Skeleton | None:
     for row, name in enumerate(names):
         if not isinstance(name, str):
             raise InputError(f"{where}: keypoint name {row}: {shown(name)}; expected text")
-    if all(set(_words(name)) <= _NUMBERED for name in names):
+    if all(word.isdigit() or word in _NUMBERED for name in names for word in _words(name)):
         return None
     rows = _rows(names)
-    animal = next((name for name in names if _OF_ANIMALS & {*_words(name), "".join(_words(name))}), None)
+    animal = animal_name(names)
     if animal is not None:
         raise InputError(f"{where}: keypoint {shown(animal)}; expected keypoints of people, not of animals")
     if len(rows) < _FEWEST or (2 * len(rows) < len(names) and len(rows) < _SURE):
@@ -132,10 +133,16 @@ def skeleton_of_names(names: Sequence[Any], where: str) -> Skeleton | None:
         rows |= {mirror_name(name): -1 for name in rows if mirror_name(name) not in rows}
         landmarks = tuple(name for name in LANDMARKS if name in rows)
         form = Skeleton("named", landmarks, annotated(landmarks), known_edges(landmarks), (), 0)
-    places = tuple(rows[name] for name in form.landmarks)
+    places = tuple(rows.get(name, -1) for name in form.landmarks)
     if places == form.places and form.count == len(names):
         return form
     return Skeleton(form.name, form.landmarks, form.marks, form.edges, places, len(names))
+
+
+def animal_name(names: Sequence[Any]) -> str | None:
+    """First name of a list that no person has, such as "left_front_paw"; None if there is none."""
+    texts = (name for name in names if isinstance(name, str))
+    return next((name for name in texts if _OF_ANIMALS & {*_words(name), "".join(_words(name))}), None)
 
 
 def left_out(names: Sequence[str], form: Skeleton) -> list[str]:
@@ -158,14 +165,14 @@ def landmark_of_name(name: str, names: Iterable[str] = ()) -> str | None:
     plain = "_".join(words)
     if plain in LANDMARKS and plain not in ("pelvis", "head"):
         return plain
-    if together in _FACE_AND_HANDS:
-        return _FACE_AND_HANDS[together]
+    if together in _FACE_AND_HAND_NAMES:
+        return _FACE_AND_HAND_NAMES[together]
     sides = [_SIDES[word] for word in words if word in _SIDES]
     rest = "".join(word for word in words if word not in _SIDES)
-    if not sides and together in _LANDMARK_OF_WORDS:
-        return _LANDMARK_OF_WORDS[together]
-    if len(sides) == 1 and rest in _SIDED_OF_WORDS:
-        return _sided(_SIDED_OF_WORDS[rest], sides[0])
+    if not sides and together in _MIDDLE_OF_WORD:
+        return _MIDDLE_OF_WORD[together]
+    if len(sides) == 1 and rest in _SIDED_OF_WORD:
+        return _sided(_SIDED_OF_WORD[rest], sides[0])
     return None if sides else _glued(together, {"".join(_words(other)) for other in names})
 
 
@@ -176,8 +183,8 @@ def _glued(together: str, others: set[str]) -> str | None:
             (together.removeprefix(side), opposite + together.removeprefix(side)),
             (together.removesuffix(side), together.removesuffix(side) + opposite),
         ):
-            if rest != together and rest in _SIDED_OF_WORDS and (len(side) > 1 or mirrored in others):
-                return _sided(_SIDED_OF_WORDS[rest], _SIDES[side])
+            if rest != together and rest in _SIDED_OF_WORD and (len(side) > 1 or mirrored in others):
+                return _sided(_SIDED_OF_WORD[rest], _SIDES[side])
     return None
 
 
@@ -187,7 +194,7 @@ def _sided(name: str, side: str) -> str:
 
 def _words(name: str) -> list[str]:
     """Words of a name in lower case, without fillers and without a number before them: "03_RBigToe" is r, big, toe."""
-    found = re.findall(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|[0-9]+", name)
+    found = re.findall(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|[0-9]+|[^\W_0-9A-Za-z]+", name)
     words = [word.lower() for word in found]
     while words and words[0].isdigit():
         words = words[1:]
@@ -224,11 +231,16 @@ def _rows(names: Sequence[str]) -> dict[str, int]:
 
 
 def _known_format(rows: dict[str, int]) -> Skeleton | None:
-    """Format with the same landmarks: of several, the one in this order, or else one that annotators marked."""
-    alike = [form for form in SKELETONS.values() if set(form.landmarks) == set(rows)]
+    """Format with the same landmarks: of several, the one in this order, or else one that annotators marked.
+
+    Without such a format, the smallest that annotators marked and that has all these landmarks and others.
+    """
     order = tuple(sorted(rows, key=rows.__getitem__))
-    alike.sort(key=lambda form: (form.landmarks != order, form.marks == form.landmarks))
-    return alike[0] if alike else None
+    alike = [form for form in SKELETONS.values() if set(form.landmarks) == set(rows)]
+    if alike:
+        return min(alike, key=lambda form: (form.landmarks != order, form.marks == form.landmarks))
+    wider = [form for form in SKELETONS.values() if set(form.landmarks) > set(rows) and form.marks != form.landmarks]
+    return min(wider, key=len, default=None)
 
 
 def _some(names: Sequence[str]) -> str:

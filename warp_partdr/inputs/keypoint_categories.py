@@ -7,14 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..body.keypoint_names import left_out_warning, skeleton_of_names
+from ..body.keypoint_names import animal_name, left_out_warning, skeleton_of_names
 from ..body.skeletons import Skeleton
 from ..errors import InputError, shown
 
 _PEOPLE = {"person", "persons", "people", "human", "humans", "pedestrian", "man", "woman", "child", "player"}
 # Last words of the names of AP-10K's, Animal Pose's and COCO's animals, and others that are annotated.
 _ANIMALS = set(
-    "animal animals alouatta antelope ape bat bear beaver bee bird bison boar bobcat buffalo bug bull camel cat cats "
+    "animal animals quadruped mammal primate canine feline equine bovine "
+    "alouatta antelope ape bat bear beaver bee bird bison boar bobcat buffalo bug bull camel cat cats "
     "cattle cheetah chicken chimp chimpanzee cow cows crab deer dog dogs dolphin donkey duck elephant fish fly fox "
     "frog giraffe goat goose gorilla hamster hare hippo hippopotamus horse horses insect jaguar kangaroo koala lamb "
     "leopard lion lizard lynx macaque marmot meerkat mice monkey moose mouse mule orangutan otter owl ox panda panther "
@@ -31,13 +32,15 @@ class KeypointCategory:
         name: Its name in the file.
         skeleton: Skeleton of its keypoint names; None if the file gives it none, or only numbers.
         warning: Sentence about names that are no landmarks and were left out; None if there are none.
-        refusal: Sentence about why its annotations show no people; None if they do.
+        refusal: Sentence about why its annotations can't be read as people's; None if they can.
+        animals: True if it shows animals, whose annotations no ``--format`` makes people of.
     """
 
     name: str
     skeleton: Skeleton | None = None
     warning: str | None = None
     refusal: str | None = None
+    animals: bool = False
 
 
 def read_categories(given: Any, where: str) -> dict[int | str, KeypointCategory]:
@@ -78,7 +81,7 @@ def _category(entry: Mapping[str, Any], where: str) -> KeypointCategory:
     told = f"{where}: category {shown(name)}"
     kinds = name, str(entry.get("supercategory", ""))
     if any(words and words[-1] in _ANIMALS for words in map(_words, kinds)) and not _is_people(name):
-        return KeypointCategory(name, refusal=f"{told}; expected keypoints of people, not of animals")
+        return KeypointCategory(name, refusal=f"{told}; expected keypoints of people, not of animals", animals=True)
     names = entry.get("keypoints")
     if names is None or names == []:
         return KeypointCategory(name)
@@ -87,7 +90,7 @@ def _category(entry: Mapping[str, Any], where: str) -> KeypointCategory:
     try:
         form = skeleton_of_names(names, told)
     except InputError as error:
-        return KeypointCategory(name, refusal=str(error))
+        return KeypointCategory(name, refusal=str(error), animals=animal_name(names) is not None)
     return KeypointCategory(name, form, None if form is None else left_out_warning(names, form))
 
 
