@@ -103,8 +103,7 @@ def skeleton_of_names(names: Sequence[Any], where: str) -> Skeleton | None:
     skeleton are rows of this list, so a file's rows are taken by them; a landmark whose mirror image alone is named has
     the place -1, and its keypoint is missing. Such rows are read by ``inputs.keypoint_files.parse_keypoints(data,
     skeleton)``. If the landmarks are those of a known format, in any order, the skeleton has that format's name,
-    landmarks and marks, in the format's own order; if they are some of those, the others have the place -1. Otherwise
-    it is called "named", and its marks are COCO's.
+    landmarks and marks, in the format's own order. Otherwise it is called "named", and its marks are COCO's.
 
     Args:
         names: One name a row, such as COCO's ``categories[].keypoints``.
@@ -133,7 +132,7 @@ def skeleton_of_names(names: Sequence[Any], where: str) -> Skeleton | None:
         rows |= {mirror_name(name): -1 for name in rows if mirror_name(name) not in rows}
         landmarks = tuple(name for name in LANDMARKS if name in rows)
         form = Skeleton("named", landmarks, annotated(landmarks), known_edges(landmarks), (), 0)
-    places = tuple(rows.get(name, -1) for name in form.landmarks)
+    places = tuple(rows[name] for name in form.landmarks)
     if places == form.places and form.count == len(names):
         return form
     return Skeleton(form.name, form.landmarks, form.marks, form.edges, places, len(names))
@@ -231,16 +230,10 @@ def _rows(names: Sequence[str]) -> dict[str, int]:
 
 
 def _known_format(rows: dict[str, int]) -> Skeleton | None:
-    """Format with the same landmarks: of several, the one in this order, or else one that annotators marked.
-
-    Without such a format, the smallest that annotators marked and that has all these landmarks and others.
-    """
+    """Format with the same landmarks: of several, the one in this order, or else one that annotators marked."""
     order = tuple(sorted(rows, key=rows.__getitem__))
     alike = [form for form in SKELETONS.values() if set(form.landmarks) == set(rows)]
-    if alike:
-        return min(alike, key=lambda form: (form.landmarks != order, form.marks == form.landmarks))
-    wider = [form for form in SKELETONS.values() if set(form.landmarks) > set(rows) and form.marks != form.landmarks]
-    return min(wider, key=len, default=None)
+    return min(alike, key=lambda form: (form.landmarks != order, form.marks == form.landmarks), default=None)
 
 
 def _some(names: Sequence[str]) -> str:

@@ -29,7 +29,7 @@ from scenes.commands import (
 )
 from scenes.files import save_npz
 
-from warp_partdr import label_set, load_body, skeleton
+from warp_partdr import label_set, load_body, read_keypoints, skeleton
 from warp_partdr.cli import progress
 from warp_partdr.fit import stages
 from warp_partdr.fit.stages import Stage
@@ -223,6 +223,27 @@ def test_what_contradicts_itself_is_told(run: Run, files: Path) -> None:
     assert (code, complaint.splitlines()[0]) == (0, f"partdr: warning: {told}")
     assert "partdr:" not in said
     assert told in json.loads(Path("out", "report.json").read_text())["warnings"]
+
+
+def test_keypoints_by_name_of_one_photo_out_of_many(run: Run, files: Path) -> None:
+    """What was odd in their file is told once, and stands in the report."""
+    person = read_keypoints("k.json")[0]
+    names = [*person.format.landmarks[::-1], "hat"]
+    rows = [*np.column_stack([person.points, 6 * person.confidence])[::-1].tolist(), [1, 2, 3]]
+    flat = [value for row in rows for value in row]
+    data = {
+        "images": [{"id": 1, "file_name": "a/x.png"}, {"id": 2, "file_name": "a/photo.png"}],
+        "categories": [{"id": 1, "name": "person", "keypoints": names}],
+        "annotations": [{"image_id": n, "category_id": 1, "keypoints": flat} for n in (1, 2)],
+    }
+    Path("many.json").write_text(json.dumps(data))
+    code, _, complaint = run(f"fit photo.png --keypoints many.json --out out {ALONE}")
+    told = json.loads(Path("out", "report.json").read_text())["warnings"]
+    assert (code, complaint.splitlines()) == (0, [f"partdr: warning: {text}" for text in told])
+    assert [text.split(" ")[1] for text in told] == ["hat", "scores"]
+    code, _, complaint = run(f"fit --keypoints many.json --out out {ALONE}")
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert "people of 2 pictures (a/x.png, a/photo.png)" in complaint
 
 
 def test_every_stage_is_told(run: Run, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -77,6 +77,9 @@ def test_bodies_far_from_what_was_seen_are_told(device: str) -> None:
     assert any("the body ends" in warning for warning in far.warnings)
     alone = fit_body(wild, options=replace(FAST, stages=()), device=device)
     assert far.warnings == alone.warnings
+    coco = Keypoints2D("coco17", wild.points[:17], np.ones(17, np.float32))
+    (asked,) = fit_together([cut(coco, None, device)], replace(FAST, stages=()), packaged_network(device))
+    assert any(text.endswith("are these keypoints of coco17, not of h36m17 or posetrack17?") for text in asked.warnings)
 
 
 def test_what_can_not_be_fitted_so_is_refused(device: str) -> None:

@@ -24,6 +24,8 @@ from warp_partdr.inputs.evidence import WINDOW_SIDE, Evidence, weigh_evidence
 from warp_partdr.inputs.ignored_labels import ignore_stray_labels
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, choose_person, person_height
+from warp_partdr.inputs.labelled_people import LabelledPerson, cut_labels
+from warp_partdr.inputs.masked_people import MaskedPerson, cut_masks
 from warp_partdr.inputs.observation import crop_evidence, resize_nearest
 from warp_partdr.inputs.part_labels import PartLabels, read_parts
 from warp_partdr.inputs.selection import select_person
@@ -275,6 +277,35 @@ def test_an_implausible_end_is_told() -> None:
     points = keypoints.points[np.random.default_rng(0).permutation(len(keypoints.points))]
     result = fit_body(replace(keypoints, points=points), options=FitOptions(search=()))
     assert [warning.split(":")[0] for warning in result.warnings] == ["keypoints"]
+    assert result.warnings[0].endswith("; are these keypoints of coco17, not of h36m17 or posetrack17?")
+
+
+@pytest.mark.parametrize(
+    ("points", "told"),
+    [
+        ([[100, 50], [130, 300]], "keypoints: only 2 are visible; most of the body is a guess"),
+        ([[100, 50], [130, 300], [90, 200]], "keypoints: only 3 are visible; most of the body is a guess"),
+        ([[100 + 5 * k, 50 + 11 * k] for k in range(17)], "keypoints: all lie in a line; most of the body is a guess"),
+        ([[200, 50 + 20 * k + k % 2] for k in range(9)], "keypoints: all lie in a line; most of the body is a guess"),
+        ([[100, 50], [110, 300], [90, 200], [150, 110]], None),
+    ],
+)
+def test_keypoints_that_tell_no_pose(points: list[list[float]], told: str | None) -> None:
+    """With labels, without and in batches."""
+    known, parts = example()
+    places, confidence = np.zeros((17, 2), np.float32), np.zeros(17, np.float32)
+    places[: len(points)], confidence[: len(points)] = points, 1
+    keypoints = Keypoints2D("coco17", places, confidence, ("keypoints: odd",))
+    warnings = ("keypoints: odd",) if told is None else ("keypoints: odd", told)
+    assert weigh_evidence(keypoints)[0].warnings == warnings
+    everywhere = PartLabels(label_set("full1"), np.ones(parts.groups.shape, np.uint8))
+    assert weigh_evidence(keypoints, everywhere)[0].warnings[: len(warnings)] == warnings
+    owners = torch.ones(parts.groups.shape, dtype=torch.int32)
+    ((evidence, _, _),) = cut_masks([MaskedPerson(keypoints, owners, 1)], "cpu")
+    assert evidence.warnings[: len(warnings)] == warnings
+    cut = cut_labels([LabelledPerson(replace(known, warnings=("keypoints: odd",)), parts)])[0]
+    assert cut is not None
+    assert cut[0].warnings == ("keypoints: odd",)
 
 
 # --- Large pictures --------------------------------------------------------------------------------------------------

@@ -14,10 +14,15 @@ from hypothesis import strategies as st
 
 from warp_partdr.body.skeletons import SKELETONS, skeleton
 from warp_partdr.errors import InputError
-from warp_partdr.inputs.keypoint_files import NAMED_ALONE, keypoint_file, parse_keypoints, read_keypoints
+from warp_partdr.inputs.keypoint_files import keypoint_file, parse_keypoints, read_keypoints
 from warp_partdr.inputs.keypoints import choose_person, person_height
 
 NAN, INF = math.nan, math.inf
+# Formats that a number of keypoints means where nothing else tells one.
+BY_NUMBER = (
+    *("lsp14", "mpii16", "coco17", "coco18", "body25", "halpe26", "blazepose33", "wholebody133"),
+    *("body135", "halpe136"),
+)
 
 
 def rows(count: int, width: int = 3) -> list[list[float]]:
@@ -45,7 +50,7 @@ def test_every_format_reads_back(name: str, width: int, shape: str, tmp_path: Pa
         data = {"format": name, "keypoints": data}
     path = write(tmp_path / "k.json", [data] if shape == "list" else data)
     # the number of keypoints tells the format, but for those that share it with a more frequent one
-    (keypoints,) = read_keypoints(path, name if "bare" in shape and name in NAMED_ALONE else None)
+    (keypoints,) = read_keypoints(path, name if "bare" in shape and name not in BY_NUMBER else None)
     assert keypoints.skeleton == name
     assert keypoints.points.dtype == keypoints.confidence.dtype == np.float32
     np.testing.assert_allclose(keypoints.points, np.array(values)[list(form.places), :2])
@@ -68,6 +73,11 @@ def test_every_format_reads_back(name: str, width: int, shape: str, tmp_path: Pa
         ("COCO-WholeBody 133", "wholebody133"),
         ("LSP", "lsp14"),
         ("mpii", "mpii16"),
+        ("BODY_25B", "body25b"),
+        ("CrowdPose", "crowdpose14"),
+        ("AIC", "aic14"),
+        ("PoseTrack18", "posetrack17"),
+        ("Halpe 136", "halpe136"),
     ],
 )
 def test_spellings_of_formats(text: str, name: str) -> None:
@@ -93,7 +103,7 @@ def test_coco_json() -> None:
         keypoints = parse_keypoints(data)[0]
         assert keypoints.skeleton == "coco17"
         assert keypoints.confidence[:4].tolist() == [0.0, 0.5, 1.0, 0.0]
-    with pytest.raises(InputError, match="people of 2 pictures; expected those of one"):
+    with pytest.raises(InputError, match=r"people of 2 pictures \(5, 6\); expected those of one, or a photo"):
         parse_keypoints([annotation, annotation | {"image_id": 6}])
 
 
@@ -103,6 +113,52 @@ def test_mmpose_json() -> None:
         people = parse_keypoints(data)
         assert len(people) == 2
         assert people[0].confidence[[0, 16]].tolist() == [0.25, 1.0]
+
+
+def test_nobody_in_openposes_files() -> None:
+    """Empty and all missing people are left out, not an error of the others."""
+    empty: list[dict[str, Any]] = [
+        {"pose_keypoints_2d": []},
+        {"pose_keypoints_2d": None},
+        {"pose_keypoints_2d": [0.0] * 75},
+    ]
+    (person,) = parse_keypoints({"people": [*empty, {"pose_keypoints_2d": flat(rows(25))}]})
+    assert person.visible.all()
+    with pytest.raises(InputError, match=r"^f: person 0: no visible keypoint; expected some with confidence above 0"):
+        parse_keypoints({"people": empty}, name="f")
+    with pytest.raises(InputError, match=r"^f: no visible keypoint"):
+        parse_keypoints({"people": empty[:1]}, name="f")
+
+
+def test_scores_above_one() -> None:
+    """Those of models that classify coordinates are divided by the file's largest; one wrong number is told."""
+    scores = [4.0 + 0.2 * k for k in range(16)] + [8.0]
+    shapes: list[Any] = [
+        [{"keypoints": rows(17, 2), "keypoint_scores": scores}],
+        {"keypoints": [[x, y, score] for (x, y), score in zip(rows(17, 2), scores, strict=True)]},
+        {"people": [{"pose_keypoints_2d": flat([[*row, s] for row, s in zip(rows(17, 2), scores, strict=True)])}]},
+        [ultralytics(visible=scores)],
+    ]
+    for data in shapes:
+        (person,) = parse_keypoints(data)
+        np.testing.assert_allclose(person.confidence, np.array(scores) / 8)
+        assert person.warnings == ("keypoints: scores up to 8, not 1; divided by that",)
+    small = {"keypoints": rows(17, 2), "keypoint_scores": [2.0] * 9 + [0.0] + [3.0] * 7}
+    first, second = parse_keypoints([small, shapes[0][0]])
+    assert (first.confidence[:10].tolist(), second.confidence[16]) == ([0.25] * 9 + [0.0], 1.0)
+    assert first.warnings == second.warnings
+    (person,) = parse_keypoints([{"keypoints": rows(17, 2), "keypoint_scores": [1.4] * 17}])
+    assert (person.confidence.tolist(), person.warnings) == ([1.0] * 17, ())
+    for wrong, message in (
+        ([0.5] * 16 + [7.0], "keypoint 16 .*: confidence 7; expected 0 to 1"),
+        ([*scores[:16], -0.5], "confidence -0.5"),
+        ([*scores[:16], 101.0], "confidence 101"),
+        ([*scores[:16], NAN], "expected finite numbers"),
+    ):
+        with pytest.raises(InputError, match=message):
+            parse_keypoints([{"keypoints": rows(17, 2), "keypoint_scores": wrong}])
+    flags = {"keypoints": [[*row, k % 3] for k, row in enumerate(rows(17, 2))]}
+    assert parse_keypoints([flags])[0].warnings == ()
 
 
 def test_openpose_with_18_points() -> None:
@@ -316,6 +372,20 @@ KEYS = [
     "y",
     "visible",
     "meta_info",
+    "keypoint_names",
+    "images",
+    "image_id",
+    "file_name",
+    "categories",
+    "id",
+    "shapes",
+    "label",
+    "points",
+    "result",
+    "value",
+    "keypointlabels",
+    "original_width",
+    "original_height",
 ]
 JSON_VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),

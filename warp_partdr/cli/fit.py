@@ -48,8 +48,8 @@ FIT_HELP = f"""Fit a body of 20 ellipsoids, and a skinned mesh, to everyone in a
 
 Examples: `partdr fit photo.jpg`; `partdr fit p.jpg --keypoints p.json --parts p.png --labels cdcl14`
 
-**2D keypoints**, JSON: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, or as OpenPose, COCO,
-MMPose and Ultralytics write them. Formats: {", ".join(SKELETONS)}; or a JSON file of your own.
+**2D keypoints**, JSON: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, or as OpenPose, COCO, MMPose
+and others do. Formats: {", ".join(SKELETONS)}; or your own.
 
 **Part labels**, as large as the picture: ids, a network's probabilities, or each person's mask (full1); without them,
 keypoints alone are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file of your own (docs/inputs.md).

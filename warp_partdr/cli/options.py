@@ -136,7 +136,7 @@ class PersonFiles:
         groups = None if parts is None else parts.groups
         sizes = [None if seen is None else seen.shape[:2] for seen in (picture, groups)]
         check_sizes(photo=sizes[0], parts=sizes[1])
-        people = read_keypoints(keypoints, self.keypoint_format)
+        people = read_keypoints(keypoints, self.keypoint_format, photo=photo, size=sizes[0] or sizes[1])
         chosen = choose_person(people, groups, self.person)
         check_inside(chosen, sizes[0] or sizes[1])
         return PersonInputs(chosen, tuple(other for other in people if other is not chosen), parts, picture)

@@ -135,14 +135,14 @@ def _refine(
     from ..results.save import DETAILED_FILES, SMPLX_FILE, save_registered
     from .progress import FitProgress
 
-    body, model, _, keypoints, *_ = files
+    body, model, picture, keypoints, *_ = files
     height, width = parts.groups.shape[:2]
     check_sizes(photo=None if photo is None else photo.shape[:2], parts=(height, width))
     where = choose_device(device)
     check_folder(out)
     check_inputs(out, [None if name is None else Path(name) for name in files], (*DETAILED_FILES, SMPLX_FILE))
     given, camera = read_given(body, read_model(model, where), (height, width))
-    people = [] if keypoints is None else read_keypoints(keypoints)
+    people = [] if keypoints is None else read_keypoints(keypoints, photo=picture, size=(height, width))
     person = choose_person(people, parts.groups) if people else None
     others = [other for other in people if other is not person]
     started = time.perf_counter()
@@ -162,6 +162,8 @@ def _refine(
             start=str(body),
             seconds=seconds,
         )
+    for warning in fit.ellipbody.evidence.warnings:
+        typer.echo(f"partdr: warning: {warning}", err=True)
     typer.echo(say_detailed(report, out))
 
 

@@ -265,7 +265,7 @@ class _Fit:
 
     def complaints(self, found: FitResult) -> list[str]:
         """Warnings of what the body is too far from; none if it lies where keypoints and labels are."""
-        return complaints(found.parameters, self._judge())
+        return complaints(found.parameters, self._judge(), self.evidence.keypoints.format)
 
     def warn(self, found: FitResult, told: Sequence[str]) -> FitResult:
         """Result with all warnings: of the input, of the body and of its parts."""

@@ -10,7 +10,9 @@ import torch
 from .. import metrics
 from ..body.labels import BACKGROUND, IGNORE
 from ..body.parameters import BodyParameters
+from ..body.skeletons import Skeleton
 from ..inputs.evidence import Evidence
+from ..inputs.keypoint_order import order_question
 from ..inputs.observation import REFERENCE_SIZE
 from ..refinement.energy import Energy
 from ..render.ellipsoids import draw_ellipsoids
@@ -29,14 +31,17 @@ _FACE = ("nose", "left_eye", "right_eye")
 _EARS = ("left_ear", "right_ear")
 
 
-def complaints(parameters: BodyParameters, energy: Energy) -> list[str]:
-    """Warnings of what one body is too far from; none if it lies where keypoints and labels are."""
+def complaints(parameters: BodyParameters, energy: Energy, form: Skeleton) -> list[str]:
+    """Warnings of what one body is too far from; none if it lies where keypoints and labels are.
+
+    ``form`` is the keypoints' format.
+    """
     posed = parameters.posed()
     off = float(energy.reprojection(parameters, posed) / energy.votes.sum())
     wrong = None
     if energy.target is not None:
         wrong = float(energy.segmentation(parameters, posed) / (2 * person_pixels(energy.target)))
-    return describe_misfit(off, wrong)
+    return describe_misfit(off, wrong, form)
 
 
 def person_pixels(target: torch.Tensor) -> torch.Tensor:
@@ -44,13 +49,16 @@ def person_pixels(target: torch.Tensor) -> torch.Tensor:
     return ((target != BACKGROUND) & (target != IGNORE)).sum((-2, -1)).clamp_min(1)
 
 
-def describe_misfit(off: float, wrong: float | None) -> list[str]:
-    """Warnings of a body whose keypoints are ``off`` on average [px], and of ``wrong`` pixels a pixel of the person."""
+def describe_misfit(off: float, wrong: float | None, form: Skeleton) -> list[str]:
+    """Warnings of a body whose keypoints are ``off`` on average [px], and of ``wrong`` pixels a pixel of the person.
+
+    ``form`` is the keypoints' format, which may be another of as many points.
+    """
     told = []
     if not off < MOST_OFF:
-        told.append(
-            f"keypoints: the body ends {off:.0f} px of {REFERENCE_SIZE} from them; expected at most {MOST_OFF:g}"
-        )
+        ends = f"the body ends {off:.0f} px of {REFERENCE_SIZE} from them; expected at most {MOST_OFF:g}"
+        question = order_question(form)
+        told.append(f"keypoints: {ends}" if question is None else f"keypoints: {ends}; {question}")
     if wrong is not None and not wrong < MOST_WRONG:
         told.append(f"labels: {wrong:.2f} wrong pixels for each of the person's; expected at most {MOST_WRONG:g}")
     return told

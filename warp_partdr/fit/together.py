@@ -16,6 +16,7 @@ import torch
 from ..body.lens import turn_to_rays
 from ..body.parameters import BodyParameters
 from ..body.pose_prior import packaged_prior
+from ..body.skeletons import Skeleton, skeleton
 from ..errors import check_each, check_type
 from ..interop.gradient_mode import with_gradients
 from ..interop.torch_threads import one_torch_thread
@@ -180,7 +181,8 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
         refined = refine_captured(bodies, energy, rule, people=everyone.drawn_at(stage.size or 1))
         bodies, terms = refined.parameters, refined.terms
         history.append(refined.history.T.cpu().numpy())
-    told = _complaints(bodies, everyone.drawn_at(JUDGED_SIZE), Energy(first, JUDGED_SIZE, prior=prior))
+    judge = Energy(first, JUDGED_SIZE, prior=prior)
+    told = _complaints(bodies, everyone.drawn_at(JUDGED_SIZE), judge, skeleton(people.skeleton))
     return BatchFits(
         people=people,
         stages=stages,
@@ -196,7 +198,7 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
     )
 
 
-def _complaints(bodies: BodyParameters, people: Batch, energy: Energy) -> dict[int, list[str]]:
+def _complaints(bodies: BodyParameters, people: Batch, energy: Energy, form: Skeleton) -> dict[int, list[str]]:
     """Warnings of what bodies are too far from, as ``complaints`` of one, at once and of a smaller picture, by row."""
     terms = refine_captured(bodies, energy, {"iterations": 0}, people=people).terms
     offs = terms["proj"] / energy.weights.proj / people.votes.sum(1)
@@ -207,4 +209,4 @@ def _complaints(bodies: BodyParameters, people: Batch, energy: Energy) -> dict[i
     rows = bad.nonzero()[:, 0]
     shares = [None] * len(rows) if wrongs is None else wrongs[rows].tolist()
     named = zip(rows.tolist(), offs[rows].tolist(), shares, strict=True)
-    return {row: describe_misfit(off, wrong) for row, off, wrong in named}
+    return {row: describe_misfit(off, wrong, form) for row, off, wrong in named}

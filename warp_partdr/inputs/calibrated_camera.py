@@ -119,7 +119,8 @@ class CalibratedCamera:
         points = self.undistort_points(keypoints.points)
         there = np.isfinite(points).all(axis=1) & keypoints.visible
         confidence = np.where(there, keypoints.confidence, 0.0).astype(np.float32)
-        return Keypoints2D(keypoints.skeleton, np.where(there[:, None], points, 0.0).astype(np.float32), confidence)
+        points = np.where(there[:, None], points, 0.0).astype(np.float32)
+        return replace(keypoints, points=points, confidence=confidence)
 
     def undistort_parts(self, parts: PartLabels) -> PartLabels:
         """Part labels of the picture as taken, without distortion; what it does not show is ignored."""

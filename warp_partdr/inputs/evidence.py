@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -21,6 +22,8 @@ from .selection import select_person
 
 MOST_DISAGREEMENT = 1.0  # see ``agreement.disagreement``
 WINDOW_SIDE = 768  # [px]: more of a person is not looked at; a fit keeps a crop of it, at ``LABEL_SIZE``
+_FEW = 4  # visible keypoints that are needed to tell more than a place and a size
+_STRAIGHT = 0.02  # spread across a line beside that along it; of 400 random poses from all sides, the least is 0.12
 _MANY = 3  # groups with stray pixels, from which on it is likelier that the ids mean something else
 
 
@@ -113,7 +116,7 @@ def weigh_evidence(
     check_each("others", others, Keypoints2D, "of read_keypoints")
     check_places(keypoints)
     if parts is None:
-        return [Evidence(keypoints, None, Crop(0.0, 0.0, 1.0, (1, 1)), None)]
+        return [Evidence(keypoints, None, Crop(0.0, 0.0, 1.0, (1, 1)), None, keypoint_warnings(keypoints))]
     if parts.instances is not None:  # then nobody's bones need tell whose a pixel is
         parts, others = person_labels(parts, keypoints), ()
     window = _window(keypoints, parts.groups.shape)
@@ -125,7 +128,7 @@ def weigh_evidence(
     groups = select_person(groups, mine, [crop_keypoints(other, box, window.size) for other in others])
     seen = glance(groups, mine, labels)
     groups, names = ignore_stray_labels(groups, mine, labels, seen)
-    warnings = [stray_warning(names)] if names else []
+    warnings = [*keypoint_warnings(keypoints), *([stray_warning(names)] if names else [])]
     if names:
         seen = glance(groups, mine, labels)
     agreements = compare_sides(groups, mine, labels)
@@ -145,6 +148,25 @@ def stray_warning(names: Iterable[str]) -> str:
 def elsewhere_warning(labels: LabelSet) -> str:
     """Sentence about labels in ``disagreement`` with the keypoints."""
     return f"labels: parts lie elsewhere than their bones; are these ids of {labels.name}?"
+
+
+def keypoint_warnings(keypoints: Keypoints2D) -> tuple[str, ...]:
+    """Sentences about keypoints: those of their file, and one if they are too few, or lie too straight, for a pose."""
+    points = keypoints.points[keypoints.visible].astype(np.float64)
+    if len(points) < _FEW:
+        are = "1 is" if len(points) == 1 else f"{len(points)} are"
+        return (*keypoints.warnings, f"keypoints: only {are} visible; most of the body is a guess")
+    if _spread_across(points) < _STRAIGHT:
+        return (*keypoints.warnings, "keypoints: all lie in a line; most of the body is a guess")
+    return keypoints.warnings
+
+
+def _spread_across(points: np.ndarray) -> float:
+    """Spread of points (N, 2) across the line that fits them best, as a share of that along it."""
+    x, y = (points - points.mean(axis=0)).T
+    xx, xy, yy = float(x @ x), float(x @ y), float(y @ y)
+    middle, apart = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)  # of the eigenvalues of their covariance
+    return math.sqrt(max(middle - apart, 0.0) / (middle + apart)) if middle > 0 else 0.0
 
 
 def check_places(keypoints: Keypoints2D) -> None:

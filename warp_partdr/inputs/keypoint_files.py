@@ -1,4 +1,4 @@
-"""Read 2D keypoints from JSON, in the shapes in which detectors write them.
+"""Read 2D keypoints from JSON, in the shapes in which detectors and annotation tools write them.
 
 * ``{"format": "coco17", "keypoints": [[x, y, confidence], ...]}``, the format's name and order as in ``skeletons.py``;
   ``[x, y]`` alone, flat lists ``[x, y, confidence, x, y, ...]`` and a missing ``format`` are fine too;
@@ -9,11 +9,19 @@
   ``instance_info``, or, of a film, one frame with its ``instances``;
 * Ultralytics' results (``to_json``): objects whose ``keypoints`` hold the lists ``x``, ``y`` and ``visible``, their
   confidences; it writes (0, 0) for points that are less than half sure, which are missing;
+* AlphaPose's results of many pictures, with ``image_id``; its ``--format open`` and ``cmu`` have an entry a picture;
+* points that are named one by one: LabelMe's ``shapes``, Label Studio's ``keypointlabels``, an object
+  ``{"left_hip": [x, y, confidence], ...}``, TensorFlow.js' ``[{"name": "left_hip", "x": ..., "y": ..., ...}, ...]``;
 * the bare list of one person's keypoints, or a list of such lists.
 
-Without a name, the number of keypoints tells the format; 17 is COCO. Points that are no landmark are left out. Missing
-are keypoints of confidence 0, with null or NaN for all their numbers, and, where no confidences are given, those at
-exactly (0, 0).
+Names of the points that stand in the file tell which is which: COCO's ``categories``, MMPose's ``meta_info``,
+``keypoint_names`` and the like. Without names and without the name of a format, the number of keypoints tells the
+format; 17 is COCO. Points that are no landmark are left out. Missing are keypoints of confidence 0, with null or NaN
+for all their numbers, and, where no confidences are given, those at exactly (0, 0).
+
+Of a file of many pictures, the people of one photo are read: those whose picture has the photo's name.
+
+What is odd but can be read is told in ``Keypoints2D.warnings``.
 """
 
 from __future__ import annotations
@@ -22,16 +30,22 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..body.keypoint_names import left_out_warning, skeleton_of_names
 from ..body.skeletons import SKELETONS, Skeleton, skeleton
 from ..errors import InputError, shown
 from ..files.json_files import read_json
+from .annotated_sizes import match_sizes
+from .keypoint_order import mirror_warning, order_warning
+from .keypoint_shapes import FilePicture, PersonEntry, file_people, matching_names
 from .keypoints import LARGEST_PLACE, Keypoints2D
+from .part_labels import read_orientation, scan_photo
 
 # Spellings of a format, without case, blanks and punctuation.
 _ALIASES: dict[str, str] = {
@@ -64,14 +78,16 @@ _ALIASES: dict[str, str] = {
     "posetrack18": "posetrack17",
 }
 # Formats with as many points as another, which the number alone is taken for.
-NAMED_ALONE = ("h36m17", "posetrack17", "crowdpose14", "aic14", "body25b")
-_BY_COUNT: dict[int, Skeleton] = {form.count: form for name, form in SKELETONS.items() if name not in NAMED_ALONE}
-# Keys of objects that hold a list of people, or of frames.
-_LISTS = ("people", "instances", "annotations", "instance_info", "predictions")
-_KEYPOINTS = ("keypoints", "pose_keypoints_2d", "pose_keypoints")  # the last: OpenPose's before version 1.2
+_NAMED_ALONE = ("h36m17", "posetrack17", "crowdpose14", "aic14", "body25b")
+_BY_COUNT: dict[int, Skeleton] = {form.count: form for name, form in SKELETONS.items() if name not in _NAMED_ALONE}
 _NUMBERS = {int, float}
 _MAX_CONFIDENCE = 1.5  # Heat maps peak a little above 1 now and then; those are taken as 1.
+# Scores of models that classify coordinates (SimCC, RTMPose), and percents; the share of the largest that the upper
+# quartile of a person's must reach, or one number alone is wrong.
+_MAX_SCORE = 100.0
+_LEAST_OF_MAX = 0.15
 _MAX_NORMALISED = 1.5  # MediaPipe's coordinates in shares of the picture's size go a little beyond it.
+_POINT_SCORES = ("score", "confidence", "visibility", "likelihood", "probability", "prob", "conf", "v")
 _MIN_EXTENT = 1.0  # [px]; keypoints closer together than a pixel are one point.
 
 
@@ -95,52 +111,188 @@ def keypoint_file(path: Path, photo: Path | None) -> Path:
     raise InputError(f"{path}: no keypoints of {photo.name}; expected {' or '.join(names)} there")
 
 
-def read_keypoints(path: str | Path, keypoint_format: str | Path | Skeleton | None = None) -> list[Keypoints2D]:
+def read_keypoints(
+    path: str | Path,
+    keypoint_format: str | Path | Skeleton | None = None,
+    *,
+    photo: str | Path | None = None,
+    size: tuple[int, int] | None = None,
+) -> list[Keypoints2D]:
     """Read everybody's 2D keypoints from a JSON file, in its order, but for people without visible keypoints.
 
     Args:
         path: The file.
-        keypoint_format: Name of the format, if the file's is missing or wrong, or a JSON file of one's own.
+        keypoint_format: Name of the format, if the file's is missing or wrong, or a JSON file of one's own. It goes
+            before names in the file, with a warning where they tell another order.
+        photo: The picture's file. Of a file of many pictures, its people are read.
+        size: (H, W) of the picture [px]; None: of the photo, if there is one. Where the file states another size of the
+            picture, keypoints are scaled, or turned as the photo's EXIF data say, with a warning; and there is one if
+            EXIF data turn the photo and the file states no size.
 
     Raises:
-        InputError: If the file can't be read or understood, or nobody in it has usable keypoints.
+        InputError: If the file can't be read or understood, nobody in it has usable keypoints, it has several pictures
+            and none is the photo, or states a size that does not fit the picture's.
     """
-    return parse_keypoints(read_json(path, "keypoints in JSON"), keypoint_format, name=str(path))
+    data, picture = read_json(path, "keypoints in JSON"), None if photo is None else Path(photo)
+    return parse_keypoints(data, keypoint_format, name=str(path), photo=picture, size=size)
 
 
 def parse_keypoints(
-    data: Any, keypoint_format: str | Path | Skeleton | None = None, *, name: str = "keypoints"
+    data: Any,
+    keypoint_format: str | Path | Skeleton | None = None,
+    *,
+    name: str = "keypoints",
+    photo: Path | None = None,
+    size: tuple[int, int] | None = None,
 ) -> list[Keypoints2D]:
-    """Read everybody's 2D keypoints from a file's content; errors call it ``name``.
+    """Read everybody's 2D keypoints from a file's content, as ``read_keypoints`` does; errors call it ``name``.
 
     Raises:
         InputError: If it can't be understood, or nobody in it has usable keypoints.
     """
     given = None if keypoint_format is None else given_format(keypoint_format)
-    entries = _people(data, name)
+    entries, picture = file_people(data, name).of_photo(photo, name)
+    entries, told = _of_people(entries, given)
+    if picture.name is not None and photo is not None and not _is_called(picture.name, photo):
+        told.append(f"keypoints: of {shown(picture.name)[1:-1]}, the file's only picture; taken for {photo.name}")
     if not entries:
-        raise InputError(f"{name}: nobody in it; expected keypoints of at least one person")
+        where = name if photo is None or picture.name is None else f"{name}: {photo.name}"
+        raise InputError(f"{where}: nobody in it; expected keypoints of at least one person")
     places = [name] if len(entries) == 1 else [f"{name}: person {index}" for index in range(len(entries))]
     alike: dict[tuple[Skeleton, int], list[int]] = {}  # whose keypoints make one array: format and numbers a keypoint
     numbers: list[list[float]] = []
+    reasons: dict[int, str] = {}
+    order = _Order(given)
+    told_of: list[tuple[str, ...]] = []
     for index, (entry, where) in enumerate(zip(entries, places, strict=True)):
-        form, width, values = _person(entry, given, where)
+        if entry.keypoints is None or entry.keypoints == []:  # OpenPose writes so of nobody
+            reasons[index] = f"{where}: no visible keypoint; expected some with confidence above 0"
+            numbers.append([])
+            told_of.append(())
+            continue
+        form, warnings = order.of(entry, where)
+        form, width, values = _person(entry, form, where)
         alike.setdefault((form, width), []).append(index)
         numbers.append(values)
+        told_of.append(warnings)
     people: dict[int, Keypoints2D] = {}
-    reasons: dict[int, str] = {}
     for (form, width), group in alike.items():
         table = np.array([numbers[index] for index in group]).reshape(len(group), -1, width)
-        points, confidence = _checked(table, form, [places[index] for index in group])
+        points, confidence, scaled = _checked(table, form, [places[index] for index in group])
         known = form.name if _is_known(form) else form
         for row, (index, reason) in enumerate(zip(group, _why_unusable(points, confidence), strict=True)):
             if reason is None:
-                people[index] = Keypoints2D(known, points[row], confidence[row])
+                warnings = (
+                    *told,
+                    *told_of[index],
+                    *scaled,
+                    *_doubts(entries[index], form, points[row], confidence[row]),
+                )
+                people[index] = Keypoints2D(known, points[row], confidence[row], warnings)
             else:
                 reasons[index] = f"{places[index]}: {reason}"
     if not people:
-        raise InputError(reasons[0])
-    return [people[index] for index in sorted(people)]
+        raise InputError(reasons[min(reasons)])
+    found = [people[index] for index in sorted(people)]
+    return _in_picture(found, picture, photo, size, name)
+
+
+def _doubts(entry: PersonEntry, form: Skeleton, points: np.ndarray, confidence: np.ndarray) -> list[str]:
+    """Sentences about one person's keypoints whose order, or whose sides, seem wrong."""
+    named = entry.names is not None or (entry.category is not None and entry.category.skeleton is not None)
+    order = None if named else order_warning(form, points, confidence)
+    doubts = [order if order is not None else mirror_warning(form, points, confidence)]
+    return [doubt for doubt in doubts if doubt is not None]
+
+
+def _of_people(entries: Sequence[PersonEntry], given: Skeleton | None) -> tuple[list[PersonEntry], list[str]]:
+    """Entries of people, and sentences about those that were left out: of animals, or of unknown keypoints.
+
+    Raises:
+        InputError: If none is of people.
+    """
+    refused: dict[str, list[str]] = {}
+    kept: list[PersonEntry] = []
+    for entry in entries:
+        category = entry.category
+        if category is None or category.refusal is None or (given is not None and not category.animals):
+            kept.append(entry)
+        else:
+            refused.setdefault(category.refusal, []).append(category.name)
+    if refused and not kept:
+        raise InputError(next(iter(refused)))
+    return kept, [
+        f"keypoints: {len(names)} of category {shown(names[0])} left out; expected keypoints of people"
+        for names in refused.values()
+    ]
+
+
+def _is_called(name: str, photo: Path) -> bool:
+    """True if a picture's name in a file may mean a photo; numbers and addresses without a name may."""
+    return "." not in name or bool(matching_names(photo, [name]))
+
+
+def _in_picture(
+    people: list[Keypoints2D], stated: FilePicture, photo: Path | None, size: tuple[int, int] | None, where: str
+) -> list[Keypoints2D]:
+    """Keypoints in pixels of the picture, whose size the file may state otherwise."""
+    if stated.size is None and (photo is None or not photo.is_file()):  # of a photo, the name alone may be known
+        return people
+    orientation = 1 if photo is None else read_orientation(photo)
+    if size is None and photo is not None:
+        size = scan_photo(photo)
+    if size is None:
+        return people
+    change = match_sizes(stated.size, size, orientation, where)
+    told = () if change.warning is None else (f"keypoints: {change.warning}",)
+    moved = [change.keypoints(person) for person in people]
+    return [replace(person, warnings=(*person.warnings, *told)) for person in moved]
+
+
+@dataclass
+class _Order:
+    """Order of the points of a file's people: by a given format, by names, by the name of a format, or by their number.
+
+    ``known`` keeps what lists of names mean, for people share them.
+    """
+
+    given: Skeleton | None
+    known: dict[tuple[Any, ...], tuple[Skeleton | None, str | None]] = field(default_factory=dict)
+
+    def of(self, entry: PersonEntry, where: str) -> tuple[Skeleton | None, tuple[str, ...]]:
+        """The skeleton of one person's rows, None where their number tells it; and warnings."""
+        form, left_out = self._named(entry, where)
+        if self.given is not None:
+            if form is None or _same_rows(form, self.given):
+                return self.given, ()
+            if entry.by_name:
+                return form, (f"keypoints: taken by their names in the file, not as {self.given.name}",)
+            return self.given, (f"keypoints: taken as {self.given.name}; their names in the file tell another order",)
+        if form is None and entry.format is not None:
+            form = _named_format(entry.format, f"{where}: format")
+        return form, () if left_out is None else (left_out,)
+
+    def _named(self, entry: PersonEntry, where: str) -> tuple[Skeleton | None, str | None]:
+        """The skeleton that names tell, and a sentence about names that are no landmarks."""
+        if entry.names is None:
+            return (None, None) if entry.category is None else (entry.category.skeleton, entry.category.warning)
+        if entry.names not in self.known:
+            try:
+                form = skeleton_of_names(entry.names, where)
+            except InputError:
+                if self.given is None or entry.by_name:
+                    raise
+                form = None
+            if form is None and entry.by_name:
+                raise InputError(f"{where}: keypoint names: {shown([*entry.names])}; expected such as left_shoulder")
+            self.known[entry.names] = form, None if form is None else left_out_warning(entry.names, form)
+        return self.known[entry.names]
+
+
+def _same_rows(one: Skeleton, other: Skeleton) -> bool:
+    """True if the same rows are the same landmarks in both, where both have any."""
+    rows = [dict(zip(form.places, form.landmarks, strict=True)) for form in (one, other)]
+    return all(rows[0][row] == rows[1][row] for row in rows[0].keys() & rows[1].keys() - {-1})
 
 
 def _is_known(form: Skeleton) -> bool:
@@ -185,73 +337,17 @@ def _named_format(text: Any, where: str, also: str = "") -> Skeleton:
     raise InputError(f"{where}: {shown(text)}; expected one of {', '.join(SKELETONS)}{also}")
 
 
-def _people(data: Any, name: str) -> list[Mapping[str, Any]]:
-    """Objects with "keypoints", one per person, whatever the file's shape."""
-    common, bare = {}, isinstance(data, list)
-    if isinstance(data, Mapping):
-        lists = [data[key] for key in _LISTS if isinstance(data.get(key), list)]
-        if not lists and not _holds_people(data.get("keypoints")):
-            return [data]
-        meta = data.get("meta_info")  # MMPose's
-        said = data.get("format", meta.get("dataset_name") if isinstance(meta, Mapping) else None)
-        if said is not None:
-            common = {"format": said}
-        data = lists[0] if lists else data["keypoints"]
-    elif not bare:
-        raise InputError(f"{name}: {type(data).__name__}; expected an object or a list of keypoints")
-    data = _one_picture(data, name)
-    if bare and not _holds_people(data):
-        return [{"keypoints": data}] if data else []
-    people: list[Mapping[str, Any]] = []
-    for index, entry in enumerate(data):
-        if isinstance(entry, list):
-            people.append({**common, "keypoints": entry})
-        elif isinstance(entry, Mapping):
-            people.append({**common, **entry})
-        else:
-            raise InputError(f"{name}: person {index}: {type(entry).__name__}; expected an object or a list")
-    images = {str(person["image_id"]) for person in people if isinstance(person.get("image_id"), int | str)}
-    if len(images) > 1:
-        raise InputError(f"{name}: people of {len(images)} pictures; expected those of one")
-    return people
-
-
-def _one_picture(entries: list[Any], name: str) -> list[Any]:
-    """People of a list of frames, of which there must be one; people as they are."""
-    frames = [entry["instances"] for entry in entries if isinstance(entry, Mapping) and "instances" in entry]
-    frames += [entry for entry in entries if isinstance(entry, list) and any(isinstance(one, Mapping) for one in entry)]
-    if not frames:
-        return entries
-    if len(entries) > 1:
-        raise InputError(f"{name}: people of {len(entries)} pictures; expected those of one")
-    if not isinstance(frames[0], list):
-        raise InputError(f"{name}: instances: {type(frames[0]).__name__}; expected a list of people")
-    return frames[0]
-
-
-def _holds_people(values: Any) -> bool:
-    """True if this is a list of people, not of one person's rows or numbers."""
-    if not isinstance(values, list) or not values:
-        return False
-    first = values[0]
-    return isinstance(first, Mapping) or (
-        isinstance(first, list) and (len(first) > 3 or any(isinstance(value, list) for value in first))
-    )
-
-
-def _person(entry: Mapping[str, Any], given: Skeleton | None, where: str) -> tuple[Skeleton, int, list[float]]:
+def _person(entry: PersonEntry, form: Skeleton | None, where: str) -> tuple[Skeleton, int, list[float]]:
     """Format, numbers a keypoint, and these numbers, one landmark's after the other's; null is NaN."""
-    values = next((entry[key] for key in _KEYPOINTS if key in entry), None)
+    values = entry.keypoints
     if isinstance(values, Mapping):
         values = _columns(values, where)
     if not isinstance(values, list):
         raise InputError(f"{where}: no list of keypoints; expected one under keypoints or pose_keypoints_2d")
-    form = given
-    if form is None and entry.get("format") is not None:
-        form = _named_format(entry["format"], f"{where}: format")
+    values = [_point_row(value) if isinstance(value, Mapping) else value for value in values]
     rows = _rows(values, form, where)
     form = format_of(len(rows), form, where)
-    scores = entry.get("keypoint_scores")
+    scores = entry.scores
     if scores is not None:
         if not isinstance(scores, list) or len(scores) != len(rows):
             raise InputError(f"{where}: keypoint_scores: not one a keypoint; expected {len(rows)}")
@@ -278,6 +374,15 @@ def _columns(lists: Mapping[str, Any], where: str) -> list[list[Any]]:
         raise InputError(f"{where}: keypoints: no lists x and y, and visible, of one length; expected such")
     rows = [list(row) for row in zip(*columns, strict=True)]
     return [[0] * len(row) if row[:2] == [0, 0] else row for row in rows]
+
+
+def _point_row(point: Mapping[str, Any]) -> list[Any]:
+    """Row of an object {"x": ..., "y": ..., "score": ...}, whose place may stand under "position"."""
+    place = point.get("position")
+    place = place if isinstance(place, Mapping) else point
+    score = next((point[key] for key in _POINT_SCORES if key in point), None)
+    row = [place.get("x"), place.get("y")]
+    return row if score is None else [*row, score]
 
 
 def _rows(values: list[Any], form: Skeleton | None, where: str) -> list[list[Any]]:
@@ -313,8 +418,10 @@ def _number(value: Any, name: str) -> float:
         return math.inf
 
 
-def _checked(table: np.ndarray, form: Skeleton, places: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, J, 2) and confidences (N, J), float32, from N people's numbers (N, J, 2 or 3)."""
+def _checked(
+    table: np.ndarray, form: Skeleton, places: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Points (N, J, 2) and confidences (N, J), float32, from N people's numbers (N, J, 2 or 3), and warnings."""
 
     def refuse(wrong: np.ndarray, found: Callable[[np.ndarray], str]) -> None:
         if wrong.any():
@@ -333,12 +440,32 @@ def _checked(table: np.ndarray, form: Skeleton, places: Sequence[str]) -> tuple[
     if (confidence == 2).any():
         visibility = np.isin(confidence, (0, 1, 2)).all(axis=1) & (confidence == 2).any(axis=1)
         confidence[visibility] /= 2  # COCO's: 1 = labelled, but hidden.
-    refuse((confidence < 0) | (confidence > _MAX_CONFIDENCE), lambda row: f"confidence {row[2]:g}; expected 0 to 1")
+    refuse(confidence < 0, lambda row: f"confidence {row[2]:g}; expected 0 to 1")
+    largest = _largest_score(confidence)
+    told = () if largest is None else (f"keypoints: scores up to {largest:g}, not 1; divided by that",)
+    confidence = confidence if largest is None else confidence / largest
+    refuse(
+        (confidence > _MAX_CONFIDENCE) & (confidence == confidence.max(initial=0.0)),
+        lambda row: f"confidence {row[2]:g}; expected 0 to 1",
+    )
     refuse(
         (np.abs(points) > LARGEST_PLACE).any(axis=-1),
         lambda row: f"{listed(row[:2])}; expected pixels, up to {LARGEST_PLACE:g}",
     )
-    return points.astype(np.float32), np.minimum(confidence, 1.0).astype(np.float32)
+    return points.astype(np.float32), np.minimum(confidence, 1.0).astype(np.float32), told
+
+
+def _largest_score(confidence: np.ndarray) -> float | None:
+    """Largest of people's confidences (N, J) if they are scores of another scale than 0 to 1, else None.
+
+    Models that classify coordinates (SimCC, such as RTMPose) give 0 to about 10. One large number among small ones is
+    no such scale.
+    """
+    largest = float(confidence.max(initial=0.0))
+    if not _MAX_CONFIDENCE < largest <= _MAX_SCORE:
+        return None
+    person = confidence[int(confidence.max(axis=1).argmax())]
+    return largest if np.quantile(person[person > 0], 0.75) >= _LEAST_OF_MAX * largest else None
 
 
 def _why_unusable(points: np.ndarray, confidence: np.ndarray) -> list[str | None]:

@@ -28,6 +28,7 @@ class Keypoints2D:
         skeleton: Their format: its name, such as "coco17", or a skeleton of one's own.
         points: Positions [px], origin at the picture's top left corner, 0 where missing, shape (J, 2), float32.
         confidence: 0 (missing) to 1, shape (J,), float32.
+        warnings: Sentences about what was odd in the file that they are from; fits pass them on.
 
     Raises:
         InputError: If a shape is wrong, or a confidence is none.
@@ -36,6 +37,7 @@ class Keypoints2D:
     skeleton: str | Skeleton
     points: np.ndarray
     confidence: np.ndarray
+    warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         count = len(self.format)

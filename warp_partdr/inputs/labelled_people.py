@@ -29,7 +29,7 @@ from .agreement import (
     sum_sides,
 )
 from .connected_pixels import ranges
-from .evidence import MOST_DISAGREEMENT, WINDOW_SIDE, take_pixels
+from .evidence import MOST_DISAGREEMENT, WINDOW_SIDE, keypoint_warnings, take_pixels
 from .ignored_labels import STRAY, are_missing, are_stray, ignore_limbs, limb_places
 from .keypoints import LARGEST_PLACE, Keypoints2D, person_height
 from .observation import LABEL_SIZE, CutOut, WeighedPerson, crop_squares, observe_together
@@ -110,7 +110,8 @@ def _cut_together(people: Sequence[LabelledPerson], label_size: int) -> list[Cut
         keypoints, parts, _, camera = people[n]
         height, width = parts.groups.shape
         window, points = Crop(0.0, 0.0, 1.0, (height, width)), keypoints.points[keypoints.visible]
-        weighed.append(WeighedPerson(keypoints, points, window, target, parts.label_set, (), camera))
+        warnings = keypoint_warnings(keypoints)
+        weighed.append(WeighedPerson(keypoints, points, window, target, parts.label_set, warnings, camera))
     for n, cut in zip(places, observe_together(weighed, middles, halves, "cpu"), strict=True):
         found[n] = cut
     return found

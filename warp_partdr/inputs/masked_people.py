@@ -24,7 +24,14 @@ from ..kernels import mask_targets, own_pixels
 from ..kernels.launch import run_slices, split_batch
 from .agreement import COARSE, FAR
 from .body_lines import BodyLines, body_lines
-from .evidence import MOST_DISAGREEMENT, check_places, elsewhere_warning, person_windows, stray_warning
+from .evidence import (
+    MOST_DISAGREEMENT,
+    check_places,
+    elsewhere_warning,
+    keypoint_warnings,
+    person_windows,
+    stray_warning,
+)
 from .ignored_labels import LIMB_SAMPLES, MISSING_SHARE, STRAY, are_stray
 from .keypoints import LARGEST_PLACE, Keypoints2D, confident
 from .observation import LABEL_SIZE, CutOut, WeighedPerson, crop_squares, observe_together
@@ -143,7 +150,8 @@ def _cut_together(people: Sequence[MaskedPerson], windows: _Windows, device: tor
     found: list[WeighedPerson] = []
     for n, person in enumerate(people):
         height, width = windows.sizes[n].tolist() if labelled[n] else (1, 1)
-        told = [stray_warning(MASK_LABELS.group_names)] if stray[n] else []
+        told = [*keypoint_warnings(person.keypoints)]
+        told += [stray_warning(MASK_LABELS.group_names)] if stray[n] else []
         told += [elsewhere_warning(MASK_LABELS)] if elsewhere[n] else []
         weighed = WeighedPerson(
             person.keypoints,

@@ -46,7 +46,7 @@ def read_folder(path: str | Path, labels: LabelSet | None = None) -> Iterator[Sa
         if not keypoints.is_file():
             instead = "partdr dataset and partdr report show bodies of photos alone"
             raise InputError(f"{keypoints}: no such file; expected {_LAYOUT}, to compare bodies with; {instead}")
-        people = read_keypoints(keypoints)
+        people = read_keypoints(keypoints, photo=picture)
         parts = None
         if labelled and labels is not None:
             file = existing(folder, f"{picture.stem}.parts.png", "part labels as of the other pictures")
