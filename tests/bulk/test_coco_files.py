@@ -202,7 +202,7 @@ def test_sizes_are_told_in_rows_and_at_the_end(run: Run) -> None:
     assert wrong["joints"] is None
     assert wrong["error"].startswith(f"002.jpg: annotated at {width + 40} x {height} px, picture {width} x {height}")
     assert "warning: 1 row with an error, first 002.jpg: annotated at " in complaint
-    assert "warning: 1 row with a warning about their annotations, first 000.jpg: annotations: made at " in complaint
+    assert "warning: 1 row with a warning about annotations, first 000.jpg: annotations: made at " in complaint
 
 
 def test_warnings_of_the_input_and_of_the_fit_are_joined() -> None:
@@ -238,11 +238,10 @@ def test_names_decide_the_joints() -> None:
 
 def test_names_that_are_no_landmarks_are_left_out(run: Run) -> None:
     """The rows have the file's own skeleton, and the report draws it."""
-    order = [0, *range(5, 17)]
-    names = [*(COCO[place] for place in order)]
-    names[0] = "navel"
+    order = [0, 1, 2, *range(5, 17)]
+    names = ["nose", "spine", "navel", *COCO[5:]]  # no known format has both nose and spine
     source = coco(with_names(names, order), count=2)
-    assert len(skeleton(source.skeleton)) == 12
+    assert len(skeleton(source.skeleton)) == 14
     assert source.warnings == ("coco/people.json: keypoints: navel left out; expected names of landmarks of the body",)
     code, _, complaint = run(f"{LINE} --out out")
     assert code == 0
@@ -250,11 +249,12 @@ def test_names_that_are_no_landmarks_are_left_out(run: Run) -> None:
     table = pq.read_table("out")
     field = table.schema.field("keypoints").metadata
     landmarks = json.loads(field[b"names"])
-    assert sorted(landmarks) == sorted(COCO[5:])
+    assert sorted(landmarks) == sorted(["nose", "spine", *COCO[5:]])
     (expected,) = coco().read("000.jpg").people
     found = np.reshape(table["keypoints"][0].as_py(), (-1, 3))
     for landmark, row in zip(landmarks, found, strict=True):
-        np.testing.assert_allclose(row[:2], expected.keypoints.points[COCO.index(landmark)], atol=1e-3)
+        place = 1 if landmark == "spine" else COCO.index(landmark)
+        np.testing.assert_allclose(row[:2], expected.keypoints.points[place], atol=1e-3)
     assert run("report out --pictures coco/people.json --worst 1 --out page.html")[0] == 0
     assert b"navel" not in Path("page.html").read_bytes()
 
@@ -342,7 +342,8 @@ def test_people_of_two_skeletons_are_both_fitted() -> None:
         "1 of 3 annotations have other keypoints than most; the column keypoints holds what coco17 has"
     )
     (person,) = source.read("000.jpg").people
-    assert len(person.keypoints.format) == 12
+    assert int(person.keypoints.visible.sum()) == 12
+    assert not {"nose", "left_eye"} & set(person.keypoints.format.landmarks)
     assert source.read("000.jpg").faults == ()
 
 
@@ -566,11 +567,12 @@ def test_the_format_may_be_said(run: Run) -> None:
     assert source.skeleton == "coco17"
 
     def fourteen(data: dict[str, Any]) -> None:
-        names = ["1", "2"]  # which tell nothing
+        names = ["navel", "sternum"]
         data["categories"] = [{"id": 1, "name": "person", "keypoints": names}]
         data["annotations"][0]["keypoints"] = [each for pair in np.reshape(points, (-1, 2)) for each in (*pair, 2)]
 
-    coco(fourteen)
+    with pytest.raises(InputError, match="0 of 2 keypoint names are landmarks of a person"):
+        coco(fourteen)
     source = open_source(Path("coco/people.json"), keypoint_format="crowdpose14")
     (person,) = source.read("000.jpg").people
     assert source.skeleton == person.keypoints.skeleton == "crowdpose14"
@@ -601,6 +603,35 @@ def test_the_format_may_be_said(run: Run) -> None:
         "--format: crowdpose14, without keypoints; expected N.keypoints.json beside N.jpg"
         in (run(f"{line} --format crowdpose14")[2])
     )
+
+
+def test_keypoints_beside_a_picture_are_scaled_with_it(run: Run) -> None:
+    """By the size that their file states, such as a COCO file of one picture."""
+    files = members("000", parts=False)
+    given = json.loads(files["000.keypoints.json"])["keypoints"]
+    write_beside(Path("folder"), files)
+    (before,) = open_source(Path("folder")).read("000.jpg").people or ()
+    with Image.open("folder/000.jpg") as picture:
+        size = picture.size
+    flat = [number for x, y, _ in given for number in (2 * x, 2 * y, 2)]
+    data = {
+        "images": [{"id": 1, "file_name": "000.jpg", "width": 2 * size[0], "height": 2 * size[1]}],
+        "annotations": [{"image_id": 1, "keypoints": flat}],
+    }
+    files["000.keypoints.json"] = json.dumps(data).encode()
+    write_beside(Path("folder"), files)
+    (person,) = open_source(Path("folder")).read("000.jpg").people or ()
+    np.testing.assert_allclose(person.keypoints.points, before.keypoints.points, atol=1e-3)
+    assert any("made at " in warning for warning in person.keypoints.warnings)
+    code, _, complaint = run("dataset folder --quality network --device cpu --out out")
+    assert code == 0
+    assert "warning: 1 row with a warning about annotations, first 000.jpg: keypoints: made at " in complaint
+    (row,) = rows("out")
+    assert sum("made at " in warning for warning in row["warnings"]) == 1
+    pytest.importorskip("webdataset", reason="needs webdataset, the extra dataset")
+    write_tar(Path("a.tar"), files)
+    (person,) = open_source(Path("a.tar")).read("a.tar#000.jpg").people or ()
+    np.testing.assert_allclose(person.keypoints.points, before.keypoints.points, atol=1e-3)
 
 
 def test_the_format_of_keypoints_in_tar_files_may_be_said() -> None:

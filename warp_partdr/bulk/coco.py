@@ -177,7 +177,7 @@ def open_coco(path: Path, folder: Path, keypoint_format: Skeleton | None = None)
     entries = data.get("annotations") if isinstance(data, Mapping) else None
     if not isinstance(images, list) or not isinstance(entries, list):
         raise InputError(f"{path}: no lists images and annotations; expected COCO's annotations")
-    categories = read_categories(_categories(data.get("categories"), keypoint_format), str(path))
+    categories = read_categories(data.get("categories"), str(path))
     return _File(path, images, entries, categories, keypoint_format).open(folder)
 
 
@@ -190,16 +190,6 @@ def _named_images(results: Sequence[Mapping[str, Any]], path: Path) -> list[dict
             "with the lists images (id and file_name) and annotations, in which the results may stand"
         )
     return [{"id": name, "file_name": name} for name in names]
-
-
-def _categories(given: Any, keypoint_format: Skeleton | None) -> Any:
-    """The list categories; where the user names the format, without the file's names of keypoints."""
-    if keypoint_format is None or not isinstance(given, list):
-        return given
-    return [
-        {key: value for key, value in entry.items() if key != "keypoints"} if isinstance(entry, Mapping) else entry
-        for entry in given
-    ]
 
 
 @dataclass(frozen=True)
@@ -228,10 +218,10 @@ class _File:
                 orphans.append(entry)
                 continue
             category = by_category.get(_id(entry.get("category_id"))) or self._only_category
-            if category is not None and category.refusal is not None:
+            if category is not None and category.refusal is not None and (self.form is None or category.animals):
                 refused.append(category)
                 continue
-            if category is not None and category.warning is not None:
+            if category is not None and category.warning is not None and self.form is None:
                 used[f"{self.path}: {category.warning}"] = None
             form = self.form or (None if category is None else category.skeleton)
             annotations[image["file_name"]].append(CocoAnnotation(entry, image, form))

@@ -104,7 +104,7 @@ class PictureFiles:
                 found = SourcePicture(read_photo(photo))
             else:
                 scanned = ScannedPhoto(photo, scan_photo(photo))
-                found = SourcePicture(scanned, tuple(map(_known, self.read_keypoints(keypoints))))
+                found = SourcePicture(scanned, tuple(map(_known, self.read_keypoints(keypoints, scanned))))
             return replace(found, parts=self._read_labels(name, found.size))
         except InputError as error:  # messages are the same wherever the folder is
             raise InputError(str(error).replace(str(self.folder / (container or name)), container or name)) from error
@@ -117,16 +117,18 @@ class PictureFiles:
         path = (self.folder / name).with_suffix(f".{ending}")
         return path if path.is_file() else None
 
-    def read_keypoints(self, file: PhotoFile) -> list[Keypoints2D]:
-        """Everyone's keypoints of a file, which may be in memory."""
+    def read_keypoints(self, file: PhotoFile, photo: ScannedPhoto | None = None) -> list[Keypoints2D]:
+        """Everyone's keypoints of a file, which may be in memory, and lies beside a photo."""
+        size = None if photo is None else photo.size
         if not isinstance(file, NamedBytes):
-            return read_keypoints(str(file), self.keypoint_format)
+            beside = photo.file if photo is not None and isinstance(photo.file, Path) else None
+            return read_keypoints(str(file), self.keypoint_format, photo=beside, size=size)
         try:
             text = file.read().decode("utf-8-sig")
         except UnicodeDecodeError as error:
             raise InputError(f"{file}: not JSON ({error}); expected keypoints in JSON") from error
         data = parse_json(text, str(file), "keypoints in JSON")
-        return parse_keypoints(data, self.keypoint_format, name=str(file))
+        return parse_keypoints(data, self.keypoint_format, name=str(file), size=size)
 
     def _member(self, container: str, name: str, ending: str) -> NamedBytes | None:
         """A photo of a tar file, or a file beside it; None if there is none."""

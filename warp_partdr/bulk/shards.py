@@ -18,7 +18,7 @@ from ..errors import InputError, cause
 from ..files.disk import sync
 from ..results.result_sets import scratch_folder
 from .rows import FORMAT, METADATA
-from .sources import ANNOTATIONS
+from .sources import COUNTED
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -51,7 +51,7 @@ class Tally:
             name, error = (faults[column][0].as_py() for column in ("picture", "error"))
             self.first_error = self.first_error or (error if error.startswith(name) else f"{name}: {error}")
         for row, warnings in enumerate(table["warnings"].to_pylist()):
-            told = [warning for warning in warnings or () if warning.startswith(ANNOTATIONS)]
+            told = [warning for warning in warnings or () if warning.startswith(COUNTED)]
             self.annotations += bool(told)
             if told and not self.first_annotation:
                 self.first_annotation = f"{table['picture'][row].as_py()}: {told[0]}"

@@ -19,6 +19,8 @@ from ..inputs.part_labels import PartLabels, PhotoFile, read_photo
 from ..inputs.person import Box
 
 ANNOTATIONS = "annotations: "  # begins warnings about what was done to a picture's annotations
+# Beginnings of warnings that a run counts at its end: those, and of keypoints beside a picture of another size.
+COUNTED = (ANNOTATIONS, "keypoints: made at ", "keypoints: the photo is turned ")
 
 
 @dataclass(frozen=True)

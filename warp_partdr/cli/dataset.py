@@ -352,7 +352,7 @@ def _tell(tally: Tally, shards: Shards, seconds: float, where: str) -> None:
     if tally.annotations:
         rows = f"{tally.annotations} row{'s' * (tally.annotations > 1)}"
         typer.echo(
-            f"partdr: warning: {rows} with a warning about their annotations, first {tally.first_annotation}", err=True
+            f"partdr: warning: {rows} with a warning about annotations, first {tally.first_annotation}", err=True
         )
 
 
