@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+import re
 import reprlib
 import shlex
 from collections.abc import Iterator, Sequence
@@ -60,6 +61,23 @@ def install_command(extra: str) -> str:
     if not packages:  # it runs from its folder, without an installation of this version
         return f"pip install '.[{extra}]' in the folder of warp-partdr"
     return f"pip install {' '.join(map(shlex.quote, packages))}"
+
+
+# Control characters, line separators and halves of characters, which are no text. Python reads a byte of a file's name
+# that is not UTF-8 as one of U+DC80 to U+DCFF.
+_UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+
+
+def printable(text: str) -> str:
+    r"""A text, such as a file's name, in one line of valid Unicode: other characters become ``\xff`` or ``\u2028``."""
+    return _UNPRINTABLE.sub(_escaped, text)
+
+
+def _escaped(found: re.Match[str]) -> str:
+    code = ord(found[0])
+    if 0xDC80 <= code <= 0xDCFF:
+        code -= 0xDC00
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from pathlib import Path
@@ -77,7 +78,9 @@ def test_a_folder_s_faults_are_told_and_left_out(run: Run) -> None:
     code, said, complaint = run("predict in --out out --device cpu --batch 1")
     assert code == 1
     assert said.startswith("2 people in 3 photos; ")
-    torn, empty = sorted(complaint.splitlines(), key=lambda line: "nobody" in line)
+    left_out, *others = complaint.splitlines()
+    assert left_out == "partdr: 1 file left out: 1 .txt (no picture format)"
+    torn, empty = sorted(others, key=lambda line: "nobody" in line)
     assert torn.startswith(f"partdr: {Path('in', 'torn.jpg')}: ")
     assert empty == f"partdr: {Path('in', 'empty.png')}: nobody found in it"
     told = report()
@@ -191,3 +194,91 @@ def test_films_without_pyav_name_the_extra(run: Run, monkeypatch: pytest.MonkeyP
     code, said, complaint = run("predict a.mp4 --out out")
     assert (code, said) == (2, "")
     assert complaint == "partdr: a.mp4: a film, without PyAV; expected it: pip install 'av>=18'\n"
+
+
+def test_a_folder_s_files_are_pictures_or_counted(run: Run) -> None:
+    """Of all formats; folders in it are not searched, and hidden files are no pictures."""
+    Path("mixed/deeper").mkdir(parents=True)
+    photo().save("mixed/a.GIF", save_all=True, append_images=[photo().rotate(3)])
+    photo().save("mixed/b.MPO", "MPO")
+    for name in ("notes.txt", "raw.CR2", ".DS_Store", "old.zip"):
+        Path("mixed", name).write_text("x")
+    code, said, complaint = run("predict mixed --out out --device cpu")
+    assert code == 0
+    assert said.startswith("2 people in 2 photos; ")
+    assert complaint.splitlines() == [
+        "partdr: 4 files left out: 1 .zip (archives: unpack them first); 1 folder (folders are not searched); "
+        "1 .txt (no picture format); 1 .cr2 (raw photos: develop them first)",
+        "partdr: warning: mixed/a.GIF: 2 pictures in the file; the first is taken",
+    ]
+    shutil.rmtree("mixed/deeper")
+    for name in ("a.GIF", "b.MPO"):
+        Path("mixed", name).unlink()
+    code, _, complaint = run("predict mixed --out out --device cpu")
+    assert code == 2
+    assert complaint.startswith("partdr: mixed: no photos or films in it (3 files left out: 1 .zip (archives")
+
+
+def test_names_of_files_need_not_be_text(run: Run) -> None:
+    Path("odd").mkdir()
+    photo().save("odd/plain.jpg")
+    for name in (b"caf\xe9.jpg", b"broken\xff.jpg", b"two\nlines.jpg"):
+        shutil.copy("odd/plain.jpg", os.path.join(b"odd", name))
+    Path("odd", os.fsdecode(b"broken\xff.jpg")).write_bytes(b"broken")
+    code, _, complaint = run("predict odd --out out --device cpu")
+    assert code == 1
+    assert complaint.startswith("partdr: odd/broken\\xff.jpg: cannot identify")
+    told = json.loads(Path("out/predictions.json").read_bytes())
+    assert "\\ud" not in Path("out/predictions.json").read_text()  # half a character, which others refuse
+    assert sorted(person["picture"] for person in told["people"]) == ["caf\\xe9.jpg", "plain.jpg", "two\\x0alines.jpg"]
+    assert told["unreadable"] == ["broken\\xff.jpg"]
+    for person in told["people"]:
+        load_body(Path("out", person["file"]))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs pipes with names")
+def test_pipes_are_told(run: Run) -> None:
+    photo().save("photo.jpg")
+    Path("pipes").mkdir()
+    shutil.copy("photo.jpg", "pipes/a.jpg")
+    for name in ("pipes/x.png", "pipes/x.mp4", "pipe.json"):
+        os.mkfifo(name)
+    code, _, complaint = run("predict pipes --out out --device cpu")
+    assert code == 1
+    assert sorted(complaint.splitlines()) == [
+        "partdr: pipes/x.mp4: a pipe, no regular file; expected a film",
+        "partdr: pipes/x.png: a pipe, no regular file; expected a picture",
+    ]
+    for line, expected in (
+        ("predict pipes/x.png", "pipes/x.png: a pipe, no regular file; expected a picture"),
+        ("fit pipes/x.png", "pipes/x.png: a pipe, no regular file; expected a picture"),
+        ("fit photo.jpg --keypoints pipe.json", "pipe.json: a pipe, no regular file; expected keypoints in JSON"),
+        ("fit photo.jpg --config pipe.json", "pipe.json: a pipe, no regular file; expected "),
+    ):
+        code, said, complaint = run(f"{line} --out no --device cpu")
+        assert (code, said, complaint.count("\n")) == (2, "", 1)
+        assert expected in complaint
+
+
+def test_an_animation_is_told_where_one_photo_is_fitted(run: Run) -> None:
+    photo(128).save("a.gif", save_all=True, append_images=[photo(128).rotate(3)])
+    shutil.copy("k.json", "own.json")
+    code, _, complaint = run("fit a.gif --keypoints own.json --model none --out out --device cpu")
+    assert code == 0
+    assert "partdr: warning: a.gif: 2 pictures in the file; the first is taken\n" in complaint
+
+
+def test_a_folder_of_keypoints_takes_photos_of_all_formats(run: Run) -> None:
+    Path("mine").mkdir()
+    for name in ("a.webp", "b.TIF"):
+        photo(128).save(f"mine/{name}")
+        shutil.copy("k.json", f"mine/{name[0]}.keypoints.json")
+    Path("mine/notes.txt").write_text("x")
+    code, said, complaint = run("predict mine --out out --device cpu")
+    assert code == 0
+    assert said.startswith("2 people: ")
+    assert "partdr: 1 file left out: 1 .txt (no picture format)\n" in complaint
+    assert {person["picture"] for person in report()["people"]} == {"a.webp", "b.TIF"}
+    code, _, complaint = run("evaluate folder mine --limit 1 --device cpu")
+    assert code == 0
+    assert "partdr: 1 file left out: 1 .txt (no picture format)\n" in complaint

@@ -148,10 +148,10 @@ def test_what_is_no_film_is_one_line(tmp_path: Path) -> None:
         container.mux(stream.encode(sound))
         container.mux(stream.encode())
     for name, words in {
-        "none.mp4": "No such file; expected a film",
+        "none.mp4": "No such file or directory; expected a film",
         "text.mp4": "Invalid data found when processing input; expected a film",
         "sound.mp4": "no pictures in it; expected a film",
-        "": "No such file; expected a film",
+        "": "Is a directory; expected a film",
     }.items():
         with pytest.raises(InputError, match=words) as refused:
             next(read_frames(tmp_path / name))

@@ -134,7 +134,7 @@ def make_on_cluster(
     for row in made.iter_rows():
         if row["fault"]:
             raise InputError(row["fault"])
-        for name in ("shards", "pictures", "people", "errors", "annotations"):
+        for name in ("shards", "pictures", "people", "errors", "unread", "rows", "failures", "annotations"):
             setattr(total, name, getattr(total, name) + row[name])
         total.first_error = total.first_error or row["first_error"]
         total.first_annotation = total.first_annotation or row["first_annotation"]
@@ -157,7 +157,7 @@ class _Maker:
         """Make one shard, and give the numbers of what was written; of a fault, for all, its one line."""
         index, fault, tally = int(batch["shard"][0]), "", Tally()
         try:
-            if self.shards.path(index).exists():  # an actor wrote it, and died before it said so
+            if not self.shards.left(index):  # an actor wrote it, and died before it said so
                 tally = self.shards.count_rows(index)
             else:
                 how: dict[str, Any] = {"todo": [index], **self.readers}

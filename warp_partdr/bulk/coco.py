@@ -28,8 +28,9 @@ from ..inputs.annotated_sizes import PictureChange, match_sizes, stated_size
 from ..inputs.keypoint_categories import KeypointCategory, read_categories
 from ..inputs.keypoint_files import parse_keypoints
 from ..inputs.keypoints import LARGEST_PLACE, Keypoints2D
-from ..inputs.part_labels import PHOTO_SUFFIXES, PhotoFile, read_orientation
+from ..inputs.part_labels import PhotoFile, read_orientation
 from ..inputs.person import Box
+from ..inputs.photo_files import PHOTO_SUFFIXES
 from .picture_files import keypoint_box, read_relative
 from .sources import ANNOTATIONS, FaultyPerson, KnownPerson, SourcePicture
 
@@ -91,6 +92,7 @@ class CocoPictures:
     skeleton: str | Skeleton = _PLAIN
     warnings: tuple[str, ...] = ()
     finds: bool = False
+    left_out: str = ""
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -20,7 +20,8 @@ from ..inputs.masked_people import MaskedPerson, cut_masks
 from ..inputs.observation import LABEL_SIZE, crop_evidence
 from ..inputs.part_labels import PartLabels
 from ..inputs.person import check_inside
-from .rows import FILE_WARNINGS, PeopleRows, Row
+from .outages import PassingError, is_passing
+from .rows import FILE_WARNINGS, UNREAD, PeopleRows, Row
 from .sources import KnownPerson, PictureSource, SourcePicture
 
 CameraOf = Callable[[str, tuple[int, int]], Perspective | None]
@@ -79,12 +80,15 @@ class Cutter:
             row: Row = {"picture": name}
             if isinstance(seen, SourcePicture):
                 row |= dict(zip(("height", "width"), seen.size, strict=True))
+                if seen.warnings:
+                    row[FILE_WARNINGS] = list(seen.warnings)
+            if isinstance(known, Exception):
+                rows.append(row | _fault(known))
+                continue
             try:
-                if isinstance(known, Exception):
-                    raise known
                 camera = self.camera(name, (row["height"], row["width"]))
             except FAULTS as error:
-                rows.append(row | {"error": one_line(error)})
+                rows.append(row | _fault(error))
                 continue
             assert known.people is not None
             row["people"] = len(known.people) + len(known.faults)
@@ -104,14 +108,14 @@ class Cutter:
                     else:
                         cut.append((len(rows) - 1, self._cut_alone(person.keypoints, None, (), camera)))
                 except FAULTS as error:
-                    rows[-1]["error"] = one_line(error)
+                    rows[-1] |= _fault(error)
             for number, fault in enumerate(known.faults, start=len(known.people)):
                 wrong = {"person": number, "annotation": fault.annotation, "error": one_line(InputError(fault.error))}
                 rows.append(row | wrong)
         for own, some in attempt(_cut_masked, [person for _, person in masked]):
             places = [number for number, _ in masked[own]]
             if isinstance(some, Exception):
-                rows[places[0]]["error"] = one_line(some)
+                rows[places[0]] |= _fault(some)
             else:
                 cut += zip(places, some, strict=True)
         together = self._cut_labelled([each for _, each in labelled])
@@ -119,7 +123,7 @@ class Cutter:
             try:
                 cut.append((number, cut_person or self._cut_alone(*alone)))
             except FAULTS as error:
-                rows[number]["error"] = one_line(error)
+                rows[number] |= _fault(error)
         cut.sort(key=lambda each: each[0])
         numbers = np.array([number for number, _ in cut])
         alike = stack_alike([person for _, person in cut])
@@ -159,7 +163,12 @@ def read_picture(source: PictureSource, name: str) -> Read:
     try:
         return source.read(name)
     except (InputError, OSError, ValueError, MemoryError) as error:
-        return error
+        return PassingError(one_line(error)) if is_passing(error) else error
+
+
+def _fault(error: Exception) -> Row:
+    """What a row says of an error."""
+    return {"error": one_line(error)} | ({UNREAD: True} if is_passing(error) else {})
 
 
 def one_line(error: Exception) -> str:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import codecs
 import os
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..errors import InputError, cause
+from ..errors import InputError, cause, printable
+from ..files.disk import check_regular
 from ..inputs.films import FILM_SUFFIXES
 from ..inputs.keypoint_files import given_format
-from ..inputs.part_labels import PHOTO_SUFFIXES
+from ..inputs.photo_files import ARCHIVES, PHOTO_SUFFIXES, LeftOut, is_hidden_name, photos_among
 from .coco import CocoPictures, open_coco
-from .containers import PARTS, TAR_SUFFIX, check_webdataset
+from .containers import TAR_SUFFIX, check_webdataset
 from .picture_files import PictureFiles, open_files
 
 _MANY = (*FILM_SUFFIXES, TAR_SUFFIX)  # of files that hold many pictures
@@ -39,10 +42,9 @@ def open_source(
         raise InputError(f"--images: {images}, with {path}; expected a COCO file of annotations with it")
     source: PictureFiles | CocoPictures
     if path.is_dir():
-        source, expected = (
-            open_files(path, _search(path), labels, form),
-            f"some: {', '.join((*PHOTO_SUFFIXES, *_MANY))}",
-        )
+        left_out = LeftOut()
+        source = open_files(path, _search(path, left_out), labels, form, left_out)
+        expected = f"some: {', '.join((*PHOTO_SUFFIXES, *_MANY))}"
     elif ending == ".json":
         if labels is not None:
             raise InputError(f"--labels: {labels}, with {path}; expected part labels beside photos")
@@ -56,23 +58,49 @@ def open_source(
         expected = "some in the tar files"
     elif ending in _MANY and path.is_file():
         source, expected = open_files(path.parent, [path.name], labels, form), "some"
+    elif ending in ARCHIVES and path.is_file():
+        raise InputError(f"{path}: an archive; expected it unpacked, or a .tar without compression")
     else:
         expected = "a folder of photos, a list of them (.txt), a film, tar files, or COCO's annotations (.json)"
         raise InputError(f"{path}: {'a file' if path.exists() else 'No such file or folder'}; expected {expected}")
-    _check_names(source.names, path, expected)
+    _check_names(source.names, source.left_out, path, expected)
     return source
 
 
-def _search(folder: Path) -> list[str]:
-    """Photos, films and tar files in a folder and all folders in it, in alphabetical order; hidden ones left out."""
+def _search(folder: Path, left_out: LeftOut) -> list[str]:
+    """Photos, films and tar files in a folder and all folders in it, in alphabetical order; hidden ones left out.
+
+    Links to folders are followed last, and no folder is searched twice.
+
+    Raises:
+        InputError: If the disk does not list a folder.
+    """
     found: list[str] = []
-    for root, folders, files in os.walk(folder):
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        parent = Path(root).relative_to(folder)
-        for name in files:
-            low = name.lower()
-            if low.endswith((*PHOTO_SUFFIXES, *_MANY)) and not name.startswith(".") and not low.endswith(f".{PARTS}"):
-                found.append((parent / name).as_posix())
+    searched: set[str] = set()
+    folders, links = [folder], list[Path]()
+    while folders or links:
+        here = folders.pop() if folders else links.pop()
+        names: list[str] = []
+        try:
+            place = os.path.realpath(here)
+            if place in searched:
+                continue
+            searched.add(place)
+            with os.scandir(here) as entries:
+                for entry in sorted(entries, key=lambda each: each.name, reverse=True):
+                    if is_hidden_name(entry.name):
+                        continue
+                    if entry.is_dir():
+                        (links if entry.is_symlink() else folders).append(here / entry.name)
+                    else:
+                        names.append(entry.name)
+        except PermissionError as error:
+            left_out.count("whole folder", cause(error))
+            continue
+        except OSError as error:
+            raise InputError(f"{here}: {cause(error)}; expected a folder that can be read") from error
+        parent = here.relative_to(folder)
+        found += ((parent / name).as_posix() for name in photos_among(names, left_out, _MANY))
     return sorted(found)
 
 
@@ -89,17 +117,22 @@ def _expand(path: Path) -> list[Path]:
 
 
 def _read_list(path: Path) -> tuple[str, ...]:
+    """Paths of a text file, one a line; a name that is not UTF-8 is as the system has it."""
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        check_regular(path)
+        data = path.read_bytes()
+        encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+        text = data.decode(encoding, errors="surrogateescape" if encoding == "utf-8-sig" else "strict")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: {cause(error)}; expected a list of files, one a line") from error
+    lines = re.split(r"\r\n|\r|\n", text)  # splitlines would cut names at other characters, too
     return tuple(line.strip() for line in lines if line.strip())
 
 
-def _check_names(names: Sequence[str], path: Path, expected: str) -> None:
-    """Raise an InputError unless there are pictures, each once."""
+def _check_names(names: Sequence[str], left_out: str, path: Path, expected: str) -> None:
+    """Raise an InputError unless there are pictures, and rows tell them apart."""
     if not names:
-        raise InputError(f"{path}: no pictures in it; expected {expected}")
-    name, count = Counter(names).most_common(1)[0]
+        raise InputError(f"{path}: no pictures in it{f' ({left_out})' if left_out else ''}; expected {expected}")
+    name, count = Counter(map(printable, names)).most_common(1)[0]
     if count > 1:
         raise InputError(f"{path}: {name} twice; expected each picture once")

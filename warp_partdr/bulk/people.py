@@ -27,6 +27,7 @@ from ..interop.torch_threads import one_torch_thread
 from ..kernels.launch import get_num_threads
 from ..network.label_network import LabelNetwork
 from .cutting import Cut, Cutter, Held, Read, attempt, one_line
+from .outages import is_passing
 from .rows import PeopleRows, RowPart, describe_bodies, error_part
 from .sources import KnownPerson, SourcePicture
 
@@ -240,7 +241,10 @@ def _fit_people(how: PeopleFitter, given: Sequence[CutPeople]) -> list[RowPart]:
     people = CutPeople.joined([each.to(how.device) for each in given])
     parts: list[RowPart] = []
     for own, found in attempt(how.bodies, people):
-        some = [error_part(0, one_line(found))] if isinstance(found, Exception) else found
+        if isinstance(found, Exception):
+            some: Sequence[RowPart] = [error_part(0, one_line(found), passing=is_passing(found))]
+        else:
+            some = found
         parts += [part.at(np.arange(own.start, own.stop)) for part in some]
     return parts
 

@@ -21,17 +21,24 @@ import numpy as np
 from ..body.labels import LabelSet, label_set
 from ..body.skeletons import Skeleton
 from ..detection.person import SKELETON
-from ..errors import InputError
+from ..errors import InputError, cause
 from ..files.json_files import parse_json
 from ..inputs.films import FilmFrames, is_film
 from ..inputs.keypoint_files import parse_keypoints, read_keypoints
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.part_labels import PartLabels, PhotoFile, check_sizes, read_parts, read_photo, scan_photo
+from ..inputs.part_labels import (
+    PartLabels,
+    PhotoFile,
+    check_sizes,
+    photo_warnings,
+    read_parts,
+    read_photo,
+    scan_photo,
+)
 from ..inputs.person import Box
+from ..inputs.photo_files import KEYPOINTS, PARTS, LeftOut
 from .containers import (
     ENDINGS,
-    KEYPOINTS,
-    PARTS,
     Latest,
     NamedBytes,
     TarPictures,
@@ -39,6 +46,7 @@ from .containers import (
     index_tar,
     read_member,
 )
+from .outages import is_passing
 from .sources import KnownPerson, ScannedPhoto, SourcePicture
 
 Beside = tuple[str, str, int]  # a photo's name, and ending and size of a file beside it
@@ -56,6 +64,7 @@ class PictureFiles:
         skeleton: Format of the first keypoints; without any, that of people who are found.
         digest: SHA-256 of names and sizes of the files beside photos, and of the label set; None without such files.
         labels: What the ids of part labels mean.
+        left_out: A line that counts files which are no photos, by their endings and reasons; "" without any.
         keypoint_format: Format of all keypoints, as the user says; None: the files tell.
         spans: Of photos in tar files, where these and the files beside them are: start and size by ``ENDINGS``, -1
             where there is none, shape (number of names, 3, 2). Whoever has a copy need not read the tar files' headers.
@@ -69,6 +78,7 @@ class PictureFiles:
     labels: LabelSet | None = None
     keypoint_format: Skeleton | None = None
     finds: bool = True
+    left_out: str = ""
     warnings: tuple[str, ...] = ()
     spans: np.ndarray = field(default_factory=lambda: np.zeros((0, len(ENDINGS), 2), dtype=np.int64), compare=False)
     _films: Latest[FilmFrames] = field(default_factory=lambda: Latest(FilmFrames), compare=False)
@@ -105,9 +115,11 @@ class PictureFiles:
             else:
                 scanned = ScannedPhoto(photo, scan_photo(photo))
                 found = SourcePicture(scanned, tuple(map(_known, self.read_keypoints(keypoints, scanned))))
-            return replace(found, parts=self._read_labels(name, found.size))
+            return replace(found, parts=self._read_labels(name, found.size), warnings=photo_warnings(photo))
         except InputError as error:  # messages are the same wherever the folder is
-            raise InputError(str(error).replace(str(self.folder / (container or name)), container or name)) from error
+            told = str(error).replace(str(self.folder / (container or name)), container or name)
+            beside = str(self.folder / "_")[:-1]  # how names of files beside it begin
+            raise InputError(told.removeprefix(beside)) from error
 
     def beside(self, name: str, ending: str) -> PhotoFile | None:
         """The file of an ending beside a photo; None without."""
@@ -115,7 +127,7 @@ class PictureFiles:
         if container is not None:
             return None if is_film(container) else self._member(container, name, ending)
         path = (self.folder / name).with_suffix(f".{ending}")
-        return path if path.is_file() else None
+        return path if _size(path) is not None else None
 
     def read_keypoints(self, file: PhotoFile, photo: ScannedPhoto | None = None) -> list[Keypoints2D]:
         """Everyone's keypoints of a file, which may be in memory, and lies beside a photo."""
@@ -154,7 +166,11 @@ class PictureFiles:
 
 
 def open_files(
-    folder: Path, entries: Iterable[str], labels: str | None, keypoint_format: Skeleton | None = None
+    folder: Path,
+    entries: Iterable[str],
+    labels: str | None,
+    keypoint_format: Skeleton | None = None,
+    left_out: LeftOut | None = None,
 ) -> PictureFiles:
     """Open photos, films and tar files by their paths from a folder on.
 
@@ -163,11 +179,13 @@ def open_files(
         entries: In the order in which their pictures are to come.
         labels: Name or JSON file of the label set of part labels; None: ``labels.json`` in the folder.
         keypoint_format: Format of all keypoints; None: the files tell.
+        left_out: Files of the folder that are none of these.
 
     Raises:
-        InputError: If a library that is needed is not installed, the label set of part labels is unknown, or there are
-            no part labels or keypoints of which something is said.
+        InputError: If a library that is needed is not installed, the label set of part labels is unknown, there are no
+            part labels or keypoints of which something is said, or the disk does not give a film or tar file.
     """
+    left_out = left_out or LeftOut()
     names: list[str] = []
     containers: list[str] = []
     beside: list[Beside] = []
@@ -185,8 +203,11 @@ def open_files(
             continue
         containers.append(entry)
         try:
-            opened = FilmFrames(path) if is_film(entry) else index_tar(path)
-        except InputError:
+            opened = FilmFrames(path) if is_film(entry) else index_tar(path, left_out)
+        except InputError as error:
+            # Its pictures would be missing for good; but a link to nothing must not stop the others.
+            if is_passing(error) and not isinstance(error.__cause__, FileNotFoundError):
+                raise
             names.append(entry)
             continue
         if isinstance(opened, TarPictures):
@@ -201,7 +222,14 @@ def open_files(
     every = np.full((len(names) if spans else 0, len(ENDINGS), 2), -1, dtype=np.int64)
     for first, each in spans.items():
         every[first : first + len(each)] = each
-    source = PictureFiles(folder, tuple(names), frozenset(containers), keypoint_format=keypoint_format, spans=every)
+    source = PictureFiles(
+        folder,
+        tuple(names),
+        frozenset(containers),
+        keypoint_format=keypoint_format,
+        left_out=str(left_out),
+        spans=every,
+    )
     if keypoint_format is not None and not any(ending == KEYPOINTS for _, ending, _ in beside):
         raise InputError(f"--format: {keypoint_format.name}, without keypoints; expected N.{KEYPOINTS} beside N.jpg")
     return _with_labels(source, beside, labels) if beside or labels is not None else source
@@ -237,9 +265,25 @@ def _beside(folder: Path) -> dict[str, int]:
     """Sizes of the files in a folder that lie beside photos, by name."""
     try:
         with os.scandir(folder) as entries:
-            return {each.name: each.stat().st_size for each in entries if each.name.endswith((KEYPOINTS, PARTS))}
+            names = [each.name for each in entries if each.name.endswith((KEYPOINTS, PARTS))]
     except OSError:
         return {}  # reading a photo tells
+    sizes = {name: _size(folder / name) for name in names}
+    return {name: size for name, size in sizes.items() if size is not None}
+
+
+def _size(path: Path) -> int | None:
+    """Bytes of a file; -1 of a link to nothing, which reading tells; None if there is none.
+
+    Raises:
+        InputError: If the disk does not say.
+    """
+    try:
+        return path.stat().st_size
+    except (FileNotFoundError, NotADirectoryError):
+        return -1 if path.is_symlink() else None
+    except OSError as error:
+        raise InputError(f"{path}: {cause(error)}; expected a file that can be read") from error
 
 
 def _known(keypoints: Keypoints2D) -> KnownPerson:

@@ -55,6 +55,7 @@ from ..cameras import Crop
 from ..clothing.clothes import CLOTHED
 from ..clothing.measuring import statures
 from ..clothing.model import DetailedModel
+from ..errors import printable
 from ..fit.mesh_stage import MeshFit
 from ..fit.result import FitResult
 from ..fit.together import BatchFits
@@ -66,7 +67,8 @@ if TYPE_CHECKING:
 
 FORMAT = "warp-partdr people 1"
 METADATA = b"warp-partdr"  # key in the schema's metadata
-FILE_WARNINGS = "file_warnings"  # a column that is not written as such: those of the files come before the fit's
+# Columns that are not written as such: True in rows whose error another run may not meet, and warnings about the file.
+UNREAD, FILE_WARNINGS = "unread", "file_warnings"
 
 Row = dict[str, Any]
 Values = np.ndarray | Sequence[Any]  # arrays (N, ...), or N values, of which some may be None
@@ -97,9 +99,9 @@ class RowPart:
         return RowPart(self.rows[index], own)
 
 
-def error_part(row: int, error: str) -> RowPart:
-    """The error of one row."""
-    return RowPart(np.array([row]), {"error": [error]})
+def error_part(row: int, error: str, *, passing: bool = False) -> RowPart:
+    """The error of one row, and whether another run may not meet it."""
+    return RowPart(np.array([row]), {"error": [error]} | ({UNREAD: [True]} if passing else {}))
 
 
 @dataclass
@@ -123,6 +125,10 @@ class PeopleRows:
             each = np.stack(values) if isinstance(values[0], np.ndarray) else values
             parts.append(RowPart(np.array(numbers), {name: each}))
         return cls(len(rows), parts)
+
+    def unread(self) -> list[int]:
+        """Numbers of rows whose picture another run is to read again."""
+        return sorted({int(row) for part in self.parts if UNREAD in part.columns for row in part.rows})
 
     def extend(self, other: PeopleRows) -> np.ndarray:
         """Add rows at the end; their numbers."""
@@ -285,6 +291,11 @@ def _known_of(fits: Sequence[FitResult] | Sequence[MeshFit]) -> _Known:
     )
 
 
+def metadata(about: Mapping[str, Any]) -> dict[bytes, str]:
+    """Metadata of a table's schema, with what it says about itself."""
+    return {METADATA: json.dumps(dict(about))}
+
+
 def people_table(rows: PeopleRows, form: Sequence[Column], about: Mapping[str, Any]) -> pa.Table:
     """A table of rows, in which what is missing is null, with ``about`` in its schema's metadata."""
     import pyarrow as pa
@@ -297,7 +308,7 @@ def people_table(rows: PeopleRows, form: Sequence[Column], about: Mapping[str, A
         said |= {"names": json.dumps(column.names)} if column.names else {}
         arrays.append(array)
         fields.append(pa.field(column.name, array.type, metadata=said or None))
-    schema = pa.schema(fields, metadata={METADATA: json.dumps(dict(about))})
+    schema = pa.schema(fields, metadata=metadata(about))
     return pa.Table.from_arrays(arrays, schema=schema)
 
 
@@ -306,7 +317,7 @@ def _array(column: Column, rows: PeopleRows) -> pa.Array:
 
     given = [(part.rows, part.columns[column.name]) for part in rows.parts if column.name in part.columns]
     if column.kind == "string":
-        return pa.array(_texts(rows, column.name), pa.string())
+        return pa.array([None if text is None else printable(text) for text in _texts(rows, column.name)], pa.string())
     if column.kind == "strings":
         lists = _texts(rows, column.name)
         for place, first in enumerate(_texts(rows, FILE_WARNINGS)):

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any
 
+from ..errors import printable
 from .cutting import Held, Read, read_picture
 from .people import PeopleFitter
 from .processes import needed_memory, read_in_processes, shared_memory
-from .rows import Column, PeopleRows, people_table
+from .rows import UNREAD, Column, PeopleRows, metadata, people_table
 from .shards import Shards, Tally
 from .sources import PictureSource
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 _AHEAD = 4  # pictures a thread that are decoded before they are asked for
 
@@ -43,7 +41,8 @@ def make_dataset(
         shards: Of ``source.names``.
         fitter: Of the people.
         columns: Of the rows.
-        todo: The shards to make, such as all but ``shards.done()``.
+        todo: The shards to make, such as all but ``shards.done()``; of those that are there, pictures are read again
+            that could not be read.
         threads: Threads that decode pictures while people are fitted.
         processes: Instead, so many processes that cut out those who are known, too.
         told: Called with each picture's name.
@@ -56,15 +55,16 @@ def make_dataset(
     pool = ThreadPoolExecutor(threads, thread_name_prefix="decode")
     workers = ThreadPoolExecutor(fitter.workers, thread_name_prefix="people")
     writer = ThreadPoolExecutor(1, thread_name_prefix="write")
+    left = {index: shards.left(index) for index in todo}
     fitting: deque[tuple[int, Callable[[], PeopleRows]]] = deque()
-    writing: deque[tuple[int, Future[pa.Table]]] = deque()
+    writing: deque[tuple[int, Future[None]]] = deque()
     began = time.perf_counter()
 
     def settle() -> None:
         """Wait for the shard that is being written."""
         while writing:
             index, work = writing.popleft()
-            tally.add(len(shards.pictures(index)), work.result())
+            work.result()
             if written is not None:
                 written(index, tally)
 
@@ -74,16 +74,16 @@ def make_dataset(
         while len(fitting) > ahead:
             index, finish = fitting.popleft()
             rows, before, began = finish(), began, time.perf_counter()
-            about = shards.describe(index) | {"seconds": round(began - before, 3)}
             settle()
-            writing.append((index, writer.submit(_write, shards, index, rows, columns, about)))
+            shard = _Shard(shards, index, left[index], columns, round(began - before, 3))
+            writing.append((index, writer.submit(shard.write, rows, tally)))
 
     try:
         if processes:
-            taken = read_in_processes(source, fitter.cutter, [shards.pictures(index) for index in todo], processes)
+            taken = read_in_processes(source, fitter.cutter, [left[index] for index in todo], processes)
         else:
-            pictures = _read_ahead(source, (name for index in todo for name in shards.pictures(index)), pool, threads)
-            taken = (islice(pictures, len(shards.pictures(index))) for index in todo)
+            pictures = _read_ahead(source, (name for index in todo for name in left[index]), pool, threads)
+            taken = (islice(pictures, len(left[index])) for index in todo)
         for index, each in zip(todo, taken, strict=True):
             fitting.append((index, fitter.begin(workers, each, told)))
             collect(1)
@@ -95,12 +95,28 @@ def make_dataset(
     return tally
 
 
-def _write(
-    shards: Shards, index: int, rows: PeopleRows, columns: Sequence[Column], about: Mapping[str, Any]
-) -> pa.Table:
-    table = people_table(rows, columns, about)
-    shards.write(index, table)
-    return table
+@dataclass(frozen=True)
+class _Shard:
+    """A shard to be written: the names of the pictures that were read for it, and the seconds that this took."""
+
+    shards: Shards
+    index: int
+    read: Sequence[str]
+    columns: Sequence[Column]
+    seconds: float
+
+    def write(self, rows: PeopleRows, tally: Tally) -> None:
+        """Write the rows, with those that are there, and count them."""
+        table = people_table(rows, self.columns, {})
+        again = {table["picture"][row].as_py() for row in rows.unread()}
+        places = [place for place, name in enumerate(self.shards.pictures(self.index)) if printable(name) in again]
+        about = self.shards.describe(self.index) | {"seconds": self.seconds + self.shards.seconds(self.index)}
+        if places:
+            about[UNREAD] = places
+        table = table.replace_schema_metadata(metadata(about))
+        whole = self.shards.completed(self.index, table, self.read)
+        self.shards.write(self.index, whole)
+        tally.add(len(self.read), table, len(places), whole)
 
 
 def source_readers(source: PictureSource, fitter: PeopleFitter, cores: int) -> dict[str, int]:

@@ -1,7 +1,8 @@
 """Shards of a data set: each a Parquet file that appears whole or not at all, and says what it was made of.
 
 ``part-00003-of-00010.parquet`` holds the people of the fourth N pictures. Its schema's metadata has the SHA-256 of
-these pictures' names and of the options, so that a later run knows what is there, and needs no other file.
+these pictures' names and of the options, so that a later run knows what is there, and needs no other file. It also
+numbers the pictures that a passing fault, such as of the disk, kept from being read: a later run reads these again.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import InputError, cause
+from ..errors import InputError, cause, printable
 from ..files.disk import sync
 from ..results.result_sets import scratch_folder
-from .rows import FORMAT, METADATA
+from .rows import FORMAT, METADATA, UNREAD
 from .sources import COUNTED
 
 if TYPE_CHECKING:
@@ -30,23 +31,54 @@ _DIGITS = 5
 
 @dataclass
 class Tally:
-    """Numbers of what a run wrote, of what failed, and of rows with a warning about their annotations."""
+    """Numbers of what a run wrote, and of what failed.
+
+    Attributes:
+        shards: Made, or made whole.
+        pictures: Tried by the run.
+        people: Bodies in their rows.
+        errors: Of their rows, those with an error.
+        unread: Pictures that another run reads again.
+        rows: Of the whole shards, also of pictures that an earlier run read.
+        failures: Of these, rows with an error.
+        first_error: The first row's error with its picture's name.
+        annotations: Rows with a warning about their annotations.
+        first_annotation: The first such warning with its picture's name.
+    """
 
     shards: int = 0
     pictures: int = 0
     people: int = 0
     errors: int = 0
+    unread: int = 0
+    rows: int = 0
+    failures: int = 0
     first_error: str = ""
     annotations: int = 0
     first_annotation: str = ""
 
-    def add(self, pictures: int, table: pa.Table) -> None:
-        """Count a shard of so many pictures, by its columns ``TALLIED``."""
+    @property
+    def failed(self) -> bool:
+        """True if more than half of the shards' rows have an error."""
+        return 2 * self.failures > self.rows
+
+    def add(self, pictures: int, table: pa.Table, unread: int, whole: pa.Table) -> None:
+        """Count a shard.
+
+        Args:
+            pictures: Number of those that were read.
+            table: Their rows, with the columns ``TALLIED``.
+            unread: Number of pictures that another run is to read again.
+            whole: All rows of the shard.
+        """
         faults = table.filter(table["error"].is_valid())
         self.shards += 1
         self.pictures += pictures
         self.people += table.num_rows - table["camera_scale"].null_count
         self.errors += faults.num_rows
+        self.unread += unread
+        self.rows += whole.num_rows
+        self.failures += whole.num_rows - whole["error"].null_count
         if faults.num_rows:
             name, error = (faults[column][0].as_py() for column in ("picture", "error"))
             self.first_error = self.first_error or (error if error.startswith(name) else f"{name}: {error}")
@@ -88,6 +120,17 @@ class Shards:
         """A shard's file."""
         return self.folder / f"part-{index:0{_DIGITS}d}-of-{self.count:0{_DIGITS}d}.parquet"
 
+    def left(self, index: int) -> Sequence[str]:
+        """Names of a shard's pictures that are to be read yet: all, or those that could not be read before.
+
+        Raises:
+            InputError: If the shard is there, but of other pictures or options, or can't be read.
+        """
+        if not self.path(index).exists():
+            return self.pictures(index)
+        unread = set(self._unread(self.path(index), index))
+        return [name for number, name in enumerate(self.pictures(index)) if number in unread]
+
     def describe(self, index: int) -> dict[str, Any]:
         """Metadata of a shard."""
         return {
@@ -101,8 +144,8 @@ class Shards:
             "pictures_sha256": digest(list(self.pictures(index))),
         }
 
-    def done(self) -> set[int]:
-        """Shards that are there.
+    def there(self) -> dict[int, int]:
+        """Shards that are there, each with the number of its pictures that are to be read again.
 
         Raises:
             InputError: If some are there of other pictures or options, or can't be read.
@@ -113,10 +156,14 @@ class Shards:
             if path.name not in mine:
                 told = f"{self.count} shards of {self.size} pictures"
                 raise InputError(f"{path}: of another data set; expected {told} there, or another folder for them")
-            self._check(path, mine[path.name])
-        return {mine[path.name] for path in found}
+        return {mine[path.name]: len(self._unread(path, mine[path.name])) for path in found}
 
-    def _check(self, path: Path, index: int) -> None:
+    def done(self) -> set[int]:
+        """Shards that are there and need no other run; raises as ``there``."""
+        return {index for index, unread in self.there().items() if not unread}
+
+    def _unread(self, path: Path, index: int) -> list[int]:
+        """Numbers of a shard's pictures that are to be read again; checks that it is of this data set."""
         known = read_about(path)
         own = self.describe(index)
         if known.get("options_sha256") != own["options_sha256"]:
@@ -128,12 +175,13 @@ class Shards:
             )
         if known.get("pictures_sha256") != own["pictures_sha256"]:
             raise InputError(f"{path}: of other pictures; expected those of this run, or another folder")
+        return list(known.get(UNREAD, ()))
 
     def write(self, index: int, table: pa.Table) -> None:
         """Write a shard's file, which is then on the disk and whole.
 
         Raises:
-            InputError: If it can't be written; nothing of it is left.
+            InputError: If it can't be written; nothing of it is left, and an earlier file stays.
         """
         import pyarrow.parquet as pq
 
@@ -152,13 +200,41 @@ class Shards:
             room = f"room for shard {index} of {self.count}: the same command goes on there"
             raise InputError(f"{self.folder}: {told}; expected {room}") from error
 
+    def completed(self, index: int, table: pa.Table, read: Sequence[str]) -> pa.Table:
+        """Rows of a shard of which some pictures were read: theirs, and those of the others in its file.
+
+        Raises:
+            InputError: If its file can't be read.
+        """
+        if len(read) == len(self.pictures(index)):
+            return table
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        path = self.path(index)
+        places = {printable(name): number for number, name in enumerate(self.pictures(index))}
+        again = {printable(name) for name in read}
+        try:
+            old = pq.read_table(path)
+        except (OSError, pa.ArrowException) as error:
+            raise InputError(f"{path}: {cause(error)}; expected a whole shard") from error
+        kept = old.filter(pa.array([name not in again for name in old["picture"].to_pylist()], pa.bool_()))
+        rows = pa.concat_tables([kept.replace_schema_metadata(table.schema.metadata), table])
+        order = sorted(range(rows.num_rows), key=[places[name] for name in rows["picture"].to_pylist()].__getitem__)
+        return rows.take(pa.array(order, pa.int64()))
+
+    def seconds(self, index: int) -> float:
+        """Seconds that former runs took for a shard."""
+        path = self.path(index)
+        return float(read_about(path).get("seconds", 0.0)) if path.exists() else 0.0
+
     def count_rows(self, index: int) -> Tally:
         """Numbers of a shard that is there."""
         import pyarrow.parquet as pq
 
         tally = Tally()
         table = pq.read_table(self.path(index), columns=TALLIED)
-        tally.add(len(self.pictures(index)), table)
+        tally.add(len(self.pictures(index)), table, len(self._unread(self.path(index), index)), table)
         return tally
 
 

@@ -76,6 +76,7 @@ class SourcePicture:
         owners: Whom each pixel shows, 1 for the first of ``people``, 0 for nobody, shape (H, W), int32; None: unknown.
             Larger numbers than there are people are of others, such as people without keypoints.
         parts: Part labels, which go before ``owners``; None: unknown.
+        warnings: Sentences about the file.
         faults: People beside ``people``, whose annotations can't be used.
     """
 
@@ -83,6 +84,7 @@ class SourcePicture:
     people: tuple[KnownPerson, ...] | None = None
     owners: torch.Tensor | None = None
     parts: PartLabels | None = None
+    warnings: tuple[str, ...] = ()
     faults: tuple[FaultyPerson, ...] = ()
 
     @property
@@ -116,6 +118,10 @@ class PictureSource(Protocol):
     @property
     def digest(self) -> str | None:
         """SHA-256 of what people are known from; None where all are found."""
+
+    @property
+    def left_out(self) -> str:
+        """A line that counts files which are no pictures; "" without any."""
 
     @property
     def finds(self) -> bool:

@@ -21,13 +21,14 @@ from ..errors import InputError
 from ..inputs.agreement import LIMBS
 from .histograms import Histogram
 from .reading import Address, PeopleFiles
+from .rows import UNREAD
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 _BODY = "camera_scale"  # a small column that all bodies have, and nothing else
 _COUNTED = ("picture", "person", "error", "warnings", _BODY)
-_OF_ONE_SHARD = ("shard", "pictures", "pictures_sha256", "seconds")
+_OF_ONE_SHARD = ("shard", "pictures", "pictures_sha256", "seconds", UNREAD)
 _MOST_KINDS = 300
 _NAMES = sorted({*PART_NAMES, *label_set("body14").group_names, *label_set("lsp6").group_names, *LIMBS}, key=len)
 _NAME = "|".join(name.replace("_", "[_ ]") for name in reversed(_NAMES))

@@ -63,9 +63,11 @@ seen, the column warnings says so.
 
 **Results**: part-00000-of-00010.parquet, ..., each with the people of so many pictures (--shard), whole or not there.
 The same command again makes those that are missing, so a run may be killed at any time; options that differ are
-refused. Machines that share a disk share the work: `--share 0/4` to `--share 3/4`, or `--ray ADDRESS` of a Ray cluster
+refused. It also reads pictures again that could not be read from the disk (missing, no permission, an outage).
+Machines that share a disk share the work: `--share 0/4` to `--share 3/4`, or `--ray ADDRESS` of a Ray cluster
 (install .[ray]), which gives each shard to one of its processes and starts dead ones anew. A picture that can't be
-read, or shows nobody, is a row, too: columns error and people.
+read, or shows nobody, is a row, too: columns error and people. If more than half of the rows in a run's shards have an
+error, its exit code is 1. Files that are no pictures are counted on stderr.
 
 **To read them**, nothing of this package is needed; lists are flat, and the fields' metadata have shapes and names:
 
@@ -271,8 +273,11 @@ def dataset(
     half = cluster.ray is None and multiplies_bfloat16(where)  # machines of a cluster may differ, its rows may not
     check_folder(out)
     shards = Shards(out, source.names, parts.shard, how.record(view, source, keypoint_format, half=half))
-    done = shards.done()
+    there = shards.there()
+    done = {index for index, unread in there.items() if not unread}
     todo = [index for index in parts.mine(shards.count) if index not in done]
+    if source.left_out:
+        typer.echo(f"partdr: {source.left_out}", err=True)
     if not todo:
         typer.echo(f"{out} has {len(done)} of {shards.count} shards; nothing to do")
         return
@@ -304,7 +309,8 @@ class _Work:
         from .progress import PictureProgress
 
         source, shards = self.source, self.shards
-        total = sum(len(shards.pictures(index)) for index in self.todo)
+        left = {index: len(shards.left(index)) for index in self.todo}
+        total = sum(left.values())
         with PictureProgress(total) as progress:
             if self.done:
                 progress.say(f"{self.done} of {shards.count} shards are there; going on")
@@ -312,11 +318,11 @@ class _Work:
 
             def written(index: int, tally: Tally) -> None:
                 if cluster.ray is not None:
-                    progress(shards.path(index).name, len(shards.pictures(index)))
+                    progress(shards.path(index).name, left[index])
                 if not progress.console.is_terminal:  # where no bar is seen
                     speed = tally.pictures / (time.perf_counter() - started)
-                    left = (total - tally.pictures) / speed
-                    progress.say(f"{shards.path(index).name}: {speed:.1f} pictures a second, {left / 60:.0f} min to go")
+                    minutes = (total - tally.pictures) / speed / 60
+                    progress.say(f"{shards.path(index).name}: {speed:.1f} pictures a second, {minutes:.0f} min to go")
 
             try:
                 if cluster.ray is not None:
@@ -335,7 +341,7 @@ class _Work:
                     how |= source_readers(source, fitter, get_num_threads())
                     tally = make_dataset(source, shards, fitter, columns(source.skeleton, detailed), **how)
             except KeyboardInterrupt:
-                there = f"{len(shards.done())} of {shards.count} shards"
+                there = f"{len(shards.there())} of {shards.count} shards"
                 progress.say(f"partdr: stopped; {shards.folder} has {there}, the same command goes on")
                 raise
             seconds = time.perf_counter() - started
@@ -345,7 +351,8 @@ class _Work:
 def _tell(tally: Tally, shards: Shards, seconds: float, where: str) -> None:
     speeds = f"{tally.people / seconds:.1f} people, {tally.pictures / seconds:.1f} pictures a second, {where}"
     typer.echo(f"{say_people(tally.people)} in {tally.pictures} pictures; {speeds}")
-    typer.echo(f"{shards.folder} has {len(shards.done())} of {shards.count} shards")
+    there = shards.there()
+    typer.echo(f"{shards.folder} has {len(there)} of {shards.count} shards")
     if tally.errors:
         rows = f"{tally.errors} row{'s' * (tally.errors > 1)}"
         typer.echo(f"partdr: warning: {rows} with an error, first {tally.first_error}", err=True)
@@ -354,6 +361,12 @@ def _tell(tally: Tally, shards: Shards, seconds: float, where: str) -> None:
         typer.echo(
             f"partdr: warning: {rows} with a warning about annotations, first {tally.first_annotation}", err=True
         )
+    if tally.unread:
+        pictures = f"{tally.unread} picture{'s' * (tally.unread > 1)}"
+        typer.echo(f"partdr: warning: {pictures} could not be read; the same command tries again", err=True)
+    if tally.failed:
+        typer.echo(f"partdr: {tally.failures} of {tally.rows} rows have an error", err=True)
+        raise typer.Exit(1)
 
 
 def _name_or_sha256(given: str) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument, Option
 
-from ..errors import InputError, cause, install_command
+from ..errors import InputError, cause, install_command, printable
 from ..files.disk import file_sha256
 from .options import BodyFormat, check_further, say_people
 from .register import MODEL_HELP, read_model
@@ -181,7 +181,8 @@ def _reader(pictures: Path | None, images: Path | None) -> tuple[Callable[[str],
     from ..bulk.opening import open_source
 
     source = open_source(pictures, images)
-    return lambda name: source.read(name).pixels, ""
+    names = {printable(name): name for name in source.names}  # rows hold the printable ones
+    return lambda name: source.read(names.get(name, name)).pixels, ""
 
 
 def _made_with(files: PeopleFiles) -> str | None:

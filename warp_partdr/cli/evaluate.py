@@ -64,8 +64,15 @@ def folder(
     Without --labels, labels.json in the folder says what the part labels are.
     """
     from ..evaluation.datasets import read_folder
+    from ..inputs.photo_files import LeftOut
 
-    _evaluate(read_folder(path, _label_set(labels)), options)
+    _check_counts(limit=options.limit)
+
+    left_out = LeftOut()
+    people = list(islice(read_folder(path, _label_set(labels), left_out), options.limit))
+    if left_out:
+        typer.echo(f"partdr: {left_out}", err=True)
+    _evaluate(people, options)
 
 
 def h36m(

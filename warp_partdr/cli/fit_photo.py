@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import InputError, told_as
-from ..inputs.part_labels import read_photo
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
-from .options import CameraOptions, PhotoFiles
+from .options import CameraOptions, PhotoFiles, read_shown_photo
 from .register import read_model
 
 if TYPE_CHECKING:
@@ -42,7 +41,7 @@ def fit_everyone(
     if files.parts is not None:
         raise InputError(f"--parts: {files.parts}, without --keypoints; expected them with it")
     files.networks.check("--keypoints")
-    picture = read_photo(photo)
+    picture = read_shown_photo(photo)
 
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads

@@ -7,13 +7,14 @@ import contextlib
 import gc
 import os
 import sys
+from io import TextIOWrapper
 from typing import Annotated, Any
 
 import typer
 from typer import Option
 
 from .. import __version__
-from ..errors import InputError
+from ..errors import InputError, printable
 from .bench import bench
 from .dataset import DATASET_HELP, dataset
 from .dataset_files import EXPORT_HELP, REPORT_HELP, export, report
@@ -66,6 +67,9 @@ app.add_typer(bench, name="bench")
 
 def main() -> None:
     """Run the command; bad input is one line on stderr and exit code 2."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # names of files need not be Unicode
+            stream.reconfigure(errors="backslashreplace")
     try:
         code = app(sys.argv[1:] or ["--help"], prog_name="partdr", standalone_mode=False)
     except InputError as error:
@@ -94,5 +98,5 @@ def run() -> None:
 
 
 def _complain(message: str) -> int:
-    typer.echo(f"partdr: {' '.join(message.split())}", err=True)
+    typer.echo(f"partdr: {printable(' '.join(message.split()))}", err=True)
     return 2

@@ -16,10 +16,20 @@ from ..errors import InputError, shown
 from ..files.sections import read_toml, set_value
 from ..inputs.keypoint_files import keypoint_file, read_keypoints
 from ..inputs.keypoints import choose_person
-from ..inputs.part_labels import PhotoFile, check_sizes, read_focal, read_labelled_parts, read_photo, told_focal
+from ..inputs.part_labels import (
+    PhotoFile,
+    check_sizes,
+    photo_warnings,
+    read_focal,
+    read_labelled_parts,
+    read_photo,
+    told_focal,
+)
 from ..inputs.person import PersonInputs, check_inside
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from ..cameras import Perspective
 
 EXIF, NO_CAMERA = "exif", "none"  # values of --focal beside numbers
@@ -107,6 +117,14 @@ def say_people(count: int) -> str:
     return "1 person" if count == 1 else f"{count} people"
 
 
+def read_shown_photo(photo: Path) -> np.ndarray:
+    """A photo's picture, as of ``read_photo``; warnings about its file go to stderr."""
+    picture = read_photo(photo)
+    for warning in photo_warnings(photo):
+        echo(f"partdr: warning: {photo}: {warning}", err=True)
+    return picture
+
+
 @dataclass(frozen=True)
 class PersonFiles:
     """Options for the files of one person."""
@@ -131,7 +149,7 @@ class PersonFiles:
     def read(self, photo: Path | None) -> PersonInputs:
         """The person, and the picture if there is one; an InputError if the files don't fit each other."""
         keypoints = self.keypoint_file(photo)
-        picture = None if photo is None else read_photo(photo)
+        picture = None if photo is None else read_shown_photo(photo)
         parts = read_labelled_parts(self.parts, self.labels)
         groups = None if parts is None else parts.groups
         sizes = [None if seen is None else seen.shape[:2] for seen in (picture, groups)]

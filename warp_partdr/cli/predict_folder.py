@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from ..errors import printable
 from ..inputs.part_labels import read_photo
+from ..inputs.photo_files import LeftOut
 from .options import CameraOptions, people_at_a_time, say_people
 
 if TYPE_CHECKING:
@@ -39,7 +41,10 @@ def predict_folder(
     from ..body.labels import label_set
     from ..evaluation.datasets import read_folder
 
-    samples = list(read_folder(folder, None if labels is None else label_set(labels)))
+    left_out = LeftOut()
+    samples = list(read_folder(folder, None if labels is None else label_set(labels), left_out))
+    if left_out:
+        typer.echo(f"partdr: {left_out}", err=True)
     cameras = [_camera(view, sample) for sample in samples]
 
     from ..inputs.evidence import weigh_evidence
@@ -59,7 +64,7 @@ def predict_folder(
     reading = predicting = 0.0
     first, _ = observe(samples[0].keypoints, samples[0].parts, others=samples[0].others, device=where)
     predict_bodies([first], model)  # what is set up once counts for no speed
-    names = [{"file": f"{sample.name}.npz", "picture": _file(sample).name} for sample in samples]
+    names = [{"file": f"{sample.name}.npz", "picture": printable(_file(sample).name)} for sample in samples]
     report: dict[str, Any] = {"network": None if network is None else str(network), "people": names}
     with PictureProgress(len(samples)) as progress, replacing(out, PREDICTIONS_REPORT, report) as temporary:
         for start in range(0, len(samples), together):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import typer
 
-from ..errors import InputError
-from ..inputs.films import check_pyav, film_facts, is_film, is_photo
-from ..inputs.part_labels import PHOTO_SUFFIXES, read_photo
+from ..errors import InputError, printable
+from ..inputs.films import FILM_SUFFIXES, check_pyav, film_facts, is_film
+from ..inputs.part_labels import photo_warnings, read_photo
+from ..inputs.photo_files import PHOTO_SUFFIXES, LeftOut, is_hidden_name, photos_among
 from .options import EXIF, CameraOptions, check_person, check_score, people_at_a_time, say_people
 
 if TYPE_CHECKING:
@@ -57,6 +59,11 @@ class _Source:
     def film(self) -> bool:
         return is_film(self.path)
 
+    @property
+    def file(self) -> str:
+        """The file's name as reports have it."""
+        return printable(self.path.name)
+
 
 @dataclass
 class _Seen:
@@ -82,7 +89,10 @@ def predict_found(
         view: The camera.
         choice: Whom to take.
     """
-    sources = _sources(paths)
+    left_out = LeftOut()
+    sources = _sources(paths, left_out)
+    if left_out:
+        typer.echo(f"partdr: {left_out}", err=True)
     total = _count(sources)
     _check_view(view, sources)
 
@@ -146,6 +156,8 @@ class _Run:
         for source in sources:
             try:
                 held.append((source, read_photo(source.path)))
+                for warning in photo_warnings(source.path):
+                    self.progress.say(f"partdr: warning: {source.path}: {warning}")
             except InputError as error:
                 self._fail(source, error)
                 self.progress(source.path.name)
@@ -213,7 +225,7 @@ class _Run:
                 self.people.append(
                     {
                         "file": file,
-                        "film": source.path.name,
+                        "film": source.file,
                         "track": number,
                         "score": round(float(rows["scores"].mean()), 3),
                         "frames": len(rows),
@@ -275,15 +287,15 @@ class _Run:
             box = [round(float(edge), 1) for edge in seen.row["boxes"][0]]
             score = round(float(seen.row["scores"][0]), 3)
             self.people.append(
-                {"file": file, "picture": seen.source.path.name, "person": seen.number, "score": score, "box": box}
+                {"file": file, "picture": seen.source.file, "person": seen.number, "score": score, "box": box}
             )
 
     def _nobody(self, source: _Source, told: str) -> None:
-        self.empty.append(source.path.name)
+        self.empty.append(source.file)
         self._tell(f"{source.path}: {told}")
 
     def _fail(self, source: _Source, error: InputError) -> None:
-        self.failed.append(source.path.name)
+        self.failed.append(source.file)
         self._tell(str(error) if str(error).startswith(str(source.path)) else f"{source.path}: {error}")
 
     def _tell(self, line: str) -> None:
@@ -294,31 +306,37 @@ class _Run:
             self.progress.say(f"partdr: {line}")
 
 
-def _sources(paths: Sequence[Path]) -> list[_Source]:
+def _sources(paths: Sequence[Path], left_out: LeftOut) -> list[_Source]:
     """Photos and films, those of folders by name; two of one name are told apart by their endings."""
     files: dict[Path, None] = {}
     for path in paths:
         if path.is_dir():
-            there = [each for each in sorted(path.iterdir()) if _is_picture(each)]
+            there = _pictures(path, left_out)
             if not there:
-                raise InputError(
-                    f"{path}: no photos or films in it; expected some: {', '.join(PHOTO_SUFFIXES)}, .mp4 ..."
-                )
+                told = f"no photos or films in it{f' ({left_out})' if left_out else ''}"
+                raise InputError(f"{path}: {told}; expected some: {', '.join(PHOTO_SUFFIXES)}, .mp4 ...")
             files |= dict.fromkeys(there)
-        elif path.is_file():
+        elif os.path.lexists(path):  # a pipe, too, which reading it tells
             files[path] = None
         else:
             raise InputError(f"{path}: No such file or folder; expected a photo, a film, or a folder of them")
     stems = Counter(path.stem for path in files)
-    sources = [_Source(path, path.stem if stems[path.stem] == 1 else path.name) for path in files]
+    sources = [_Source(path, printable(path.stem if stems[path.stem] == 1 else path.name)) for path in files]
     for name, count in Counter(source.name for source in sources).items():
         if count > 1:
             raise InputError(f"{name}: in two of the folders; expected different names, or one folder at a time")
     return sources
 
 
-def _is_picture(path: Path) -> bool:
-    return path.is_file() and not path.name.startswith(".") and (is_photo(path) or is_film(path))
+def _pictures(folder: Path, left_out: LeftOut) -> list[Path]:
+    """Photos and films in a folder, but not in folders in it."""
+    names: list[str] = []
+    for each in sorted(folder.iterdir()):
+        if not each.is_dir():
+            names.append(each.name)
+        elif not is_hidden_name(each.name):
+            left_out.count("folder", "folders are not searched")
+    return [folder / name for name in photos_among(names, left_out, FILM_SUFFIXES)]
 
 
 def _count(sources: Iterable[_Source]) -> int | None:

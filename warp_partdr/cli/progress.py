@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -15,6 +16,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.text import Text
+
+from ..errors import printable
 
 _SPEED_OVER = 20.0  # [s] of which rate and remaining time are measured
 
@@ -60,11 +63,11 @@ class PictureProgress(Progress):
 
     def __call__(self, name: str, count: int = 1) -> None:
         """Show that ``count`` more have passed, the last of them from the file ``name``."""
-        self.update(self._task, description=name, advance=count)
+        self.update(self._task, description=escape(printable(name)), advance=count)
 
     def say(self, line: str) -> None:
         """Print a line on stderr, above the bar."""
-        self.console.print(line, markup=False, highlight=False, soft_wrap=True)
+        self.console.print(printable(line), markup=False, highlight=False, soft_wrap=True)
 
 
 class _Rate(ProgressColumn):

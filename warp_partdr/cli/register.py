@@ -11,7 +11,7 @@ import typer
 from typer import Argument, Option
 
 from ..errors import InputError
-from .options import BodyFormat, DeviceOption, LabelsOption, OutOption, check_further
+from .options import BodyFormat, DeviceOption, LabelsOption, OutOption, check_further, read_shown_photo
 
 if TYPE_CHECKING:
     import numpy as np
@@ -75,10 +75,10 @@ def register_body(
 ) -> None:
     """Register a detailed model; see ``REGISTER_HELP``."""
     from ..fit.given_files import is_given
-    from ..inputs.part_labels import check_sizes, read_labelled_parts, read_photo
+    from ..inputs.part_labels import check_sizes, read_labelled_parts
     from ..results.body_file import BODY_ARRAYS, load_body
 
-    picture = None if photo is None else read_photo(photo)
+    picture = None if photo is None else read_shown_photo(photo)
     image = read_labelled_parts(parts, labels)
     formats = check_further(to)
     if is_given(body):

@@ -13,6 +13,7 @@ import torch
 
 from ..errors import InputError, cause
 from ..files.array_files import MAX_BYTES, read_npz
+from ..files.disk import check_regular
 from .anny import anny
 from .mhr import mhr_model
 from .model import DetailedModel
@@ -81,6 +82,7 @@ def _read_safetensors(path: Path, names: tuple[str, ...], expected: str) -> dict
     from safetensors import SafetensorError, safe_open
 
     try:
+        check_regular(path)
         if (size := path.stat().st_size) > MAX_BYTES:
             raise InputError(f"{path}: {size / 1e9:.1f} GB; expected {expected}, at most {MAX_BYTES / 1e9:.1f} GB")
         with safe_open(path, framework="numpy") as file:

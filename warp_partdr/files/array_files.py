@@ -12,6 +12,7 @@ from typing import IO, Any
 import numpy as np
 
 from ..errors import InputError
+from .disk import check_regular
 
 MAX_BYTES = 1 << 30  # of a file's arrays when unpacked, unless a reader says otherwise
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -69,6 +70,8 @@ def read_npy(path: str | Path, *, expected: str, check: Callable[[Header], None]
 def _guarded(path: str | Path | Traversable, read: Callable[[IO[bytes]], Any], expected: str) -> Any:
     """Call ``read`` on the file; whatever goes wrong becomes an InputError."""
     try:
+        if isinstance(path, str | Path):
+            check_regular(path)
         with (Path(path) if isinstance(path, str) else path).open("rb") as file:
             return read(file)
     except InputError:

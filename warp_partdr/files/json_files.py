@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
+from .disk import check_regular
 
 
 def read_json(path: str | Path, expected: str) -> Any:
@@ -16,6 +17,7 @@ def read_json(path: str | Path, expected: str) -> Any:
         InputError: If it can't be read, or as ``parse_json``.
     """
     try:
+        check_regular(path)
         text = Path(path).read_text(encoding="utf-8-sig")  # some programs of Windows begin with a byte order mark
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}; expected {expected}") from error

@@ -17,6 +17,7 @@ import numpy as np
 import yaml
 
 from ..errors import InputError, cause, shown
+from .disk import check_regular
 from .json_files import parse_json
 
 _MATRICES = ("opencv-matrix", "opencv-nd-matrix")
@@ -83,6 +84,7 @@ def read_opencv(path: str | Path, expected: str = _EXPECTED) -> dict[str, Any]:
         InputError: If it can't be read, is of another form, or has a key twice.
     """
     try:
+        check_regular(path)
         data = Path(path).read_bytes()
         text = data.decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:

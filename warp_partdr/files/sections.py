@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from ..errors import InputError, shown
+from .disk import check_regular
 
 Section = TypeVar("Section")
 
@@ -22,6 +23,8 @@ def read_toml(path: Path | Traversable, name: str, expected: str) -> dict[str, A
         InputError: If it can't be read, or is no TOML.
     """
     try:
+        if isinstance(path, Path):
+            check_regular(path)
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(f"{name}: {error.strerror or error}; expected {expected}") from error

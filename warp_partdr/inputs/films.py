@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
@@ -16,7 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError, cause, install_command
-from .part_labels import LARGEST_PICTURE, PHOTO_SUFFIXES, read_photo
+from ..files.disk import check_regular
+from .part_labels import LARGEST_PICTURE, read_photo
+from .photo_files import PHOTO_SUFFIXES, ending_of
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -60,7 +61,7 @@ class FilmFacts:
 
 def is_film(path: str | Path) -> bool:
     """True if a file's name ends like that of a film."""
-    return os.path.splitext(path)[1].lower() in FILM_SUFFIXES  # asked for each picture, where Path takes long
+    return ending_of(str(path)) in FILM_SUFFIXES
 
 
 def check_pyav(path: str | Path) -> None:
@@ -215,7 +216,7 @@ def scaled(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def is_photo(path: str | Path) -> bool:
     """True for a photo, which libav would read, too, but not turn as its EXIF data say where they mirror it."""
-    return Path(path).suffix.lower() in PHOTO_SUFFIXES
+    return ending_of(str(path)) in PHOTO_SUFFIXES
 
 
 @contextmanager
@@ -224,9 +225,8 @@ def _opened(path: str | Path) -> Iterator[tuple[InputContainer, VideoStream]]:
     check_pyav(path)
     import av
 
-    if not Path(path).is_file():  # libav would take addresses, too
-        raise InputError(f"{path}: No such file; expected a film")
     try:
+        check_regular(path)  # libav would take addresses, too
         with av.open(str(Path(path).resolve())) as container:
             if not container.streams.video:
                 raise InputError(f"{path}: no pictures in it; expected a film")

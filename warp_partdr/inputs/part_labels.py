@@ -15,6 +15,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -25,6 +26,8 @@ import numpy as np
 from ..body.labels import BACKGROUND, IGNORE, LABEL_SETS, LabelSet, label_set
 from ..errors import InputError, cause
 from ..files.array_files import Header, read_npy
+from ..files.disk import check_regular
+from .photo_files import RAW_SUFFIXES, ending_of, foreign_format, is_heif
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -33,7 +36,13 @@ PhotoFile = str | Path | BytesIO  # of a picture; one in memory is called ``str`
 
 # [px], of a photo or label image: 134 megapixels, which fit in memory with all that is made of them.
 LARGEST_PICTURE = 2**27
-PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")  # of files that are taken for photos
+
+# Of files that may hold several pictures of equal rank. Those beside a phone's or camera's own, in JPEG, are smaller
+# copies and depth maps.
+_OF_SEVERAL = (".gif", ".png", ".apng", ".webp", ".tif", ".tiff", ".avif", ".avifs", ".heic", ".heif", ".hif")
+_HEAD = 256  # bytes of a file that tell its format
+_DNG_VERSION = 50706  # tag of TIFF that a raw photo has
+_DEVELOPED = "it developed, such as to JPEG"
 
 _FILM_DIAGONAL = math.hypot(36.0, 24.0)  # [mm]
 _CUT = 0.01  # change of the sides' ratio that says a photo was cut
@@ -111,7 +120,9 @@ def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | 
 
 
 def read_photo(path: PhotoFile) -> np.ndarray:
-    """Read a picture, turned upright by its EXIF data, shape (H, W, 3), uint8.
+    """Read a picture, turned upright by its EXIF data, shape (H, W, 3), uint8; of several in a file, the first.
+
+    Pillow reads it, HEIC with pillow-heif (the extra "heic"), whatever the file's ending is.
 
     Raises:
         InputError: If the file can't be read, or the picture is larger than 2**27 pixels.
@@ -124,6 +135,18 @@ def read_photo(path: PhotoFile) -> np.ndarray:
         if upright.mode.startswith("I"):  # 16-bit gray, of which PIL would make all but the darkest white
             upright = Image.fromarray((np.asarray(upright) >> 8).clip(0, 255).astype(np.uint8))
         return np.array(upright if upright.mode == "RGB" else upright.convert("RGB"))
+
+
+def photo_warnings(path: PhotoFile) -> tuple[str, ...]:
+    """A sentence if there are several pictures in a photo's file, such as in an animated GIF; else none."""
+    if ending_of(str(path)) not in _OF_SEVERAL:
+        return ()
+    try:
+        with _opened(path, "a picture") as image:
+            count = int(getattr(image, "n_frames", 1))
+    except InputError:  # which reading it tells
+        return ()
+    return (f"{count} pictures in the file; the first is taken",) if count > 1 else ()
 
 
 def scan_photo(path: PhotoFile) -> tuple[int, int]:
@@ -202,7 +225,7 @@ def _opened(path: PhotoFile, expected: str) -> Iterator[Image.Image]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # PIL's, of large pictures and odd metadata
-            with Image.open(path) as image:
+            with _open_image(path) as image:
                 _check_pixels(path, image.width * image.height)
                 yield image
     except InputError:
@@ -210,8 +233,46 @@ def _opened(path: PhotoFile, expected: str) -> Iterator[Image.Image]:
     except Image.DecompressionBombError as error:
         _check_pixels(path, 2 * (Image.MAX_IMAGE_PIXELS or 0) + 1)
         raise InputError(f"{path}: {cause(error)}; expected {expected}") from error
-    except (OSError, ValueError, SyntaxError, MemoryError) as error:
+    except Exception as error:  # of many kinds: each of Pillow's formats has its own for a damaged file
         raise InputError(f"{path}: {cause(error)}; expected {expected}") from error
+
+
+def _open_image(path: PhotoFile) -> Image.Image:
+    """Open a picture by Pillow, which learns HEIF when the first one comes.
+
+    Raises:
+        InputError: If it is of a format that is known, but can't be read here.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    if not isinstance(path, BytesIO):
+        check_regular(path)
+    if ending_of(str(path)) in RAW_SUFFIXES:  # in which Pillow finds a thumbnail
+        raise InputError(f"{path}: a raw photo; expected {_DEVELOPED}")
+    try:
+        image: Image.Image = Image.open(path)
+    except UnidentifiedImageError as error:
+        head = _head(path)
+        if is_heif(head) and find_spec("pillow_heif") is not None:
+            from pillow_heif import register_heif_opener
+
+            register_heif_opener()
+            return Image.open(path)
+        if (known := foreign_format(head)) is None:
+            raise
+        told = f"{path}: {known.name}; expected {known.expected}"
+        raise InputError(told) from (ModuleNotFoundError(known.library) if known.library else error)
+    if image.format == "TIFF" and _DNG_VERSION in image.tag_v2:  # type: ignore[attr-defined]  # of TIFF
+        image.close()
+        raise InputError(f"{path}: a raw photo; expected {_DEVELOPED}")
+    return image
+
+
+def _head(path: PhotoFile) -> bytes:
+    if isinstance(path, BytesIO):
+        return path.getvalue()[:_HEAD]
+    with open(path, "rb") as file:
+        return file.read(_HEAD)
 
 
 def _check_pixels(path: PhotoFile, pixels: int) -> None:

@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeVar
 import torch
 
 from ..errors import InputError, cause
+from ..files.disk import check_regular
 from ..files.json_files import parse_json
 from ..files.sections import read_section
 from .ellipbodynet import EllipBodyNet, EllipBodyNetConfig
@@ -70,6 +71,7 @@ class NetworkFiles(Generic[Network, Config]):
         from safetensors import SafetensorError, safe_open
 
         try:
+            check_regular(path)
             if Path(path).stat().st_size > MAX_BYTES:
                 raise InputError(f"{path}: more than {MAX_BYTES >> 20} MiB; expected {self.expected}")
             with safe_open(path, framework="pt") as file:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
-from ..files.disk import file_sha256
+from ..files.disk import check_regular, file_sha256
 
 REPORTS = "report.json", "registration.json", "predictions.json", "people.json"
 FIT_REPORT, REGISTRATION_REPORT, PREDICTIONS_REPORT, PEOPLE_REPORT = REPORTS
@@ -202,6 +202,7 @@ def _named(report: Path) -> dict[str, str]:
         InputError: If it is no JSON: it may have been a set's.
     """
     try:
+        check_regular(report)
         data = json.loads(report.read_bytes())
     except (FileNotFoundError, NotADirectoryError):
         return {}
