@@ -21,14 +21,14 @@ def square_across(velocity: wp.vec3, middle: wp.vec3):
 def weigh_slides(
     seen: wp.array4d[wp.vec3],  # (P, T, V, F) in each camera's frame [m]
     shown: wp.array3d[wp.bool],  # (P, T, V) who is seen where
-    rates: wp.array[float],  # (P,) frames a second
+    rates: wp.array2d[float],  # (P, T - 1) 1 over the time from each frame to the next [1/s]
     odds: wp.vec2,  # logarithm of those that a point at rest stands, and how much of it each m^2/s^2 takes
     costs: wp.array3d[float],  # (P, T - 1, F) [m^2/s^2]  OUTPUT
     forces: wp.array3d[wp.vec3],  # (P, T - 1, F) gradients of costs at the later frame in view 0 [m/s^2]  OUTPUT
 ):
     """One thread a point between two frames."""
     p, t, f = wp.tid()
-    rate = rates[p]
+    rate = rates[p, t]
     across = float(-1.0)  # in the view that sees it fastest; below 0: none sees it
     for v in range(seen.shape[2]):
         if shown[p, t, v] and shown[p, t + 1, v]:

@@ -14,17 +14,22 @@ from .motion_scene import PlottedMotion
 from .recording import MOST, RATE, write
 
 _SMOOTH = 60.0  # pictures a second of an .mp4, at most
+_ROUNDED = 0.25  # of a frame, by which times may be rounded
 
 
 class MotionPictures(Sequence[np.ndarray]):
-    """Pictures of every so many frames, each drawn when it is asked for."""
+    """Pictures of every so many frames of an even film, each drawn when it is asked for."""
 
     def __init__(self, scene: PlottedMotion, step: int, progress: Progress) -> None:
-        self._scene, self._step, self._progress = scene, step, progress
+        self._scene, self._progress = scene, progress
+        saved = scene.state.saved
+        times = np.arange(0, round(float(saved.times[-1]) * saved.rate) + 1, step) / saved.rate
+        # Of each time the frame that is shown then; containers round times.
+        self._frames = (np.searchsorted(saved.times, times + _ROUNDED / saved.rate, side="right") - 1).tolist()
 
     def __len__(self) -> int:
         """Their number."""
-        return -(-self._scene.state.count // self._step)
+        return len(self._frames)
 
     @overload
     def __getitem__(self, index: SupportsIndex) -> np.ndarray: ...
@@ -35,7 +40,7 @@ class MotionPictures(Sequence[np.ndarray]):
         places = range(len(self))[index]
         if isinstance(places, range):
             return [self[place] for place in places]
-        self._scene.state.go(places * self._step)
+        self._scene.state.go(self._frames[places])
         self._scene.update()
         self._progress("recording", places + 1, len(self))
         return self._scene.screenshot()
@@ -47,7 +52,8 @@ def record_motion(scene: PlottedMotion, path: Path, progress: Progress) -> int:
     if path.suffix == ".mp4":
         step = math.ceil(rate / _SMOOTH - 1e-6)
     else:
-        step = max(round(rate / RATE), -(-scene.state.count // MOST), 1)
+        count = round(float(scene.state.saved.times[-1]) * scene.state.saved.rate) + 1
+        step = max(round(rate / RATE), -(-count // MOST), 1)
     pictures = MotionPictures(scene, step, progress)
     write(pictures, path, rate / step)
     return len(pictures)

@@ -71,10 +71,10 @@ class ViewPictures:
         return draw_bodies(self._background(place), state.bodies(), state.saved.motions, seen, people)
 
     def _background(self, place: int) -> np.ndarray:
-        reader = self._readers[place]
-        if reader is not None and self.over_film:
+        reader, number = self._readers[place], self.state.saved.views[place].number(self.state.frame)
+        if reader is not None and number is not None and self.over_film:
             try:
-                return reader.picture(self.state.frame)
+                return reader.picture(number)
             except InputError as error:
                 self._readers[place] = None  # it is not tried at each frame
                 self.fault = str(error)

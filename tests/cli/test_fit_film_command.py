@@ -65,6 +65,20 @@ def test_a_film_s_people_become_motions(run: Run, film: Path) -> None:
     assert np.abs(pictures[3].astype(int) - np.asarray(photo(256))[:256, : pictures[3].shape[1]]).max() > 60
 
 
+def test_a_film_that_lost_frames_is_told_once_and_right_in_time(run: Run, film: Path) -> None:
+    write_film(film, [np.asarray(photo(256))] * 6, rate=20, times=[0, 1, 2, 3, 9, 10])
+    code, said, complaint = run(f"fit stand.mp4 --out out {QUICK}")
+    assert code == 0
+    (told,) = complaint.splitlines()
+    assert told.startswith(
+        "partdr: warning: stand.mp4: frames missing after 0.15 s (steps of up to 0.30 s, 0.050 s is "
+    )
+    assert "person0: frames 0 to 5, seen in 6" in said
+    np.testing.assert_allclose(load_film_bodies("out/person0.npz").rows["times"][-2:], [0.45, 0.5])
+    assert "Frames: 11\nFrame Time: 0.0500000\n" in Path("out/person0.bvh").read_text()
+    np.testing.assert_allclose([frame.time for frame in read_frames("out/overlay.mp4")][-2:], [0.45, 0.5], atol=1e-4)
+
+
 def test_a_film_that_breaks_off_is_fitted_as_far_as_it_goes(run: Run, film: Path) -> None:
     write_film(film, [np.asarray(photo(256))] * 30)
     data = bytearray(film.read_bytes())

@@ -43,6 +43,20 @@ def two(far: int = 0) -> Image.Image:
     return wide
 
 
+def test_an_avi_whose_recorder_dropped_frames_is_whole(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_film(Path("a.avi"), [np.asarray(photo(256))] * 5, rate=10, times=[0, 1, 2, 5, 6])
+    code, said, complaint = run("predict a.avi --out out --device cpu")
+    assert code == 0
+    assert said.startswith("1 person in 5 frames; ")
+    assert complaint.startswith("partdr: warning: a.avi: frames missing after 0.20 s (steps of up to 0.30 s, ")
+    (person,) = json.loads(Path("out", "predictions.json").read_text())["people"]
+    assert (person["first_time"], person["last_time"]) == (0.0, 0.6)
+    np.testing.assert_allclose(load_film_bodies("out/a.person0.npz").rows["times"], [0.0, 0.1, 0.2, 0.5, 0.6])
+
+
 def test_a_photo_is_enough(run: Run) -> None:
     two().save("both.jpg", quality=95)
     code, said, complaint = run("predict both.jpg --out out --device cpu")

@@ -107,6 +107,27 @@ def test_cameras_of_another_unit_size_and_order_are_told(run: Run, films: int) -
     ]
 
 
+def test_films_of_other_rates_are_matched_by_time(run: Run, films: int) -> None:
+    """The person goes to the right; by their numbers, frames would show the person where nobody can be."""
+    picture = Image.open(EXAMPLE / "photo.png").convert("RGB")
+    picture = picture.resize((picture.width * SIDE // picture.height, SIDE))
+    shift, speed = round(FOCAL * BESIDE / AWAY), 120  # [px], [px/s]
+    wide = np.pad(np.asarray(picture), [(0, 0), (shift + speed, shift + speed), (0, 0)], mode="edge")
+    for name, start, ticks in (("left", 0, [0, 6, 12, 18, 24, 30]), ("right", shift, [0, 3, 6, 9, 12, 19, 24, 31])):
+        edges = [speed + start - round(speed * tick / 60) for tick in ticks]
+        pictures = [np.ascontiguousarray(wide[:, edge : edge + films]) for edge in edges]
+        write_film(Path(f"{name}.mp4"), pictures, rate=60, times=ticks)
+    code, said, complaint = run(f"scene left.mp4 right.mp4 --cameras rig.json --out out {QUICK}")
+    assert code == 0
+    assert "person0: frames 0 to 5, seen in 6, by left.mp4, right.mp4; " in said
+    assert complaint.splitlines() == [line for line in complaint.splitlines() if "right.mp4: frames missing" in line]
+    report = json.loads(Path("out", "people.json").read_text())
+    (person,) = report["people"]
+    assert person["distance_m"] == pytest.approx(AWAY, abs=0.25)
+    assert report["views"][1]["film_frames"] == [0, 2, 4, 5, 6, 7]
+    assert film_facts("out/overlay1.mp4").frames == 6
+
+
 @pytest.fixture
 def unplaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SceneSample:
     """Films and photos of a person who stands still, whose cameras nobody calibrated."""
@@ -180,7 +201,7 @@ def test_photos_are_films_of_one_moment(run: Run, unplaced: SceneSample) -> None
             ["--out: .: the result would replace cameras.json"],
         ),
         # Told before anybody is looked for, whom gray films do not show.
-        ("scene gray.mp4 slow.mp4", ["films: 10, 20 frames a second; expected one rate"]),
+        ("scene gray.mp4 text.mp4", ["text.mp4: Invalid data found when processing input; expected a film"]),
         ("scene gray.mp4 slow.mp4 --person -1", ["--person: -1; expected 0 or more"]),
         ("scene right.mp4 gray.mp4 --cameras rig.json", ["cameras left, right; expected one a film: right, gray"]),
         ("scene gray.mp4 other.mp4 --cameras rig.json", ["gray.mp4: 96 x 64 px; expected "]),
@@ -193,8 +214,9 @@ def test_photos_are_films_of_one_moment(run: Run, unplaced: SceneSample) -> None
 def test_faults(run: Run, films: int, line: str, words: list[str]) -> None:
     rig = json.loads(Path("rig.json").read_text())["cameras"]
     Path("one.json").write_text(json.dumps({"cameras": {"left": rig["left"]}}))
-    for name, rate in (("gray", 10), ("other", 10), ("slow", 20)):
-        write_film(Path(f"{name}.mp4"), [np.full((64, 96, 3), 90, np.uint8)] * 4, rate=rate)
+    Path("text.mp4").write_text("no film")
+    for name in ("gray", "other"):
+        write_film(Path(f"{name}.mp4"), [np.full((64, 96, 3), 90, np.uint8)] * 4, rate=10)
         Image.new("RGB", (96, 64)).save(f"{name}.png")
     Path("cameras.json").write_text(Path("rig.json").read_text())
     code, said, complaint = run(f"{line} --device cpu" if "--out" in line else f"{line} --out out --device cpu")

@@ -49,8 +49,8 @@ def seen_by(views: int) -> torch.Tensor:
     return torch.ones(1, 2, views, dtype=torch.bool)
 
 
-def slow_slides(seen: torch.Tensor, shown: torch.Tensor, rate: torch.Tensor) -> torch.Tensor:
-    velocities = (seen[:, 1:] - seen[:, :-1]) * rate
+def slow_slides(seen: torch.Tensor, shown: torch.Tensor, rates: torch.Tensor) -> torch.Tensor:
+    velocities = (seen[:, 1:] - seen[:, :-1]) * rates[:, None, None, None]
     squares = velocities.square().sum(-1)
     with torch.no_grad():
         rays = torch.nn.functional.normalize(seen[:, 1:] + seen[:, :-1], dim=-1)
@@ -72,10 +72,19 @@ def walk(people: int, frames: int, views: int) -> tuple[torch.Tensor, torch.Tens
     return seen, shown
 
 
+def rates_of(seen: torch.Tensor, varying: bool = True) -> torch.Tensor:
+    """Of steps that take 1/30 s, and some longer, one unknown."""
+    steps = max(seen.shape[1] - 1, 0)
+    rates = RATE.repeat(steps)
+    if varying and steps > 2:
+        rates[1], rates[2:4] = 0.0, torch.tensor([10.0, 24.0])[: steps - 2]
+    return rates
+
+
 def cost_and_gradient(seen: torch.Tensor, shown: torch.Tensor, device: str) -> tuple[torch.Tensor, torch.Tensor]:
     """By kernels, of costs that weigh 1, 2, ..."""
     moving = seen.to(device).detach().requires_grad_()
-    cost = slides(moving, shown.to(device), RATE.to(device))
+    cost = slides(moving, shown.to(device), rates_of(seen).to(device))
     weights = torch.arange(1.0, cost.numel() + 1, device=device).reshape(cost.shape)
     (gradient,) = torch.autograd.grad(cost, moving, weights)
     return cost.detach().cpu(), gradient.cpu()
@@ -84,7 +93,7 @@ def cost_and_gradient(seen: torch.Tensor, shown: torch.Tensor, device: str) -> t
 def slow_cost_and_gradient(seen: torch.Tensor, shown: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """The same by torch in float64."""
     moving = seen.detach().double().requires_grad_()
-    cost = slow_slides(moving, shown, RATE.double())
+    cost = slow_slides(moving, shown, rates_of(seen).double())
     weights = torch.arange(1.0, cost.numel() + 1, dtype=torch.float64).reshape(cost.shape)
     (gradient,) = torch.autograd.grad(cost, moving, weights)
     return cost.detach(), gradient
@@ -142,7 +151,7 @@ def test_points_anywhere_at_any_speed_have_finite_costs(device: str) -> None:
 
 def test_the_gradient_has_no_derivative() -> None:
     seen = moving((0.4, 0.0, 0.3)).requires_grad_()
-    (force,) = torch.autograd.grad(slides(seen, seen_by(1), RATE).sum(), seen, create_graph=True)
+    (force,) = torch.autograd.grad(slides(seen, seen_by(1), RATE[None]).sum(), seen, create_graph=True)
     with pytest.raises(NotImplementedError, match="slides"):
         force.sum().backward()
 
@@ -151,25 +160,25 @@ def test_the_gradient_has_no_derivative() -> None:
 def test_a_point_stands_as_surely_as_its_speed_across_the_view_says(across: float, along: float) -> None:
     likely = [math.exp(-((across / spread) ** 2) / 2) / spread**2 for spread in (STANDS, MOVES)]
     expected = likely[0] / sum(likely) * (across**2 + along**2)
-    found = slides(moving((across, 0.0, along)), seen_by(1), RATE)
+    found = slides(moving((across, 0.0, along)), seen_by(1), RATE[None])
     assert found.shape == (1, 1, 1)
     assert float(found) == pytest.approx(expected, rel=1e-4, abs=1e-9)
 
 
 def test_the_view_that_sees_a_point_fastest_counts_and_who_is_not_seen_does_not_stand() -> None:
     both = moving((0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
-    assert float(slides(both, seen_by(2), RATE)) < 1e-3
+    assert float(slides(both, seen_by(2), RATE[None])) < 1e-3
     shown = seen_by(2)
     shown[0, 0, 1] = False  # by the second view, in one of the frames
-    assert float(slides(both, shown, RATE)) > 0.9
+    assert float(slides(both, shown, RATE[None])) > 0.9
     shown[0, 1, 0] = False
-    assert float(slides(both, shown, RATE)) == 0
+    assert float(slides(both, shown, RATE[None])) == 0
 
 
 def test_nothing_moves_so_as_to_count_less() -> None:
     """The force is that of a share that does not change."""
     seen = moving((0.4, 0.0, 0.3)).requires_grad_()
-    cost = slides(seen, seen_by(1), RATE)
+    cost = slides(seen, seen_by(1), RATE[None])
     (force,) = torch.autograd.grad(cost.sum(), seen)
     velocity = (seen[:, 1] - seen[:, 0]).detach() * RATE
     share = cost.detach() / velocity.square().sum()
@@ -187,7 +196,7 @@ def test_feet_of_each_person_are_compared_with_their_own_a_frame_before() -> Non
         cost, points = energy(people, unknowns)["sliding"], energy.landmarks(people, unknowns)
     names = energy.one.model.landmark_names
     feet = torch.stack([points[:, names.index(name)] for name in FEET], dim=1).unflatten(0, (2, 5))
-    expected = slides(scene.views[0].to_camera(feet)[:, :, None], torch.ones(2, 5, 1, dtype=torch.bool), RATE)
+    expected = slides(scene.views[0].to_camera(feet)[:, :, None], torch.ones(2, 5, 1, dtype=torch.bool), RATE.repeat(4))
     assert cost.shape == (2, 4, 6)
     assert float(cost.sum()) > 0.1
     torch.testing.assert_close(cost, expected / (3 * 0.1**2), rtol=1e-2, atol=1e-4)  # three points of a foot, 0.1 m/s
@@ -197,7 +206,9 @@ def test_only_films_whose_frames_are_near_one_another_have_feet_that_stand() -> 
     sight = make_pair(101, "clean").scene.sights[0]
     views = make_pair(101, "clean").scene.views
     film = Scene(views, [replace(sight, frame=frame) for frame in range(3)])
-    assert prepared(film)[1].rate == 30
+    assert prepared(film)[1].rates.tolist() == [30, 30]
+    uneven = replace(film, times=[0.0, 0.1, 0.6])
+    assert prepared(uneven)[1].rates.tolist() == [10, 0]
     for other, options in (
         (replace(film, sights=[sight]), QUICK),
         (replace(film, frame_rate=5.0), QUICK),
@@ -205,7 +216,7 @@ def test_only_films_whose_frames_are_near_one_another_have_feet_that_stand() -> 
         (film, replace(QUICK, sliding=0.0)),
     ):
         energy, people = prepared(other, options)
-        assert people.rate is None
+        assert people.rates is None
         assert "sliding" not in energy(people, energy.at_rest(people))
     with pytest.raises(ValueError, match="sliding: -1"):
         SceneOptions(sliding=-1)

@@ -87,7 +87,9 @@ def test_a_run_that_was_ended_goes_on_where_it_was(
     film = tmp_path / "walk.mp4"
     film.write_bytes(b"film")
     pieces = FilmPieces(tmp_path / "out", [film], QUICK)
-    seen = pieces.people(0, lambda: people)
+    told = ("walk.mp4: frames missing after 0.20 s", "another")
+    seen = pieces.people(0, lambda: replace(people, warnings=told))
+    assert pieces.starts(lambda: [0.0, 0.25]) == [0.0, 0.25]
     done: list[int] = []
     refine = fit_scene
 
@@ -107,6 +109,8 @@ def test_a_run_that_was_ended_goes_on_where_it_was(
     found = again.people(0, lambda: pytest.fail("people are known"))
     np.testing.assert_array_equal(found.rows, people.rows)
     assert found.packed == people.packed
+    assert found.warnings == told
+    assert again.starts(lambda: pytest.fail("starts are known")) == [0.0, 0.25]
     with pytest.raises(KeyboardInterrupt):
         fit_film([SeenFilm.of(found)], options=QUICK, pieces=again)
     done.clear()

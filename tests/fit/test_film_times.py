@@ -12,7 +12,6 @@ from scenes.rigs import SIZE, camera_at, film_of
 from warp_partdr.body.template import NUM_PARTS, PART_NAMES
 from warp_partdr.detection.film_people import FilmPeople
 from warp_partdr.errors import InputError
-from warp_partdr.predictors.film_sights import FilmSights, GivenNetworks, pack_groups
 from warp_partdr.scenes.film_times import align_films
 from warp_partdr.scenes.seen_film import SeenFilm
 from warp_partdr.synthetic.mocap import Clip, rotation_matrices
@@ -34,16 +33,16 @@ def swinging(moves: float) -> SceneSample:
 
 
 def film(sample: SceneSample, turn: float, frames: Sequence[int]) -> SeenFilm:
-    """Some of the frames, as a camera at this angle sees them."""
-    camera = camera_at(turn)
+    """Some of the frames, as a camera at this angle sees them, at their times since the first of these."""
+    camera, times = camera_at(turn), (np.array(frames) - frames[0]) / RATE
     rows, packed = [], []
     for place, frame in enumerate(frames):
         now = replace(sample, vertices=sample.vertices[:, [frame]], joints=sample.joints[:, [frame]])
         one = film_of(now, camera, order=(0,), frames=1, noise=1.0)
-        one.rows["frames"], one.rows["times"] = place, place / RATE
+        one.rows["frames"], one.rows["times"] = place, times[place]
         rows.append(one.rows)
         packed += one.packed
-    people = FilmPeople(SIZE, RATE, np.arange(len(frames)) / RATE, np.concatenate(rows), tuple(packed))
+    people = FilmPeople(SIZE, RATE, times, np.concatenate(rows), tuple(packed))
     return SeenFilm.of(people, camera.without_distortion)
 
 
@@ -63,16 +62,34 @@ def test_a_film_that_started_later_is_joined_by_the_others(moving: SceneSample) 
     assert told[-1] == ("moments", 2, 2)
 
 
+def test_a_film_that_lost_frames_is_joined_by_time(moving: SceneSample) -> None:
+    """By its numbers, the frames after those that are lost would be half a second early."""
+    late, lost = 6, {11, 12, 16, 17, 18}
+    shown = [frame for frame in range(late, FRAMES) if frame not in lost]
+    one, other = align_films([film(moving, -0.5, range(FRAMES)), film(moving, 0.6, shown)])
+    assert (one.skipped, other.skipped) == (late, 0)
+    assert len(one.people.times) == FRAMES - late
+    missing = np.flatnonzero(other.file_numbers < 0) + late
+    assert missing.tolist() == sorted(lost)
+    assert other.people.rows["frames"].tolist() == [frame - late for frame in shown]
+
+
 def test_whoever_stands_still_tells_nothing(moving: SceneSample) -> None:
     one, other = film(moving, -0.5, range(12)), film(swinging(0.0), 0.6, range(12))
     with pytest.raises(InputError, match=r"films\[1\]: nobody of the first film moves in the same way in both for"):
         align_films([one, other])
 
 
+def since(film: SeenFilm, frame: int) -> SeenFilm:
+    """The film without the frames before one."""
+    times = film.people.times
+    return film.taken(np.arange(frame, len(times)), times[frame:] - times[frame])
+
+
 def test_a_film_since_a_frame(moving: SceneSample) -> None:
     whole = film(moving, 0.3, range(8))
-    rest = whole.since(3)
-    assert (rest.skipped, rest.since(2).skipped) == (3, 5)
+    rest = since(whole, 3)
+    assert (rest.skipped, since(rest, 2).skipped) == (3, 5)
     assert rest.people.times.tolist() == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
     assert rest.people.rows["frames"].tolist() == [0, 1, 2, 3, 4]
     np.testing.assert_array_equal(rest.people.rows["keypoints"], whole.people.rows["keypoints"][3:])
@@ -83,17 +100,4 @@ def test_who_is_gone_before_has_no_number(moving: SceneSample) -> None:
     people = film(moving, 0.3, range(8)).people
     rows = people.rows.copy()
     rows["tracks"] = np.where(rows["frames"] < 4, 0, 1)
-    assert replace(people, rows=rows).since(4).num_people == 1
-
-
-def test_sights_of_networks_since_a_frame() -> None:
-    frames, places = np.array([0, 1, 1, 2]), np.array([0, 0, 1, 0])
-    keypoints = np.arange(12, dtype=np.float32).reshape(4, 1, 3)
-    packed = tuple(pack_groups(np.full((2, 3), row, np.uint8)) for row in range(4))
-    rest = FilmSights(GivenNetworks(), frames, places, keypoints, (2, 3), packed).since(1)
-    assert rest.frames.tolist() == [0, 0, 1]
-    assert rest.places.tolist() == [0, 1, 0]
-    np.testing.assert_array_equal(rest.keypoints, keypoints[1:])
-    shown = rest.groups(0)
-    assert shown is not None
-    assert (shown == 1).all()
+    assert replace(people, rows=rows).taken(np.arange(4, 8), np.arange(4) / RATE).num_people == 1

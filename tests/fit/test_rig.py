@@ -148,8 +148,8 @@ def test_two_films_put_people_where_they_are(pair: SceneSample) -> None:
 def test_faults(pair: SceneSample) -> None:
     camera = camera_at(0.0)
     film = SeenFilm.calibrated(film_of(pair, camera), camera)
-    slow = replace(film, people=replace(film.people, rate=25.0))
-    with pytest.raises(InputError, match="films: 30, 25 frames a second; expected one rate"):
+    slow = replace(film, people=replace(film.people, times=np.arange(3) / 10))
+    with pytest.raises(InputError, match=r"films\[1\]: frame 1 is 0\.067 s from that of another film; expected films"):
         fit_film([film, slow])
     with pytest.raises(TypeError, match="films"):
         fit_film(film)  # type: ignore[arg-type]

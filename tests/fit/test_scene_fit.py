@@ -165,16 +165,27 @@ def test_a_person_s_frames_are_placed_in_one_camera():
 
 def test_shares_of_frames():
     seen = torch.tensor([[True, True, True, False, False, False]])
-    shares = time_shares(seen, 1.0)[0]
+    shares = time_shares(seen, torch.arange(6.0, dtype=torch.float64), 1.0)[0]
     torch.testing.assert_close(shares.sum(1), torch.ones(6, dtype=torch.float64))
     assert (shares[:, 3:] == 0).all()
     assert shares[1, 0] == shares[1, 2] < shares[1, 1]
     assert shares[5].argmax() == 2
 
 
+def test_smoothing_goes_by_seconds():
+    sight, views = make_pair(101, "clean").scene.sights[0], make_pair(101, "clean").scene.views
+    film = Scene(views, [replace(sight, frame=frame) for frame in range(5)])
+    even = prepared(film, "cpu")[1].smooth
+    torch.testing.assert_close(prepared(replace(film, times=3 + np.arange(5) / 30), "cpu")[1].smooth, even)
+    assert float(even[2, 3]) > 0.1
+    lost = prepared(replace(film, times=[0.0, 1 / 30, 2 / 30, 3.0, 3.0 + 1 / 30]), "cpu")[1].smooth
+    assert float(lost[:3, 3:].abs().max()) < 1e-6  # what lies 3 s apart is not one motion
+    torch.testing.assert_close(lost[:3, :3], prepared(replace(film, sights=film.sights[:3]), "cpu")[1].smooth)
+
+
 def test_steady_motion_is_not_held_back_at_the_ends():
     frames = torch.arange(40, dtype=torch.float64)
-    smooth = time_shares(torch.ones(1, 40, dtype=torch.bool), 5.0)[0] @ frames
+    smooth = time_shares(torch.ones(1, 40, dtype=torch.bool), frames, 5.0)[0] @ frames
     assert (smooth - frames).abs().max() < 1.0  # the mean of neighbours is 4 frames off
     assert (smooth - frames)[15:25].abs().max() < 2e-3
 

@@ -184,6 +184,108 @@ def test_a_film_that_was_cut_off_gives_its_frames_and_says_so(tmp_path: Path, rn
     assert 10 < len(given) < 30
 
 
+def grays(path: Path) -> list[int]:
+    """Gray of each frame of a film, which ``stripes`` made."""
+    return [round(frame.picture.mean() / 4) for frame in read_frames(path)]
+
+
+def stripes(count: int) -> list[np.ndarray]:
+    """Pictures of one gray each, 4 brighter than the one before."""
+    return [np.full((32, 64, 3), 4 * index, np.uint8) for index in range(count)]
+
+
+def noise(rng: np.random.Generator, count: int) -> list[np.ndarray]:
+    return [rng.integers(0, 255, (32, 64, 3), dtype=np.uint8) for _ in range(count)]
+
+
+@pytest.mark.parametrize(("ending", "between"), [("mp4", 0), ("mp4", 2), ("mov", 2)])
+def test_frames_that_an_edit_list_leaves_out_are_none(tmp_path: Path, ending: str, between: int) -> None:
+    """Phones trim films so: frames before the cut stay in the file, and players never show them."""
+    path = write_film(tmp_path / f"trimmed.{ending}", stripes(30), rate=30, times=range(-4, 26), between=between)
+    with av.open(str(path)) as container:
+        left_out = sum(packet.is_discard for packet in container.demux(video=0))
+        assert container.streams.video[0].frames == 30
+    assert (left_out > 0) == (between > 0)  # else the container itself leaves them out
+    frames = list(read_frames(path))
+    assert grays(path) == list(range(4, 30))
+    np.testing.assert_allclose([frame.time for frame in frames], np.arange(26) / 30, atol=1e-6)
+    reader = films.FilmFrames(path)
+    assert (len(reader), reader.fault) == (26, None)
+    for index in (0, 25, 3, 11):
+        np.testing.assert_array_equal(reader.read(index), frames[index].picture)
+
+
+def test_frames_that_a_recorder_dropped_are_not_missing_from_a_whole_avi(tmp_path: Path) -> None:
+    times = [0, 1, 2, 3, 7, 8, 9, 12]
+    path = write_film(tmp_path / "dropped.avi", stripes(8), rate=20, times=times)
+    assert film_facts(path).frames == 13  # as its header says
+    np.testing.assert_allclose([frame.time for frame in read_frames(path)], np.array(times) / 20)
+    assert grays(path) == list(range(8))
+    assert films.FilmFrames(path).fault is None
+    data = path.read_bytes()
+    data = data[: data.index(b"idx1")]  # what some recorders leave out
+    path.write_bytes(data[:4] + struct.pack("<I", len(data) - 8) + data[8:])
+    assert grays(path) == list(range(8))
+
+
+@pytest.mark.parametrize("dropped", [False, True])
+@pytest.mark.parametrize("ending", ["avi", "mkv"])
+def test_a_film_that_was_cut_off_is_told_in_other_containers(
+    tmp_path: Path, rng: np.random.Generator, ending: str, dropped: bool
+) -> None:
+    times = [index + 3 * (index > 20) for index in range(40)] if dropped else range(40)
+    path = write_film(tmp_path / f"film.{ending}", noise(rng, 40), times=times)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 2 // 3])
+    told = rf"\d+ of {max(times) + 1} frames" if ending == "avi" else rf"\d+ of {len(data)} bytes"
+    given: list[int] = []
+    with pytest.raises(InputError, match=rf"film\.{ending}: {told} in it; expected a whole film"):
+        given.extend(frame.index for frame in read_frames(path))
+    assert 0 < len(given) < 40
+    assert films.FilmFrames(path).fault
+
+
+def test_an_avi_with_frames_decoded_in_another_order(tmp_path: Path) -> None:
+    """It states when frames are decoded alone."""
+    path = write_film(tmp_path / "order.avi", stripes(20), rate=10, between=2)
+    frames = list(read_frames(path))
+    np.testing.assert_allclose([frame.time for frame in frames], np.arange(20) / 10)
+    assert not any(frame.guessed for frame in frames)
+    assert grays(path) == list(range(20))
+    reader = films.FilmFrames(path)
+    for index in (19, 1, 2, 7):
+        np.testing.assert_array_equal(reader.read(index), frames[index].picture)
+
+
+def test_films_that_were_joined_go_on(tmp_path: Path) -> None:
+    """Two files one after the other, as they often are: times begin anew, and frames keep their order."""
+    path = write_film(tmp_path / "film.mts", stripes(12), rate=25)
+    path.write_bytes(2 * path.read_bytes())
+    frames = list(read_frames(path))
+    np.testing.assert_allclose([frame.time for frame in frames], np.arange(24) / 25, atol=1e-6)
+    assert [frame.index for frame in frames if frame.guessed] == [12]
+    reader = films.FilmFrames(path)
+    for index in (0, 14, 23, 5):
+        np.testing.assert_array_equal(reader.read(index), frames[index].picture)
+
+
+def test_a_unit_of_time_is_no_rate(tmp_path: Path) -> None:
+    path = write_film(tmp_path / "screen.mkv", stripes(9), rate=1000, times=[0, 33, 67, 100, 133, 167, 200, 233, 700])
+    assert film_facts(path).rate == pytest.approx(30, rel=0.01)
+    np.testing.assert_allclose([frame.time for frame in read_frames(path)][-2:], [0.233, 0.7])
+    one = write_film(tmp_path / "one.mkv", stripes(1), rate=1000)
+    assert film_facts(one).rate == 0
+    (frame,) = read_frames(one)
+    assert (frame.time, frame.guessed) == (0.0, False)
+
+
+def test_a_turned_film_of_a_variable_rate(tmp_path: Path) -> None:
+    path = write_film(tmp_path / "phone.mp4", shades(4), rate=30, times=[0, 1, 4, 5], turned=90)
+    frames = list(read_frames(path))
+    np.testing.assert_allclose([frame.time for frame in frames], np.array([0, 1, 4, 5]) / 30, atol=1e-6)
+    assert {frame.picture.shape for frame in frames} == {(64, 32, 3)}
+
+
 def test_a_film_without_frames(tmp_path: Path) -> None:
     path = write_film(tmp_path / "film.mkv", shades(3))
     data = path.read_bytes()

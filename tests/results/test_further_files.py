@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,9 @@ from scenes.skins import moving, read_glb, standing
 
 from warp_partdr.clothing.registration import Registered
 from warp_partdr.errors import InputError
+from warp_partdr.results import further_files
 from warp_partdr.results.further_files import FURTHER, check_formats, save_further
+from warp_partdr.results.skinned_files import Poses
 
 registered = scenes.bodies.registered  # a fixture
 
@@ -92,6 +95,16 @@ def test_a_motion_s_usd_has_the_poses_over_time(registered: Registered, tmp_path
     assert (bodies.vertices[0] - bodies.vertices[2]).abs().max() > 0.2
 
 
+def test_a_motion_s_usd_has_the_poses_at_their_times(registered: Registered, tmp_path: Path) -> None:
+    pxr = pytest.importorskip("pxr.Usd", reason="needs the extra 'usd'")
+    poses = replace(moving(registered), times=3 + np.array([0.0, 0.1, 0.25, 0.3, 0.9]))
+    save_further(registered, tmp_path / "person0", ["usda"], poses)
+    stage = pxr.Stage.Open(str(tmp_path / "person0.usda"))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode(), stage.GetTimeCodesPerSecond()) == (0, 9, 10)
+    keys = stage.GetPrimAtPath("/body/skeleton/motion").GetAttribute("rotations").GetTimeSamples()
+    assert keys == [0, 1, pytest.approx(2.5), 3, 9]
+
+
 def stand_in(folder: Path, monkeypatch: pytest.MonkeyPatch, *, fails: bool = False) -> Path:
     """A command ``blender`` that logs its arguments, and where."""
     commands = folder / "commands"
@@ -102,6 +115,18 @@ def stand_in(folder: Path, monkeypatch: pytest.MonkeyPatch, *, fails: bool = Fal
     command.chmod(0o755)
     monkeypatch.setenv("PATH", f"{commands}{os.pathsep}{os.environ['PATH']}")
     return log
+
+
+def test_blender_gets_poses_on_whole_frames(
+    registered: Registered, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[Poses] = []
+    write = further_files.glb
+    monkeypatch.setattr(further_files, "glb", lambda body, poses: written.append(poses) or write(body, poses))
+    stand_in(tmp_path, monkeypatch)
+    poses = replace(moving(registered), times=np.array([0.0, 0.1, 0.25, 0.3, 0.5]))
+    save_further(registered, tmp_path / "person0", ["fbx"], poses)
+    np.testing.assert_allclose(written[0].times, np.arange(6) / 10)
 
 
 def test_blender_makes_fbx_of_the_glb(registered: Registered, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scenes.films import write_film
-from scenes.motions import COUNT, LATE, RATE, SIZE, made_fit
+from scenes.motions import COUNT, LATE, RATE, SIZE, made_fit, shade, write_fitted
+from scenes.skins import read_glb
 
 from warp_partdr.body.landmarks import annotated
 from warp_partdr.body.skeletons import skeleton
+from warp_partdr.clothing.anny import anny
 from warp_partdr.detection.person import SKELETON
 from warp_partdr.errors import InputError
+from warp_partdr.inputs.films import read_frames
+from warp_partdr.results.load_film import load_film_fit
+from warp_partdr.results.predictions import load_film_bodies
 from warp_partdr.results.save_film import save_film_fit
 from warp_partdr.scenes.film import FilmFit
 
@@ -45,6 +51,115 @@ def test_a_body_far_from_its_keypoints_is_told(tmp_path: Path, off: float) -> No
     told = save_film_fit(fit, tmp_path / "out", films=[film])["warnings"]
     expected = f"{film}: person1 ends 9.0 % of the person's size from BlazePose's keypoints; expected at most 6 %"
     assert told == ([expected] if off > 0.06 else [])
+
+
+TIMES = np.cumsum([0.0, *[0.1] * 8, 0.33, 0.2, 0.2, *[0.1] * 8])  # frames are lost, as many phones lose them
+
+
+def uneven_fit() -> FilmFit:
+    """The fit of a film whose frames come at ``TIMES``."""
+    fit = made_fit()
+    (film,) = fit.films
+    rows = film.people.rows.copy()
+    rows["times"] = TIMES[rows["frames"]]
+    return replace(fit, films=(replace(film, people=replace(film.people, rows=rows, times=TIMES, warnings=("lost",))),))
+
+
+def test_files_of_a_film_of_a_variable_rate_have_its_times(tmp_path: Path) -> None:
+    ticks = (100 * TIMES).round().astype(int)
+    film = write_film(tmp_path / "walk.mp4", [np.full((*SIZE, 3), 90, np.uint8)] * COUNT, rate=100, times=ticks)
+    report = save_film_fit(uneven_fit(), tmp_path / "out", films=[film])
+    assert (report["rate"], report["frames"], report["warnings"]) == (RATE, COUNT, ["lost"])
+    np.testing.assert_allclose(report["times"], TIMES, atol=1e-6)
+    people = [(each["first_time"], each["last_time"]) for each in report["people"]]
+    assert people == [(0.0, pytest.approx(TIMES[-1])), (pytest.approx(TIMES[LATE]), pytest.approx(TIMES[-1]))]
+    shown = list(read_frames(tmp_path / "out" / "overlay.mp4"))
+    np.testing.assert_allclose([frame.time for frame in shown], TIMES, atol=1e-4)
+    for person, first in ((0, 0), (1, LATE)):
+        own = TIMES[first:]
+        rows = load_film_bodies(tmp_path / "out" / f"person{person}.npz").rows
+        np.testing.assert_allclose(rows["times"], own)
+        document, arrays = read_glb((tmp_path / "out" / f"person{person}.glb").read_bytes())
+        (keys,) = {sampler["input"] for sampler in document["animations"][0]["samplers"]}
+        np.testing.assert_allclose(arrays[keys][:, 0], own - own[0], atol=1e-6)
+        timing = (tmp_path / "out" / f"person{person}.bvh").read_text().split("MOTION\n")[1].splitlines()
+        assert timing[0] == f"Frames: {round((own[-1] - own[0]) * RATE) + 1}"
+        assert timing[1] == "Frame Time: 0.1000000"
+        if person == 0:  # who goes to the right, 0.1 m a frame: 0.03 m in each tenth of a second that lost frames
+            across = [float(row.split()[0]) for row in timing[2:]]
+            at = np.arange(len(across)) / RATE
+            expected = np.interp(at, TIMES, 10 * np.arange(COUNT))
+            np.testing.assert_allclose(np.array(across) - across[0], expected, atol=0.01)
+    document, arrays = read_glb((tmp_path / "out" / "scene.glb").read_bytes())
+    keys = {tuple(arrays[sampler["input"]][:, 0].round(4)) for sampler in document["animations"][0]["samplers"]}
+    assert tuple(TIMES.astype(np.float32).round(4)) in keys
+    assert tuple(TIMES[LATE:].astype(np.float32).round(4)) in keys
+    saved = load_film_fit(tmp_path / "out", anny())
+    np.testing.assert_allclose(saved.times, TIMES, atol=1e-6)
+
+
+def test_who_leaves_is_gone_when_the_next_frame_comes(tmp_path: Path) -> None:
+    fit = uneven_fit()
+    gone = 9  # frames; the next one comes late
+    motion = fit.motions[0]
+    short = replace(
+        motion, frames=motion.frames[:gone], rotations=motion.rotations[:gone], translation=motion.translation[:gone]
+    )
+    rows = fit.people.rows[(fit.people.rows["tracks"] == 1) | (fit.people.rows["frames"] < gone)]
+    (film,) = fit.films
+    cut = replace(
+        fit, films=(replace(film, people=replace(film.people, rows=rows)),), motions={0: short, 1: fit.motions[1]}
+    )
+    path = write_film(tmp_path / "walk.mp4", [np.full((*SIZE, 3), 90, np.uint8)] * COUNT, rate=RATE)
+    save_film_fit(cut, tmp_path / "out", films=[path])
+    document, arrays = read_glb((tmp_path / "out" / "scene.glb").read_bytes())
+    animation = document["animations"][0]
+    seen = {
+        document["nodes"][channel["target"]["node"]]["name"]: arrays[animation["samplers"][channel["sampler"]]["input"]]
+        for channel in animation["channels"]
+        if channel["target"]["path"] == "scale"
+    }
+    np.testing.assert_allclose(seen["person0"][:, 0], [0.0, TIMES[gone]], atol=1e-6)
+    np.testing.assert_allclose(seen["person1"][:, 0], [0.0, TIMES[LATE]], atol=1e-6)
+
+
+def test_overlays_of_matched_films_show_the_frames_of_each_moment(tmp_path: Path) -> None:
+    """The second film has every third frame of the first one's, after two that are left out."""
+    fit = made_fit()
+    (film,) = fit.films
+    rows = film.people.rows[:0]
+    numbers = np.where(np.arange(COUNT) % 3 == 0, 2 + np.arange(COUNT) // 3, -1)
+    other = replace(film, people=replace(film.people, rows=rows), numbers=numbers)
+    both = replace(fit, films=(film, other))
+    names = [tmp_path / name for name in ("walk.mp4", "slow.mp4")]
+    write_film(names[0], [np.full((*SIZE, 3), shade(frame), np.uint8) for frame in range(COUNT)], rate=RATE)
+    slow = [np.full((*SIZE, 3), 10, np.uint8)] * 2
+    slow += [np.full((*SIZE, 3), shade(frame), np.uint8) for frame in range(0, COUNT, 3)]
+    write_film(names[1], slow, rate=3)
+    report = save_film_fit(both, tmp_path / "out", films=names)
+    assert [view["skipped_frames"] for view in report["views"]] == [0, 2]
+    assert report["views"][1]["film_frames"] == numbers.tolist()
+    assert "film_frames" not in report["views"][0]
+    shown = list(read_frames(tmp_path / "out" / "overlay1.mp4"))
+    np.testing.assert_allclose([frame.time for frame in shown], np.arange(0, COUNT, 3) / RATE, atol=1e-4)
+    corners = [float(frame.picture[:20, :20].mean()) for frame in shown]
+    np.testing.assert_allclose(corners, [shade(frame) for frame in range(0, COUNT, 3)], atol=4)
+    saved = load_film_fit(tmp_path / "out", anny())
+    assert [saved.views[1].number(frame) for frame in (0, 1, 3, COUNT)] == [2, None, 3, None]
+    assert saved.views[0].number(4) == 4
+
+
+def test_times_of_a_report_that_do_not_rise_are_refused(tmp_path: Path) -> None:
+    write_fitted(tmp_path)
+    path = tmp_path / "out" / "people.json"
+    report = json.loads(path.read_text())
+    for wrong in ([0.0] * COUNT, [0.0, 1.0], "soon", None):
+        path.write_text(json.dumps(report | {"times": wrong}))
+        if wrong is None:  # as earlier versions wrote it
+            np.testing.assert_allclose(load_film_fit(tmp_path / "out", anny()).times, np.arange(COUNT) / RATE)
+        else:
+            with pytest.raises(InputError, match=r"people\.json: times: not of 20 frames, or they do not rise"):
+                load_film_fit(tmp_path / "out", anny())
 
 
 def test_other_films_than_the_fit_s_are_refused(tmp_path: Path) -> None:

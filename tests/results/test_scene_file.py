@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from warp_partdr.cameras import Perspective
 from warp_partdr.clothing.registration import Registered
 from warp_partdr.results.scene_file import Actor, NamedView, scene_glb
+from warp_partdr.results.skinned_files import Poses
 from warp_partdr.scenes.scene import View
 
 registered = scenes.bodies.registered  # a fixture
@@ -24,12 +25,12 @@ HEIGHT, WIDTH, FOCAL = 240, 320, 300.0
 def actors(registered: Registered) -> list[Actor]:
     """Somebody who comes after 0.2 s and another, 1 m higher in the picture, who is gone after one pose."""
     poses = moving(registered)  # five, ten a second
-    late = replace(poses, start=0.2)
+    late = poses.since(-0.2)
     up = poses.translation[:1] - torch.tensor([0.0, 1.0, 0.0]).to(poses.translation)  # y is down
-    above = replace(poses, rotations=poses.rotations[:1], translation=up, lowest=poses.lowest + 1)
+    above = Poses(poses.rotations[:1], up, np.zeros(1), 10.0, poses.lowest + 1)
     detailed = registered.model.pose(registered.shape[:1], registered.rotations[:1], up)
     body = replace(registered, translation=up, detailed=detailed)
-    return [Actor("late", registered, late), Actor("above", body, above)]
+    return [Actor("late", registered, late, 0.7), Actor("above", body, above, 0.15)]
 
 
 def test_everybody_is_where_and_when_they_are(registered: Registered) -> None:
@@ -53,7 +54,7 @@ def test_everybody_is_where_and_when_they_are(registered: Registered) -> None:
             np.testing.assert_allclose(times, 0.2 + np.arange(5) / 10, atol=1e-6)
     assert shown == {
         "late": [(0.0, 0.0), (pytest.approx(0.2), 1.0)],
-        "above": [(0.0, 1.0), (pytest.approx(0.1), 0.0)],
+        "above": [(0.0, 1.0), (pytest.approx(0.15), 0.0)],
     }
     joints = [set(skin["joints"]) for skin in document["skins"]]
     assert not joints[0] & joints[1]

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scenes.bodies
+import torch
 import trimesh
 from scenes.skins import moving, posed_vertices, read_glb, standing
 from scipy.spatial.transform import Rotation
 
 from warp_partdr.clothing.registration import Registered
 from warp_partdr.results.binding import to_quaternions
-from warp_partdr.results.skinned_files import bvh, glb, save_detailed
+from warp_partdr.results.skinned_files import Poses, bvh, glb, save_detailed
 
 registered = scenes.bodies.registered  # a fixture
 
@@ -121,6 +123,54 @@ def test_a_motion_s_bvh_has_a_row_a_pose_and_no_jumps(registered: Registered) ->
     np.testing.assert_allclose(numbers[0], alone, atol=1e-5)
     np.testing.assert_allclose(np.diff(numbers[:, 0]), 10, atol=1e-3)  # centimetres
     assert np.abs(np.diff(numbers, axis=0)).max() < 181
+
+
+def uneven(registered: Registered) -> Poses:
+    """The motion with the third pose half a second later than it would come evenly, ten a second."""
+    return replace(moving(registered), times=np.array([0.0, 0.1, 0.7, 0.8, 0.9]))
+
+
+def test_a_motion_s_glb_has_the_poses_at_their_times(registered: Registered) -> None:
+    document, arrays = read_glb(glb(registered, uneven(registered)))
+    for sampler in document["animations"][0]["samplers"]:
+        np.testing.assert_allclose(arrays[sampler["input"]][:, 0], [0.0, 0.1, 0.7, 0.8, 0.9])
+
+
+def test_a_motion_that_is_made_even_passes_through_its_poses(registered: Registered) -> None:
+    poses = moving(registered)
+    assert poses.evenly() is poses
+    late = uneven(registered)
+    even = late.evenly()
+    np.testing.assert_allclose(even.times, np.arange(10) / 10)
+    assert (even.rate, even.lowest) == (10.0, late.lowest)
+    for place, pose in ((0, 0), (1, 1), (7, 2), (8, 3), (9, 4)):
+        torch.testing.assert_close(even.rotations[place], late.rotations[pose], atol=1e-5, rtol=0)
+        torch.testing.assert_close(even.translation[place], late.translation[pose], atol=1e-5, rtol=0)
+    # Between 0.1 and 0.7 s the joint turns by 90 degrees and the root goes 0.1 m, steadily.
+    turned = (even.rotations[1, 5].mT @ even.rotations[1:8, 5]).cpu().numpy()
+    angles = np.linalg.norm(Rotation.from_matrix(turned).as_rotvec(degrees=True), axis=1)
+    np.testing.assert_allclose(angles, 15 * np.arange(7), atol=0.05)
+    gone = (even.translation[1:8] - even.translation[1]).norm(dim=1).cpu()
+    np.testing.assert_allclose(gone, np.arange(7) / 60, atol=1e-5)
+    between = replace(poses, times=np.array([2.0, 2.06, 2.13, 2.31, 2.4])).evenly()  # ends with the film's end
+    np.testing.assert_allclose(between.times, 2 + np.arange(5) / 10)
+    torch.testing.assert_close(between.translation[-1], poses.translation[-1])
+
+
+def test_a_motion_with_a_day_between_two_poses_is_no_file_of_a_day(registered: Registered) -> None:
+    poses = replace(moving(registered), times=np.array([0.0, 0.1, 0.2, 0.3, 86_400.0]))
+    even = poses.evenly()
+    assert len(even.times) == 65
+    assert even.rate == pytest.approx(64 / 86_400)
+
+
+def test_a_motion_s_bvh_is_at_one_rate(registered: Registered) -> None:
+    rows = bvh(registered, uneven(registered)).split("MOTION\n")[1].splitlines()
+    assert rows[:2] == ["Frames: 10", "Frame Time: 0.1000000"]
+    numbers = np.array([[float(each) for each in row.split()] for row in rows[2:]])
+    np.testing.assert_allclose(np.diff(numbers[1:8, 0]), 10 / 6, atol=1e-3)  # centimetres
+    third = [float(each) for each in bvh(registered, moving(registered)).splitlines()[-3].split()]
+    np.testing.assert_allclose(numbers[7], third, atol=1e-3)
 
 
 def test_quaternions_of_whole_turns_never_leap() -> None:

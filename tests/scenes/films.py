@@ -18,6 +18,7 @@ def write_film(
     rate: int = 10,
     turned: int = 0,
     times: Iterable[int] = (),
+    between: int = 0,
     **options: str,
 ) -> Path:
     """A film of pictures of even size.
@@ -28,6 +29,7 @@ def write_film(
         rate: Frames a second.
         turned: Degrees counter-clockwise by which players turn it.
         times: Of each frame, in frames of ``rate``; default: 0, 1, ...
+        between: Frames in a row that are decoded after a later one (B-frames), at most.
         options: Of libav's writer.
     """
     pictures, times = list(pictures), list(times)
@@ -35,6 +37,7 @@ def write_film(
         stream = container.add_stream("mpeg4", rate=rate)
         stream.height, stream.width = pictures[0].shape[:2]
         stream.pix_fmt, stream.bit_rate = "yuv420p", 8_000_000
+        stream.codec_context.max_b_frames = between
         if turned:
             stream.set_display_rotation(turned)
         for index, picture in enumerate(pictures):

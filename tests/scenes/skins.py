@@ -71,4 +71,5 @@ def moving(registered: Registered) -> Poses:
         turn = Rotation.from_euler("z", 90 * step, degrees=True).as_matrix()
         rotations[step, joint] = torch.from_numpy(turn).float().to(rotations) @ rotations[step, joint]
     steps = torch.arange(5)[:, None].to(rotations) * torch.tensor([0.1, 0.0, 0.0]).to(rotations)
-    return Poses(rotations, registered.translation[:1] + steps, 10.0, Poses.first(registered).lowest)
+    lowest = Poses.first(registered).lowest
+    return Poses(rotations, registered.translation[:1] + steps, np.arange(5) / 10, 10.0, lowest)

@@ -108,7 +108,8 @@ def fit_films(run: FilmRun) -> None:
     from ..scenes.film import fit_film
     from ..scenes.film_cameras import place_film_cameras
     from ..scenes.film_pieces import FilmPieces
-    from ..scenes.film_times import align_films
+    from ..scenes.film_times import film_starts
+    from ..scenes.matched_times import match_films
     from ..scenes.options import SceneOptions
     from ..scenes.seen_film import SeenFilm
     from .progress import FitProgress
@@ -153,8 +154,10 @@ def fit_films(run: FilmRun) -> None:
         with ExitStack() as named:
             for place, film in enumerate(films):
                 named.enter_context(told_as(f"films[{place}]", film))
+            starts = None
             if run.align:
-                seen = pieces.aligned(seen, partial(align_films, seen, device=where, progress=progress))
+                starts = pieces.starts(partial(film_starts, seen, device=where, progress=progress))
+            seen = match_films(seen, starts)
             if rig is None and len(films) > 1:
                 tall = {"stature": options.stature, "person": run.person}
                 how: dict[str, Any] = {**tall, "device": where, "progress": progress}

@@ -15,6 +15,7 @@ import typer
 
 from ..errors import InputError, printable
 from ..inputs.films import FILM_SUFFIXES, check_pyav, film_facts, is_film
+from ..inputs.frame_times import time_warnings, usual_rate
 from ..inputs.part_labels import photo_warnings, read_photo
 from ..inputs.photo_files import PHOTO_SUFFIXES, LeftOut, is_hidden_name, photos_among
 from .options import EXIF, CameraOptions, check_person, check_score, people_at_a_time, say_people
@@ -191,23 +192,30 @@ class _Run:
         """Take a film, frame by frame."""
         from ..detection.film_people import SHORTEST, follow_people
 
-        size, count = (0, 0), 0
+        size, rate = (0, 0), 0.0
+        times: list[float] = []
+        guessed: list[bool] = []
         how: dict[str, Any] = {"min_score": self.choice.min_score, "device": self.device}
         try:
-            for frame, _, found in follow_people(source.path, film_facts(source.path).rate, **how):
-                size, count = frame.picture.shape[:2], count + 1
+            rate = film_facts(source.path).rate
+            for frame, _, found in follow_people(source.path, rate, **how):
+                size = frame.picture.shape[:2]
+                times.append(frame.time)
+                guessed.append(frame.guessed)
                 self._add(source, frame.picture, found, set(found), frame.index, frame.time)
                 self.passed["frame"] += 1
                 self.progress(source.path.name)
         except InputError as error:
             self._fail(source, error)
+        for warning in time_warnings(str(source.path), times, guessed, usual_rate(times, rate)):
+            self.progress.say(f"partdr: warning: {warning}")
         self._predict()
         tracks, self._rows = [np.concatenate(rows) for rows in self._rows.values()], {}
-        tracks = [rows for rows in tracks if len(rows) >= min(SHORTEST, count)]
+        tracks = [rows for rows in tracks if len(rows) >= min(SHORTEST, len(times))]
         if tracks:
             self._save_film(source, tracks, (size[0], size[1]))
-        elif count:
-            self._nobody(source, f"nobody found in {count} frames")
+        elif times:
+            self._nobody(source, f"nobody found in {len(times)} frames")
 
     def _save_film(self, source: _Source, tracks: list[np.ndarray], size: tuple[int, int]) -> None:
         """Write a film's people, the most and largest seen first."""
@@ -231,6 +239,8 @@ class _Run:
                         "frames": len(rows),
                         "first_frame": int(rows["frames"][0]),
                         "last_frame": int(rows["frames"][-1]),
+                        "first_time": round(float(rows["times"][0]), 6),
+                        "last_time": round(float(rows["times"][-1]), 6),
                     }
                 )
 

@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 from ..detection import MIN_SCORE
 from ..errors import InputError
-from ..inputs.films import check_rates, film_facts
+from ..inputs.films import film_facts
 from .fit_film import FilmRun, check_film_view, fit_films
 from .options import CameraOptions, DeviceOption, NetworkOptions, OutOption, SettingOptions, check_person, check_score
 
@@ -19,12 +19,13 @@ SCENE_HELP = """Fit motions to everyone in films of several cameras: with a seco
 Examples: `partdr scene left.mp4 right.mp4`; `partdr scene left.jpg right.jpg`; one person of four films of calibrated
 cameras, `partdr scene cam*.mp4 --cameras calibration/ --person 0`
 
-Films (or photos) show the same moments, frame by frame, else `--align` finds which frames do. Who is who in them is
-found by where rays meet. **Cameras** stand still: a file or a folder of Pose2Sim, Anipose, FreeMoCap, Caliscope,
-OpenCV, EasyMocap, MC-Calib, Kalibr or Qualisys, or a JSON of ours (docs/inputs.md), in metres. Each is of the film of
-its name or number (cam1_sync.mp4 of cam1), else they are in the films' order. Distortion is taken away. Without
---cameras they are placed by the people; say one's height with `--set stature=1.78` (metres), or distances are as large
-as people seem.
+Films (or photos) start at the same moment, else `--align` finds where they do; their rates may differ or vary, for
+frames are matched by their times. Who is who in them is found by where rays meet.
+
+**Cameras** stand still: a file or a folder of Pose2Sim, Anipose, FreeMoCap, Caliscope, OpenCV, EasyMocap, MC-Calib,
+Kalibr or Qualisys, or a JSON of ours (docs/inputs.md), in metres. Each is of the film of its name or number
+(cam1_sync.mp4 of cam1), else they are in the films' order. Distortion is taken away. Without --cameras they are placed
+by the people; say one's height with `--set stature=1.78` (metres), or distances are as large as people seem.
 
 Results are those of `partdr fit film.mp4`, in the frame of the first film's camera, with an overlay of each film; a
 run that was ended goes on where it was. **Settings** for --set and --config are the same: `window=64`, `overlap=12`,
@@ -64,6 +65,7 @@ def scene(
     check_person(person)
     check_film_view(view, films)
     networks.check()
-    check_rates([film_facts(film).rate for film in films])  # faults are told before anything is loaded
+    for film in films:
+        film_facts(film)  # faults are told before anything is loaded
     how = networks, view, rig.cameras, rig.align
     fit_films(FilmRun(tuple(films), out, device, model, person, score, values, *how))

@@ -13,6 +13,7 @@ import torch
 
 from ..errors import InputError
 from ..inputs.films import Frame, film_facts, read_frames
+from ..inputs.frame_times import time_warnings, usual_rate
 from ..inputs.keypoints import Keypoints2D
 from ..interop.ahead import made_ahead
 from ..interop.torch_threads import one_torch_thread
@@ -25,7 +26,6 @@ from .tracks import PeopleTracker
 _LOOKS = 3  # a second, of the detector in films
 SHORTEST = 3  # frames of a person in a film; fewer are taken for a mistake
 _SIDE = 640  # [px], longer side at which it is kept whom pixels show; masks have 256 px a person
-_USUAL_RATE = 30.0  # frames a second of a film that does not tell
 
 SEEN: dict[str, tuple[type, tuple[int, ...]]] = {
     "frames": (np.int64, ()),
@@ -43,12 +43,13 @@ class FilmPeople:
 
     Attributes:
         image_size: (H, W) of the film [px].
-        rate: Frames a second.
-        times: Of the frames since the first [s], shape (F,).
+        rate: Frames a second of most of it.
+        times: Of the frames since the first [s], rising, shape (F,).
         rows: A row a sight, of fields ``SEEN``; ``tracks`` is the person, 0 = the most and largest seen, ``places`` the
             place in ``owners`` of the frame.
         packed: ``owners`` of the frames, compressed.
         fault: Why the film ended before its end; empty if it did not.
+        warnings: Sentences about frames that are missing, and about times that are guesses.
     """
 
     image_size: tuple[int, int]
@@ -57,6 +58,7 @@ class FilmPeople:
     rows: np.ndarray
     packed: tuple[bytes, ...]
     fault: str = ""
+    warnings: tuple[str, ...] = ()
 
     @property
     def num_people(self) -> int:
@@ -67,17 +69,28 @@ class FilmPeople:
         """Whom each pixel shows: 1 for the place 0, 0 for nobody, shape ``kept_size(image_size)``, uint8."""
         return np.frombuffer(zlib.decompress(self.packed[frame]), np.uint8).reshape(kept_size(self.image_size))
 
-    def since(self, frame: int) -> FilmPeople:
-        """The same film without the frames before one."""
-        rows = self.rows[self.rows["frames"] >= frame].copy()
-        rows["frames"] -= frame
-        rows["times"] -= self.times[frame]
-        times = self.times[frame:] - self.times[frame]
-        return replace(self, times=times, rows=_by_size(rows, len(times)), packed=self.packed[frame:])
+    def taken(self, numbers: np.ndarray, times: np.ndarray) -> FilmPeople:
+        """The same film in some of its frames.
+
+        Args:
+            numbers: Of these frames in this film, rising, -1 where it has none, shape (T,), int64.
+            times: Of these frames [s], shape (T,).
+        """
+        rows = self.rows[np.isin(self.rows["frames"], numbers)].copy()
+        rows["frames"] = frame_places(rows["frames"], numbers)
+        rows["times"] = times[rows["frames"]]
+        packed = tuple(self.packed[number] if number >= 0 else b"" for number in numbers.tolist())
+        return replace(self, times=times, rows=_by_size(rows, len(times)), packed=packed)
 
     def of(self, track: int) -> np.ndarray:
         """Rows of a person."""
         return self.rows[self.rows["tracks"] == track]
+
+
+def frame_places(frames: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Places of frames among the numbers, which rise but for -1, where there is none, shape of ``frames``, int64."""
+    there = np.flatnonzero(numbers >= 0)
+    return there[np.searchsorted(numbers[there], frames)]
 
 
 def kept_size(size: tuple[int, int]) -> tuple[int, int]:
@@ -117,12 +130,14 @@ def find_film_people(
     rows: list[np.ndarray] = []
     packed: list[bytes] = []
     times: list[float] = []
+    guessed: list[bool] = []
     size, fault = (0, 0), ""
     try:
         for frame, pyramid, found in follow_people(path, facts.rate, min_score=min_score, device=device):
             size = (frame.picture.shape[0], frame.picture.shape[1])
             packed.append(_pack(list(found.values()), size))
             times.append(frame.time)
+            guessed.append(frame.guessed)
             for place, (number, person) in enumerate(found.items()):
                 rows.append(np.array([(*seen_values(person, frame.index, frame.time), number, place)], _ROW))
             if watch is not None:
@@ -136,7 +151,9 @@ def find_film_people(
     numbered = _by_size(np.concatenate(rows) if rows else np.zeros(0, _ROW), len(times))
     if not len(numbered):
         raise InputError(fault or f"{path}: nobody found in {len(times)} frames; expected people")
-    return FilmPeople(size, facts.rate or _USUAL_RATE, np.array(times), numbered, tuple(packed), fault)
+    rate = usual_rate(times, facts.rate)
+    told = time_warnings(str(path), times, guessed, rate)
+    return FilmPeople(size, rate, np.array(times), numbered, tuple(packed), fault, told)
 
 
 def follow_people(

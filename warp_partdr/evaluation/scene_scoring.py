@@ -62,7 +62,8 @@ class SceneBodies:
     def _joined(self, points: list[torch.Tensor]) -> torch.Tensor:
         every = torch.cat(points, dim=1 if self.by_frame else 0).cpu()
         if self.smoothing > 0:
-            shares = time_shares(torch.ones(1, every.shape[1], dtype=torch.bool), self.smoothing)[0].to(every)
+            numbers = torch.arange(every.shape[1], dtype=torch.float64)
+            shares = time_shares(torch.ones(1, every.shape[1], dtype=torch.bool), numbers, self.smoothing)[0].to(every)
             every = torch.einsum("ts,ps...->pt...", shares, every)
         return every
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 import threading
-from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections import OrderedDict, deque
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,19 +18,20 @@ import numpy as np
 
 from ..errors import InputError, cause, install_command
 from ..files.disk import check_regular
+from .film_sizes import stated_bytes
+from .frame_times import USUAL_RATE, rising_times, usual_rate
 from .part_labels import LARGEST_PICTURE, read_photo
 from .photo_files import PHOTO_SUFFIXES, ending_of
 
 if TYPE_CHECKING:
-    from av import VideoFrame
+    from av import Packet, VideoFrame
     from av.container import InputContainer
     from av.video.stream import VideoStream
 
 FILM_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".mts", ".wmv")
 _NEAR = 32  # frames ahead to which a film is read on rather than opened anew, and that are kept for other threads
-
-
-_RATES = 0.01  # share by which rates of films may differ
+_FASTEST = 480.0  # frames a second; what states more often means the unit of its times
+_FIRST = 256  # packets that tell the rate of such a film
 
 
 @dataclass(frozen=True)
@@ -37,13 +40,15 @@ class Frame:
 
     Attributes:
         index: 0 for the first.
-        time: Since the first frame [s].
+        time: Since the first frame [s]; it rises from frame to frame.
         picture: RGB, shape (H, W, 3), uint8, upright, with square pixels; all frames have one size.
+        guessed: Whether the file states no such time.
     """
 
     index: int
     time: float
     picture: np.ndarray
+    guessed: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,16 +82,13 @@ def film_facts(path: str | Path) -> FilmFacts:
         InputError: If PyAV is not installed, or the file can't be read as a film.
     """
     with _opened(path) as (container, stream):
-        rate = float(stream.average_rate or stream.guessed_rate or 0)
+        rate = _stated_rate(stream)
         seconds = (container.duration or 0) / 1_000_000  # libav's own unit of time
+        if not 0 < rate <= _FASTEST:
+            first = islice((packet.pts for packet in container.demux(stream) if packet.pts is not None), _FIRST)
+            times = np.unique(np.array(list(first), dtype=np.float64)) * float(stream.time_base or 0)
+            rate = usual_rate(times) if len(times) > 1 else 0.0
         return FilmFacts(rate, stream.frames or max(round(seconds * rate), 0))
-
-
-def check_rates(rates: Sequence[float]) -> None:
-    """Raise an InputError if films of the same moments differ in their frames a second; 0 is unknown."""
-    known = [rate for rate in rates if rate]
-    if known and max(known) > (1 + _RATES) * min(known):
-        raise InputError(f"films: {', '.join(f'{rate:g}' for rate in rates)} frames a second; expected one rate")
 
 
 def read_frames(path: str | Path, *, size: tuple[int, int] | None = None) -> Iterator[Frame]:
@@ -104,27 +106,66 @@ def read_frames(path: str | Path, *, size: tuple[int, int] | None = None) -> Ite
         photo = read_photo(path)
         yield Frame(0, 0.0, photo if size is None else scaled(photo, size))
         return
-    index, packets, start, square = 0, 0, 0.0, (0, 0)
+    square = (0, 0)
     with _opened(path) as (container, stream):
         stream.thread_type = "AUTO"
-        rate = float(stream.average_rate or stream.guessed_rate or 0)
-        for packet in container.demux(stream):
-            packets += bool(packet.size)
-            for frame in packet.decode():
-                if not index:
-                    square = _square_size(path, stream, frame)
-                    if size is not None:
-                        square = size if _quarters(frame) % 2 else (size[1], size[0])
-                    start = frame.time or 0.0
-                time = index / rate if frame.time is None and rate else (frame.time or 0.0) - start
-                # Films of several sizes exist; what follows people wants one.
-                yield Frame(index, time, _upright(frame, square))
-                index += 1
-        said = stream.frames
-    if not index:
+        rate, packets = _stated_rate(stream), _Packets(path, container, stream)
+        frames = ((frame, packets.time(frame)) for packet in packets for frame in packet.decode())
+        step = 1 / (rate if 0 < rate <= _FASTEST else USUAL_RATE)
+        for index, (frame, time, guessed) in enumerate(rising_times(frames, step)):
+            if not index:
+                square = _square_size(path, stream, frame)
+                if size is not None:
+                    square = size if _quarters(frame) % 2 else (size[1], size[0])
+            # Films of several sizes exist; what follows people wants one.
+            yield Frame(index, time, _upright(frame, square), guessed)
+    if not square[0]:
         raise InputError(f"{path}: no frames; expected a film")
-    if packets < said:
-        raise InputError(_cut_off(path, packets, said))
+    if packets.fault:
+        raise InputError(packets.fault)
+
+
+class _Packets:
+    """Packets of a film in the order of the file; after the last one ``fault`` says whether the film is cut off."""
+
+    def __init__(self, path: str | Path, container: InputContainer, stream: VideoStream) -> None:
+        self.fault = ""
+        self._path, self._container, self._stream = path, container, stream
+        self._count, self._listed = 0, len(stream.index_entries)
+        # AVI states when frames are decoded. From that libav guesses when they are shown, wrongly if the order differs.
+        self.guesses = container.format.name == "avi" and stream.codec_context.has_b_frames
+        self._decoded: deque[int] = deque()  # times of the packets whose frames are not shown yet, where it guesses
+
+    def __iter__(self) -> Iterator[Packet]:
+        for packet in self._container.demux(self._stream):
+            if packet.size or packet.dts is not None:  # else it only asks for the last frames
+                self._count += 1
+                if self.guesses and packet.dts is not None:
+                    self._decoded.append(packet.dts)
+            yield packet
+        self.fault = self._cut_off()
+
+    def time(self, frame: VideoFrame) -> float | None:
+        """When a frame is shown, as the file states it [s]; None: it does not. Asked for each one, in order."""
+        ticks = frame.pts
+        if self.guesses:  # the first one that is shown has the time of the first one that is decoded, and so on
+            ticks = self._decoded.popleft() if self._decoded else None
+        return None if ticks is None or frame.time_base is None else float(ticks * frame.time_base)
+
+    def _cut_off(self) -> str:
+        """What is missing of a film whose last packet was read; empty if nothing is."""
+        size, stated = os.stat(self._path).st_size, stated_bytes(self._path)
+        frames, listed = self._stream.frames, self._listed
+        if self._container.format.name == "avi":
+            # Frames that a whole one does not list were dropped by whoever recorded it.
+            frames = listed if size + 1 >= stated > 0 else frames
+        elif stated > size:
+            return f"{self._path}: {size} of {stated} bytes in it; expected a whole film"
+        elif frames:  # without those that an edit list leaves out
+            frames = listed or frames
+        if self._count < frames:
+            return f"{self._path}: {self._count} of {frames} frames in it; expected a whole film"
+        return ""
 
 
 class FilmFrames:
@@ -142,18 +183,21 @@ class FilmFrames:
             InputError: If PyAV is not installed, or the file can't be read as a film.
         """
         self.path = path
-        times, packets = [], 0
+        times: list[int | None] = []
+        last, rises = -math.inf, True
         with _opened(path) as (container, stream):
-            said = stream.frames
-            for packet in container.demux(stream):
-                packets += bool(packet.size)
+            packets = _Packets(path, container, stream)
+            for packet in packets:
                 if packet.size and not packet.is_discard:
                     times.append(packet.pts)
-        self.fault = _cut_off(path, packets, said) if packets < said or not times else None
+                    rises = rises and (packet.dts is None or packet.dts > last)
+                    last = last if packet.dts is None else packet.dts
+        self.fault = packets.fault or (None if times else f"{path}: no frames; expected a film")
         known = [time for time in times if time is not None]
         self._count = len(times)
         # Without times, or with one twice, frames can only be counted from the first on.
-        self._times = sorted(known) if len(set(known)) == len(times) else None
+        trusted = rises and not packets.guesses and len(set(known)) == len(times)
+        self._times = sorted(known) if trusted else None
         self._lock = threading.Lock()
         self._ahead: OrderedDict[int, np.ndarray] = OrderedDict()
         self._decoded: Iterator[tuple[int, np.ndarray]] = iter(())
@@ -238,8 +282,9 @@ def _opened(path: str | Path) -> Iterator[tuple[InputContainer, VideoStream]]:
         raise InputError(f"{path}: {text}; expected a film") from error
 
 
-def _cut_off(path: str | Path, packets: int, said: int) -> str:
-    return f"{path}: {packets} of {said} frames in it; expected a whole film"
+def _stated_rate(stream: VideoStream) -> float:
+    """Frames a second on average, as the file states it; 0 if it does not."""
+    return float(stream.average_rate or stream.guessed_rate or 0)
 
 
 def _square_size(path: str | Path, stream: VideoStream, frame: VideoFrame) -> tuple[int, int]:

@@ -15,7 +15,7 @@ import torch
 from ..body.skeletons import skeleton
 from ..detection import MIN_SCORE
 from ..detection.crops import Pyramid
-from ..detection.film_people import FilmPeople, find_film_people, kept_size
+from ..detection.film_people import FilmPeople, find_film_people, frame_places, kept_size
 from ..detection.masks import instance_map
 from ..detection.person import FoundPerson
 from ..errors import InputError, check_type
@@ -91,12 +91,12 @@ class FilmSights:
         packed = self.packed[row]
         return np.frombuffer(zlib.decompress(packed), np.uint8).reshape(self.size).copy() if packed else None
 
-    def since(self, frame: int) -> FilmSights:
-        """The same without the frames before one."""
-        kept = np.flatnonzero(self.frames >= frame)
+    def taken(self, numbers: np.ndarray) -> FilmSights:
+        """The same in frames of these numbers, as of ``FilmPeople.taken``."""
+        kept = np.flatnonzero(np.isin(self.frames, numbers))
         packed = tuple(self.packed[row] for row in kept)
-        frames, places, keypoints = self.frames[kept] - frame, self.places[kept], self.keypoints[kept]
-        return FilmSights(self.networks, frames, places, keypoints, self.size, packed)
+        frames = frame_places(self.frames[kept], numbers)
+        return FilmSights(self.networks, frames, self.places[kept], self.keypoints[kept], self.size, packed)
 
     @property
     def gaps(self) -> list[str]:

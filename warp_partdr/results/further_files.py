@@ -62,7 +62,7 @@ def save_fbx(registered: Registered, path: Path, poses: Poses | None = None) -> 
     Raises:
         InputError: If Blender is missing, or fails; with the last line that it said.
     """
-    command, poses = check_blender("fbx"), poses or Poses.first(registered)
+    command, poses = check_blender("fbx"), (poses or Poses.first(registered)).evenly()
     blender = _MODULE if command[0] == sys.executable else command[0]
     with TemporaryDirectory() as folder:
         source = Path(folder) / path.with_suffix(".glb").name

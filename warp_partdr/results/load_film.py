@@ -38,12 +38,21 @@ class FilmView:
         size: (H, W) of its pictures [px].
         view: The camera, of pixels without distortion.
         lens: The camera whose distortion was taken away; None: there is none.
+        numbers: Of the frames in the film's file, -1 where it has none; None: all, from the first one on.
     """
 
     film: str
     size: tuple[int, int]
     view: View
     lens: CalibratedCamera | None = None
+    numbers: tuple[int, ...] | None = None
+
+    def number(self, frame: int) -> int | None:
+        """Number of a frame in the film's file; None: it has none."""
+        if self.numbers is None:
+            return frame
+        found = self.numbers[frame] if frame < len(self.numbers) else -1
+        return None if found < 0 else found
 
 
 @dataclass(frozen=True)
@@ -51,7 +60,7 @@ class SavedFilm:
     """People's motions through a film, or through several of the same scene.
 
     Attributes:
-        rate: Frames a second.
+        rate: Frames a second of most of the film.
         times: Time of each frame since the first [s], shape (T,).
         motions: By person.
         views: One or more.
@@ -93,7 +102,8 @@ def load_film_fit(folder: str | Path, model: DetailedModel) -> SavedFilm:
         motions[person] = _motion(Path(folder) / name, bodies, count, model)
         known[bodies.rows["frames"]] = bodies.rows["times"]
         seen = seen or [_view_of(Path(folder) / name, bodies)]
-    return SavedFilm(rate, _times(known, rate), motions, seen)
+    stated = report.get("times")
+    return SavedFilm(rate, _times(known, rate) if stated is None else _stated_times(stated, count, path), motions, seen)
 
 
 def _motion(path: Path, bodies: FilmBodies, count: int, model: DetailedModel) -> Motion:
@@ -137,7 +147,8 @@ def _view(values: Any, where: str) -> FilmView:
             across, down = map(float, values["lens"]["focal"])
             distortion = tuple(map(float, values["lens"]["distortion"]))
             lens = CalibratedCamera((across, down), (u, v), distortion, size=(height, width))
-        return FilmView(str(values["film"]), (height, width), View(camera, rotation, translation), lens)
+        numbers = None if values.get("film_frames") is None else tuple(map(int, values["film_frames"]))
+        return FilmView(str(values["film"]), (height, width), View(camera, rotation, translation), lens, numbers)
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, OverflowError, RuntimeError) as error:
@@ -155,6 +166,17 @@ def _view_of(path: Path, bodies: FilmBodies) -> FilmView:
     except ValueError as error:
         raise InputError(f"{path}: {error}; expected {_MOTION}") from error
     return FilmView("", bodies.image_size, View(camera))
+
+
+def _stated_times(stated: Any, count: int, path: Path) -> np.ndarray:
+    """Times of all frames as the report has them."""
+    try:
+        times = np.asarray(stated, dtype=np.float64)
+    except (TypeError, ValueError):
+        times = np.zeros(0)
+    if times.shape != (count,) or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+        raise InputError(f"{path}: times: not of {count} frames, or they do not rise; expected {_EXPECTED}")
+    return times
 
 
 def _times(known: np.ndarray, rate: float) -> np.ndarray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from ..errors import InputError, check_type
 from ..fit.fitting import Progress
 from ..inputs.camera_files import camera_data
 from ..inputs.films import read_frames
+from ..inputs.frame_times import is_even
 from ..interop.ahead import made_ahead
 from ..interop.torch_threads import one_torch_thread
 from ..predictors.film_sights import GivenNetworks
@@ -60,12 +60,15 @@ def save_film_fit(
     ``personN.npz`` is as ``predictions`` has it, with ``detailed_model`` (), ``detailed_shape`` (S,),
     ``detailed_rotations`` (T, J, 3, 3) and ``detailed_translation`` (T, 3) [m], and ``clothes`` (8,) [m]; its
     EllipBodies are measured from these. All is in the world, of one film its camera's frame; keypoints and camera are
-    the first film's. GLB and BVH hold motions at the film's rate: of a person from its first frame on, standing on
-    y = 0, ``scene.glb`` of everybody when and where they are, with the cameras. Further films have overlay1.mp4 and so
-    on, and all of them cameras.json, which ``read_cameras`` reads.
+    the first film's. GLB, BVH and USD hold motions of a person from its first frame on, standing on y = 0,
+    ``scene.glb`` of everybody when and where they are, with the cameras. Overlays, GLB and USD have the frames' own
+    times, BVH and FBX, which know one rate alone, the rate of most of the film, between whose frames joints turn the
+    shortest way. Further films have overlay1.mp4 and so on, and all of them cameras.json, which ``read_cameras`` reads.
+    ``people.json`` has the rate of most of the film, and under ``times`` those of all frames [s].
     ``people.json`` has the cameras under ``views``: X_camera = rotation X_world + translation, in pixels without
-    distortion, ``lens``, the distortion that was taken away (k1, k2, p1, p2, k3, ...), ``skipped_frames`` (left out
-    at the start), and the names of the networks that saw ``keypoints`` and ``parts``.
+    distortion, ``lens``, the distortion that was taken away (k1, k2, p1, p2, k3, ...), ``skipped_frames`` (left out at
+    the start), ``film_frames`` (of films that were matched: each frame's number in the file, -1 for none), and the
+    names of the networks that saw ``keypoints`` and ``parts``.
 
     Args:
         fit: Of ``fit_film``.
@@ -86,10 +89,12 @@ def save_film_fit(
         raise InputError(f"films: {len(films)} files; expected {len(fit.films)}, those of the fit")
     check_formats("formats", formats)
     tell = progress or (lambda name, done, total: None)
-    told = [f"{seen.people.fault}; frames before were fitted" for seen in fit.films if seen.people.fault]
+    told = [warning for seen in fit.films for warning in seen.people.warnings]
+    told += [f"{seen.people.fault}; frames before were fitted" for seen in fit.films if seen.people.fault]
     told += [_with_names(warning, films) for warning in fit.warnings]
     told += _misfits(fit, films)
     report: dict[str, Any] = {"rate": fit.people.rate, "frames": len(fit.times), "warnings": told, "people": []}
+    report["times"] = fit.times.round(6).tolist()
     report["views"] = [_view(Path(film).name, seen) for film, seen in zip(films, fit.films, strict=True)]
     with replacing(Path(folder), PEOPLE_REPORT, report, outdates=(PEOPLE_REPORT,)) as temporary:
         actors: list[Actor] = []
@@ -107,12 +112,15 @@ def save_film_fit(
         if len(films) > 1:
             data = camera_data(dict(zip(names, (seen.camera for seen in fit.films), strict=True)))
             (temporary / CAMERAS).write_text(json.dumps(data, indent=1))
-        total, done = sum(len(seen.people.times) for seen in fit.films), 0
+        total, done = sum(int((seen.file_numbers >= 0).sum()) for seen in fit.films), 0
         for place, film in enumerate(films):
             pictures = made_ahead(draw_film(fit, film, place))
             shown = (_told(picture, done + row, total, tell) for row, picture in enumerate(pictures))
-            write_film(temporary / overlay_name(place), shown, fit.people.rate)
-            done += len(fit.films[place].people.times)
+            seen = fit.films[place]
+            times = fit.times[: len(seen.file_numbers)][seen.file_numbers >= 0]
+            even = times[0] == 0 and is_even(times, fit.people.rate)
+            write_film(temporary / overlay_name(place), shown, fit.people.rate, None if even else times)
+            done += len(times)
     return report
 
 
@@ -130,6 +138,8 @@ def overlay_name(film: int) -> str:
 def draw_film(fit: FilmFit, film: str | Path, place: int = 0) -> Iterator[np.ndarray]:
     """Frames of a film with the bodies over them, at most 960 px a side: RGB, (H, W, 3), uint8.
 
+    Of a film that was matched with others, only the frames that were.
+
     Args:
         fit: The fit.
         film: The file.
@@ -138,8 +148,10 @@ def draw_film(fit: FilmFit, film: str | Path, place: int = 0) -> Iterator[np.nda
     seen = fit.films[place]
     zoom, size = shown_at(seen.people.image_size, _SIDE)
     view, posed = zoomed_view(seen.view, zoom, size), PosedMotions(fit.motions)
-    frames = enumerate(islice(read_frames(film, size=size), seen.skipped, seen.skipped + len(seen.people.times)))
-    for index, picture in made_ahead((index, resized(frame.picture, size, seen.lens)) for index, frame in frames):
+    places = {number: place for place, number in enumerate(seen.file_numbers.tolist()) if number >= 0}
+    frames = islice(read_frames(film, size=size), max(places) + 1)
+    shown = ((places[frame.index], frame.picture) for frame in frames if frame.index in places)
+    for index, picture in made_ahead((index, resized(each, size, seen.lens)) for index, each in shown):
         yield draw_bodies(picture, posed.at(index), fit.motions, view)
 
 
@@ -153,6 +165,7 @@ def _view(name: str, seen: SeenFilm) -> dict[str, Any]:
         "film": name,
         **{kind: PACKAGED if network is None else network.name for kind, network in sources.items()},
         "skipped_frames": seen.skipped,
+        **({} if seen.numbers is None else {"film_frames": seen.numbers.tolist()}),
         "size": list(seen.people.image_size[::-1]),
         "focal": float(camera.focal[0, 0]),
         "principal": camera.centre[0].tolist(),
@@ -168,13 +181,16 @@ def _told(picture: np.ndarray, number: int, total: int, tell: Progress) -> np.nd
 
 
 def _acted(fit: FilmFit, person: int, motion: Motion) -> tuple[np.ndarray, Actor]:
-    """Rows of ``FilmBodies`` of a person, and the motion in even time: in frames that no window had, the body waits."""
+    """Rows of ``FilmBodies`` of a person, and the motion frame by frame: where no window had one, the body waits."""
     rows, lowest = _rows(fit, person, motion)
     first, last = motion.frames[[0, -1]]
-    even = np.searchsorted(motion.frames, np.arange(first, last + 1), side="right") - 1
+    every = np.searchsorted(motion.frames, np.arange(first, last + 1), side="right") - 1
     rate = fit.people.rate
-    poses = Poses(motion.rotations[even], motion.translation[even], rate, lowest, float(first) / rate)
-    return rows, Actor(f"person{person}", motion.bodies(slice(0, 1)), poses)
+    times = np.append(fit.times, fit.times[-1] + 1 / rate)
+    if is_even(fit.times, rate):  # without what containers round
+        times = np.arange(len(times)) / rate
+    poses = Poses(motion.rotations[every], motion.translation[every], times[first : last + 1], rate, lowest)
+    return rows, Actor(f"person{person}", motion.bodies(slice(0, 1)), poses, float(times[last + 1]))
 
 
 def _save_motion(
@@ -189,7 +205,7 @@ def _save_motion(
         clothes=motion.shape.clothes.cpu().numpy(),
         **{f"detailed_{key}": value.cpu().numpy() for key, value in numbers.items()},
     )
-    poses = replace(actor.poses, start=0.0)
+    poses = actor.poses.since(float(actor.poses.times[0]))
     (folder / f"{name}.glb").write_bytes(glb(actor.body, poses))
     (folder / f"{name}.bvh").write_text(bvh(actor.body, poses))
     further = save_further(actor.body, folder / name, formats, poses)
@@ -200,6 +216,8 @@ def _save_motion(
         "score": round(float(np.concatenate([each["scores"] for each in seen]).mean()), 3),
         "first_frame": int(motion.frames[0]),
         "last_frame": int(motion.frames[-1]),
+        "first_time": round(float(fit.times[motion.frames[0]]), 6),
+        "last_time": round(float(fit.times[motion.frames[-1]]), 6),
         "frames_seen": len(np.unique(np.concatenate([each["frames"] for each in seen]))),
         "distance_m": round(float(rows["translation"][:, 2].mean()), 2),
         "lengths_cm": dict(zip(LENGTH_NAMES, _centimetres(rows["lengths"][0]), strict=True)),

@@ -20,11 +20,19 @@ _NEAREST = 0.05  # [m] from a camera that something is shown
 
 @dataclass(frozen=True)
 class Actor:
-    """Somebody who moves: a name, the body in its first pose, and its poses, all in the world."""
+    """Somebody who moves, in the world.
+
+    Attributes:
+        name: The body's.
+        body: In its first pose.
+        poses: The motion.
+        until: When the body is there no longer [s].
+    """
 
     name: str
     body: Registered
     poses: Poses
+    until: float
 
 
 @dataclass(frozen=True)
@@ -52,7 +60,7 @@ def scene_glb(actors: Sequence[Actor], views: Sequence[NamedView]) -> bytes:
         poses = replace(actor.poses, lowest=lowest)
         body = add_body(document, actor.body, poses, name=actor.name)
         first, last = float(poses.times[0]), float(poses.times[-1])
-        shown = [(0.0, 0.0)] * (first > 0) + [(first, 1.0)] + [(last + 1 / poses.rate, 0.0)] * (last < end)
+        shown = [(0.0, 0.0)] * (first > 0) + [(first, 1.0)] + [(actor.until, 0.0)] * (last < end)
         if len(shown) > 1:
             times, sizes = np.array(shown).T
             document.animate(body, "scale", document.add_times(times), np.repeat(sizes[:, None], 3, 1), steps=True)

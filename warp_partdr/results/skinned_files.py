@@ -7,16 +7,18 @@ shows the posed body and Blender can pose it further.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
+from ..body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
 from ..clothing.model import DetailedModel
 from ..clothing.normals import vertex_normals
 from ..clothing.registration import Registered
+from ..inputs.frame_times import USUAL_RATE, is_even
 from .binding import Binding, from_rest, numbers_of, to_quaternions
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .gltf import Document
@@ -31,7 +33,7 @@ SKIN_LOOK: dict[str, Any] = {  # by glTF's names
     "metallicFactor": 0.0,
     "roughnessFactor": 0.8,
 }
-_USUAL_RATE = 30.0  # poses a second of a file with one
+_MOST_OFTEN = 16  # poses a pose, of motions that are made even
 _STILL = 1e-5  # of a rotation's entries: joints that turn less do not move
 _INDICES = 34963  # glTF's ELEMENT_ARRAY_BUFFER
 
@@ -55,32 +57,49 @@ def posed_mesh(registered: Registered, **look: Any) -> trimesh.Trimesh:
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses of a body, one after another, evenly in time.
+    """Poses of a body, one after another.
 
     Attributes:
         rotations: Local rotation of each joint, shape (T, J, 3, 3).
         translation: Position of the root joint in the camera frame [m], shape (T, 3).
-        rate: Poses a second.
+        times: Of the poses [s], rising, shape (T,), float64.
+        rate: Poses a second of files in which they come evenly.
         lowest: Of all, the y of the lowest vertex, y up [m].
-        start: Of the first one [s].
     """
 
     rotations: torch.Tensor
     translation: torch.Tensor
+    times: np.ndarray
     rate: float
     lowest: float
-    start: float = 0.0
 
     @classmethod
     def first(cls, registered: Registered) -> Poses:
         """The pose of the first body."""
         lowest = float(_upright(registered)[1])
-        return cls(registered.rotations[:1], registered.translation[:1], _USUAL_RATE, lowest)
+        return cls(registered.rotations[:1], registered.translation[:1], np.zeros(1), USUAL_RATE, lowest)
 
-    @property
-    def times(self) -> np.ndarray:
-        """Of the poses [s], shape (T,)."""
-        return self.start + np.arange(len(self.rotations)) / self.rate
+    def since(self, time: float) -> Poses:
+        """The same, timed since this time [s]."""
+        return replace(self, times=self.times - time)
+
+    def evenly(self) -> Poses:
+        """The motion in poses that come evenly: joints turn the shortest way between two poses, the root goes straight.
+
+        There are ``rate`` a second, or fewer where these would be far more than there are poses.
+        """
+        if is_even(self.times, self.rate):
+            return self
+        first, last, steps = self.times[0], self.times[-1], np.diff(self.times)
+        rate = min(self.rate, _MOST_OFTEN * len(steps) / (last - first))
+        times = first + np.arange(round((last - first) * rate) + 1) / rate
+        before = (np.searchsorted(self.times, times, side="right") - 1).clip(0, len(steps) - 1)
+        shares = torch.from_numpy(((times - self.times[before]) / steps[before]).clip(0, 1)).to(self.translation)
+        turns, places = self.rotations[before], self.translation[before]
+        further = rotation_to_axis_angle(turns.mT @ self.rotations[before + 1])
+        turned = turns @ rotation_from_axis_angle(shares[:, None, None] * further)
+        moved = torch.lerp(places, self.translation[before + 1], shares[:, None])
+        return Poses(turned, moved, times, rate, self.lowest)
 
     def numbers(self) -> tuple[np.ndarray, np.ndarray]:
         """``rotations`` and ``translation`` in double precision."""
@@ -144,8 +163,8 @@ def _animate(document: Document, first: int, poses: Poses) -> None:
 
 
 def bvh(registered: Registered, poses: Poses | None = None) -> str:
-    """The first body's skeleton and its pose, or several, as BVH, centimetres and degrees."""
-    model, poses = registered.model, poses or Poses.first(registered)
+    """The first body's skeleton and its pose, or several that come evenly, as BVH, centimetres and degrees."""
+    model, poses = registered.model, (poses or Poses.first(registered)).evenly()
     rest, (rotations, translation) = 100 * numbers_of(registered.rest().joints), poses.numbers()
     rotations[:, 0] = GLTF_FROM_CAMERA @ rotations[:, 0]
     columns = [100 * (translation @ GLTF_FROM_CAMERA.T - [0.0, poses.lowest, 0.0])]

@@ -19,6 +19,8 @@ from .binding import Binding, numbers_of, to_quaternions
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .skinned_files import SKIN_LOOK, Poses
 
+_WHOLE = 1e-6  # of a frame, by which times are rounded
+
 
 def check_usd(name: str) -> None:
     """Raise an InputError, which begins with ``name``, if usd-core is not installed."""
@@ -89,8 +91,8 @@ def _moves(places: np.ndarray) -> list[Any]:
     return [Gf.Matrix4d().SetTranslate(Gf.Vec3d(*place.tolist())) for place in places]
 
 
-def _add_motion(stage: Any, skeleton: Any, registered: Registered, poses: Poses) -> range:
-    """The joints' rotations and places, one after another; returns their times."""
+def _add_motion(stage: Any, skeleton: Any, registered: Registered, poses: Poses) -> list[float]:
+    """The joints' rotations and places, one after another; returns their times, ``poses.rate`` a second."""
     from pxr import Gf, Usd, UsdSkel, Vt
 
     rotations, translation = poses.numbers()
@@ -105,12 +107,13 @@ def _add_motion(stage: Any, skeleton: Any, registered: Registered, poses: Poses)
     motion = UsdSkel.Animation.Define(stage, "/body/skeleton/motion")
     motion.CreateJointsAttr(skeleton.GetJointsAttr().Get())
     motion.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * len(parents)))
-    times = range(len(rotations))
+    codes = (poses.times - poses.times[0]) * poses.rate
+    times: list[float] = np.where(np.abs(codes - codes.round()) < _WHOLE, codes.round(), codes).tolist()
     moving, placed = motion.CreateRotationsAttr(), motion.CreateTranslationsAttr()
-    for time in times:
+    for place, time in enumerate(times):
         moment = Usd.TimeCode(time) if len(times) > 1 else Usd.TimeCode.Default()
-        offsets[parents < 0] = standing[time]
-        quaternions = [Gf.Quatf(w, x, y, z) for x, y, z, w in turns[time].tolist()]
+        offsets[parents < 0] = standing[place]
+        quaternions = [Gf.Quatf(w, x, y, z) for x, y, z, w in turns[place].tolist()]
         moving.Set(Vt.QuatfArray(quaternions), moment)
         placed.Set(Vt.Vec3fArray.FromNumpy(offsets.astype(np.float32)), moment)
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([motion.GetPath()])

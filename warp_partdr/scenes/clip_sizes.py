@@ -26,6 +26,7 @@ from .scene import Scene
 # true logarithm changes by 1 / (a + b / n) where the mean of n looks changes by 1, about this sum of lengths [m].
 _SHRUNK, _NOISE, _MIDDLE = 0.771, 0.319, 2.60
 _APART = 4 / 30  # [s], from one look to the next
+_ROUNDED = 1e-6  # of it, by which times are rounded
 
 
 def of_one_size(
@@ -70,7 +71,8 @@ def _target(model: DetailedModel | None, scene: Scene, person: int, looks: Seque
         body = replace(own[0].body, lengths=alike.mean(0, keepdim=True))
         seen = shape_from_lengths(model, body.posed())
         return mean + math.log(float(statures(model, known.values.to(seen)[None]) / statures(model, seen)))
-    times = {math.floor(look.sight.frame / (scene.frame_rate * _APART)) for look in own}
+    at = scene.frame_times
+    times = {math.floor(at[look.sight.frame] / _APART + _ROUNDED) for look in own}
     return mean + (stretch(len(times)) - 1) * (mean - math.log(_MIDDLE))
 
 

@@ -81,7 +81,8 @@ class SceneStarts(Tensors):
         depth_weights: Of their squares, 0 where somebody is not seen [1/m^2], shape (N, V, 20).
         shown: Who is seen in each view, shape (N, V), bool.
         smooth: Share of each frame in each frame's moves, shape (T, T); None: frames move for themselves.
-        rate: Frames a second, shape (); None: nothing is known of feet between frames.
+        rates: 1 over the time from each frame to the next [1/s], 0 where nothing is known of feet between them, shape
+            (T - 1,); None: it nowhere is.
         ground: Normal and offset [m] of the ground in the world, shape (4,); None: no feet are held to any.
         standing: How surely each body stands on it, shape (N,).
         together: Pictures of people who overlap; None: without labels, or nobody does.
@@ -110,7 +111,7 @@ class SceneStarts(Tensors):
     depth_weights: torch.Tensor
     shown: torch.Tensor
     smooth: torch.Tensor | None
-    rate: torch.Tensor | None
+    rates: torch.Tensor | None
     together: Sheet | None
     alone: Sheet | None
     ground: torch.Tensor | None = None
@@ -174,9 +175,9 @@ class SceneEnergy:
         if people.ground is not None and people.standing is not None:
             lowest = self.lowest_feet(points, people.ground)
             costs["ground"] = people.standing * (100 * lowest).square()
-        if people.rate is not None:
+        if people.rates is not None:
             by_frame = [each.unflatten(0, (len(people.shape), -1)) for each in (self._feet(seen_points), people.shown)]
-            costs["sliding"] = slides(by_frame[0], by_frame[1], people.rate) / (POINTS * _STILL**2)
+            costs["sliding"] = slides(by_frame[0], by_frame[1], people.rates) / (POINTS * _STILL**2)
         seg = [
             self._label_loss(people, sheet, mesh, drawn, pelvises)
             for sheet, mesh in ((people.together, self.mesh), (people.alone, one.mesh))

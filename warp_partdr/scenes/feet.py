@@ -29,7 +29,7 @@ _STANDS, _MOVES = 0.15, 0.75
 _ODDS = 2 * math.log(_MOVES / _STANDS), (_STANDS**-2 - _MOVES**-2) / 2
 
 
-def slides(seen: torch.Tensor, shown: torch.Tensor, rate: torch.Tensor) -> torch.Tensor:
+def slides(seen: torch.Tensor, shown: torch.Tensor, rates: torch.Tensor) -> torch.Tensor:
     """Squared speeds of points in each frame since the one before [m^2/s^2], times how surely they stand.
 
     A point stands or moves, as likely before its speed is seen; speeds across the view are normal about 0. Of several
@@ -39,21 +39,22 @@ def slides(seen: torch.Tensor, shown: torch.Tensor, rate: torch.Tensor) -> torch
     Args:
         seen: Points in each camera's frame [m], shape (P, T, V, F, 3), float32.
         shown: Who is seen where, shape (P, T, V), bool; where nobody sees a person, nothing stands.
-        rate: Frames a second, shape (), float32; it has no gradient.
+        rates: 1 over the time from each frame to the next [1/s], shape (T - 1,), float32; they have no gradient. Where
+            one is 0, nothing is known of feet between the frames, and nothing slides.
 
     Returns:
         Shape (P, T - 1, F).
     """
-    found: torch.Tensor = _Slides.apply(seen, shown, rate)
+    found: torch.Tensor = _Slides.apply(seen, shown, rates)
     return found
 
 
 class _Slides(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, seen: torch.Tensor, shown: torch.Tensor, rate: torch.Tensor) -> torch.Tensor:
+    def forward(ctx: Any, seen: torch.Tensor, shown: torch.Tensor, rates: torch.Tensor) -> torch.Tensor:
         people, frames, _, points, _ = seen.shape
         shape = torch.Size((people, frames - 1, points))
-        tensors = seen, shown, rate.expand(people)
+        tensors = seen, shown, rates.expand(people, -1)
         costs, forces = call_captured(_prepare, tensors, (shape, torch.Size((*shape, 3))))
         ctx.save_for_backward(seen, forces)
         return costs
@@ -66,7 +67,7 @@ class _Slides(torch.autograd.Function):
 
 
 def _prepare(inputs: Tensors, outputs: Tensors) -> Launch:
-    """Launch that fills costs and their forces from points, who is shown, and the rate."""
+    """Launch that fills costs and their forces from points, who is shown, and rates."""
     seen, shown, rates = inputs
     arrays = warp_array(seen, vec3), warp_array(shown), warp_array(rates)
     found = warp_array(outputs[0]), warp_array(outputs[1], vec3)

@@ -22,7 +22,6 @@ from ..clothing.registration import Registered, ungrown
 from ..detection.film_people import FilmPeople
 from ..errors import check_type
 from ..fit.fitting import Progress
-from ..inputs.films import check_rates
 from ..interop.ahead import made_ahead
 from .camera_units import in_metres
 from .film_looks import FilmLooks
@@ -30,6 +29,7 @@ from .film_pieces import FilmPieces
 from .fitting import SceneFit, fit_scene
 from .impossible import impossible_people
 from .looks import Looked
+from .matched_times import shared_times, uneven_times
 from .options import SceneOptions
 from .photo import check_whose, person_place
 from .rig_faults import missing_rays, unmatched_films
@@ -92,7 +92,7 @@ class FilmFit:
     @property
     def times(self) -> np.ndarray:
         """Of the longest film's frames since the first [s], shape (F,)."""
-        return max((film.people.times for film in self.films), key=len)
+        return shared_times(self.films)
 
     def rows(self, person: int, film: int = 0) -> np.ndarray:
         """Rows of ``FilmPeople`` of a person in a film, frame by frame."""
@@ -113,7 +113,7 @@ def fit_film(
 
     Args:
         films: One, such as ``[SeenFilm.of(find_film_people("walk.mp4"))]``, or several of the same moments, frame by
-            frame, whose cameras share a world.
+            frame as of ``match_films``, whose cameras share a world.
         person: This one alone, 0 = the most and largest seen; the others' pixels are still known to be theirs.
         options: Of windows, and of their fits; default: ``SceneOptions.film()``.
         model: On the device, float32; default Anny.
@@ -122,8 +122,8 @@ def fit_film(
         pieces: What an earlier run of the same fit has done already, and where this one keeps what it does.
 
     Raises:
-        InputError: If there is no film, or not so many people, films differ in their rates, or a stature is of several
-            people or before several cameras.
+        InputError: If there is no film, or not so many people, frames of films differ in their times, or a stature is
+            of several people or before several cameras.
         TypeError: If an argument is of another type.
     """
     check_films(films)
@@ -209,9 +209,6 @@ class _Films:
     films: tuple[SeenFilm, ...]
     tracks: Mapping[int, tuple[Track, ...]]
 
-    def __post_init__(self) -> None:
-        check_rates([film.people.rate for film in self.films])
-
     def span(self, person: int) -> range:
         """Frames from the first in which a person is seen to the last."""
         frames = np.concatenate([rows["frames"] for _, rows in self._rows(person)])
@@ -241,7 +238,9 @@ class _Films:
             for view, rows in seen
             for sight in self.films[view].sights(rows, people.index(person), view)
         ]
-        return people, Scene(self.views, sights, self.films[0].people.rate, known)
+        return people, Scene(
+            self.views, sights, self.films[0].people.rate, known, times=uneven_times(self.films, window)
+        )
 
     def sights(self, person: int, view: int, frames: range) -> list[Sight]:
         """Sights of a person in a view."""
@@ -262,7 +261,14 @@ class _Films:
             for view, rows in self._rows(person)
             for sight in self.films[view].sights(rows[np.isin(rows["frames"], best)], 0, view)
         ]
-        return best, Scene(self.views, sights, self.films[0].people.rate * len(best) / len(span))
+        return best, Scene(self.views, sights, self._mean_rate(span) * len(best) / len(span))
+
+    def _mean_rate(self, span: range) -> float:
+        """Frames a second in a span."""
+        times = uneven_times(self.films, span)
+        if times is None or len(span) == 1:
+            return self.films[0].people.rate
+        return (len(span) - 1) / float(times[-1])
 
     def _rows(self, person: int) -> Iterator[tuple[int, np.ndarray]]:
         """Views that see a person, and the rows there."""

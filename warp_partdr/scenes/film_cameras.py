@@ -21,6 +21,7 @@ from ..errors import InputError
 from ..fit.fitting import Progress
 from .camera_places import Moments, Places, place_cameras
 from .looks import Looked, look_in_batches, looked_at_together
+from .matched_times import uneven_times
 from .photo import check_whose, person_place
 from .same_people import Track, check_films, match_people
 from .scene import Scene, Sight
@@ -132,7 +133,9 @@ def moments_of(films: Sequence[SeenFilm], seen: Sequence[Sequence[Looked]]) -> M
 
 
 def _scene(films: Sequence[SeenFilm], looks: Sequence[Looked]) -> Scene:
-    return Scene([film.small_view for film in films], [look.sight for look in looks], films[0].people.rate)
+    views, sights = [film.small_view for film in films], [look.sight for look in looks]
+    times = uneven_times(films, range(1 + max(sight.frame for sight in sights)))
+    return Scene(views, sights, films[0].people.rate, times=times)
 
 
 def _by_all(films: Sequence[SeenFilm], looks: _Looks, stature: float | None, person: int | None) -> list[SeenFilm]:

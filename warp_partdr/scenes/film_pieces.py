@@ -21,7 +21,7 @@ from ..files.array_files import read_npz
 from ..predictors.film_sights import SIGHT_ARRAYS, FilmSights, GivenNetworks
 from .seen_film import SeenFilm
 
-_PEOPLE = "image_size", "rate", "times", "rows", "packed", "sizes", "fault"
+_PEOPLE = "image_size", "rate", "times", "rows", "packed", "sizes", "fault", "warnings"
 _FOLDER = ".partdr-film-"  # of ``result_sets``' own kind: what nobody goes on with is removed after a day
 
 
@@ -77,10 +77,10 @@ class FilmPieces:
         data = self.piece(f"sights{film}", (*_PEOPLE, *SIGHT_ARRAYS), make)
         return _people(data), FilmSights.of_arrays(data, networks)
 
-    def aligned(self, films: Sequence[SeenFilm], align: Callable[[], Sequence[SeenFilm]]) -> list[SeenFilm]:
-        """Films without the frames that others do not show, which are looked for unless they were found."""
-        data = self.piece("moments", ("skipped",), lambda: {"skipped": np.array([film.skipped for film in align()])})
-        return [film.since(skipped) for film, skipped in zip(films, data["skipped"].tolist(), strict=True)]
+    def starts(self, find: Callable[[], Sequence[float]]) -> list[float]:
+        """When films show the first moment of all [s], which is looked for unless it was found."""
+        found: list[float] = self.piece("moments", ("starts",), lambda: {"starts": np.array(find())})["starts"].tolist()
+        return found
 
     def placed(self, films: Sequence[SeenFilm], place: Callable[[], Sequence[SeenFilm]]) -> list[SeenFilm]:
         """Films whose cameras stand where they were placed, which is done unless it was."""
@@ -107,7 +107,8 @@ def _people(data: Mapping[str, np.ndarray]) -> FilmPeople:
     height, width = data["image_size"].tolist()
     whole = data["packed"].tobytes()
     packed = tuple(whole[start:stop] for start, stop in pairwise(starts))
-    return FilmPeople((height, width), float(data["rate"]), data["times"], data["rows"], packed, str(data["fault"]))
+    told = str(data["fault"]), tuple(data["warnings"].tolist())
+    return FilmPeople((height, width), float(data["rate"]), data["times"], data["rows"], packed, *told)
 
 
 def _people_arrays(people: FilmPeople) -> dict[str, Any]:
@@ -119,4 +120,5 @@ def _people_arrays(people: FilmPeople) -> dict[str, Any]:
         "packed": np.frombuffer(b"".join(people.packed), np.uint8),
         "sizes": np.array([len(each) for each in people.packed], np.int64),
         "fault": np.array(people.fault),
+        "warnings": np.array(people.warnings, dtype=str),
     }

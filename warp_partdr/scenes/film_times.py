@@ -15,11 +15,13 @@ import torch
 
 from ..errors import InputError
 from ..fit.fitting import Progress
+from ..inputs.frame_times import is_even
 from ..network.landmarks import LANDMARKS
 from ..network.predicted import posed_landmarks
 from .film_cameras import look_at_frames, moments_of, spread
 from .looks import Looked
-from .same_people import check_films
+from .matched_times import match_films, nearest_frames
+from .same_people import check_each_film
 from .seen_film import SeenFilm
 
 _RATE = 10.0  # looks a second, at first
@@ -34,8 +36,10 @@ def align_films(
 ) -> list[SeenFilm]:
     """Leave out the first frames of films of which others started later: the same films, frame by frame.
 
+    They are as of ``match_films``, with ``film_starts``.
+
     Args:
-        films: Two or more of one rate; the first one is compared with each other.
+        films: Two or more, of any rates; the first one is compared with each other.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, films done, films in all).
 
@@ -43,19 +47,35 @@ def align_films(
         InputError: If no person of the first film moves as one of another does, for half of the shorter film.
         TypeError: If an argument is of another type.
     """
-    check_films(films)
+    return match_films(films, film_starts(films, device=device, progress=progress))
+
+
+def film_starts(
+    films: Sequence[SeenFilm], *, device: torch.device | str = "cpu", progress: Progress | None = None
+) -> list[float]:
+    """When each film shows the first moment that all of them show, since its first frame [s]; see ``align_films``."""
+    check_each_film(films)
     tell = progress or (lambda name, done, total: None)
     later = [0]
     for place in range(1, len(films)):
         tell("moments", place, len(films))
-        later.append(_offset((films[0], films[place]), place, device))
+        later.append(_offset((_even(films[0], films[0]), _even(films[place], films[0])), place, device))
     tell("moments", len(films), len(films))
     first = -min(later)
-    return [film.since(first + offset) for film, offset in zip(films, later, strict=True)]
+    return [(first + offset) / films[0].people.rate for offset in later]
+
+
+def _even(film: SeenFilm, other: SeenFilm) -> SeenFilm:
+    """The film in even time, in which frames come as often as in most of another film."""
+    rate, times = other.people.rate, film.people.times
+    if is_even(times, rate):
+        return film
+    moments = np.arange(round(float(times[-1]) * rate) + 1) / rate
+    return film.taken(nearest_frames(times, moments, 0.5 / rate), moments)
 
 
 def _offset(films: tuple[SeenFilm, SeenFilm], place: int, device: torch.device | str) -> int:
-    """Number of frames by which the second film shows a moment later."""
+    """Number of frames by which the second film shows a moment later, of films in even time."""
     step = max(round(films[0].people.rate / _RATE), 1)
     looks = look_at_frames(films, [np.arange(0, len(film.people.times), step) for film in films], device)
     poses = {track: _poses(seen, step) for track, seen in looks.items()}

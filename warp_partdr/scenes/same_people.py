@@ -12,6 +12,7 @@ from ..body.skeletons import skeleton
 from ..detection.film_people import areas
 from ..detection.person import SKELETON
 from ..errors import InputError, check_each
+from .matched_times import check_matched
 from .seen_film import SeenFilm
 
 _FRAMES = 32  # that two tracks have in common and are compared in, at most
@@ -25,6 +26,12 @@ Track = tuple[int, int]  # film, and number of a person in it
 
 
 def check_films(films: Sequence[SeenFilm]) -> None:
+    """Raise an InputError if there are no films or they have different clocks, or a TypeError if they are none."""
+    check_each_film(films)
+    check_matched(films)
+
+
+def check_each_film(films: Sequence[SeenFilm]) -> None:
     """Raise an InputError if there are no films, or a TypeError if they are none."""
     check_each("films", films, SeenFilm, "such as SeenFilm.of(find_film_people('walk.mp4'))")
     if not films:

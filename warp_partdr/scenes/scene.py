@@ -129,13 +129,14 @@ class Scene:
         views: Cameras, which share one world.
         sights: In any order; each person in each picture once at most. Frames in which nobody sees somebody are
             bridged.
-        frame_rate: Frames a second.
+        frame_rate: Frames a second, where they come evenly.
         shapes: Of people who are known, by person; the others' are found.
         ground: In the world, where it is known; fits take it with ``SceneOptions.ground``, which else looks for one.
+        times: Of the frames [s], rising, shape (T,); None: they come evenly.
 
     Raises:
         InputError: If a person, frame or view is out of range or comes twice, somebody is never seen, a keypoint is
-            very far from the picture, or labels differ in their set.
+            very far from the picture, labels differ in their set, or times do not rise or are not of the frames.
     """
 
     views: Sequence[View]
@@ -143,6 +144,7 @@ class Scene:
     frame_rate: float = 30.0
     shapes: Mapping[int, PersonShape] = field(default_factory=dict)
     ground: Ground | None = None
+    times: Sequence[float] | np.ndarray | None = None
 
     def __post_init__(self) -> None:
         check_each("views", self.views, View, "such as View(camera)")
@@ -169,6 +171,12 @@ class Scene:
                 raise InputError(f"shapes: of person {person}; expected people 0 to {self.num_people - 1}")
             check_type(f"shapes[{person}]", shape, PersonShape, "of an earlier fit")
         check_type("ground", self.ground, Ground | None, "such as Ground(np.array([0.0, -1.0, 0.0]), -1.6)")
+        if self.times is not None:
+            at = np.asarray(self.times)
+            if at.shape != (self.num_frames,) or at.dtype.kind not in "iuf":
+                raise InputError(f"times: {at.dtype} {at.shape}; expected seconds of {self.num_frames} frames")
+            if not np.isfinite(at).all() or (np.diff(at) <= 0).any():
+                raise InputError("times: not finite, or no later than the frame before; expected seconds that rise")
         sets = [sight.parts.label_set for sight in self.sights if sight.parts is not None]
         if any(each != sets[0] for each in sets):
             raise InputError("sights: part labels of several sets; expected one")
@@ -182,6 +190,13 @@ class Scene:
     def num_frames(self) -> int:
         """T."""
         return 1 + max(sight.frame for sight in self.sights)
+
+    @property
+    def frame_times(self) -> np.ndarray:
+        """Times of the frames [s], shape (T,), float64."""
+        if self.times is None:
+            return np.arange(self.num_frames) / self.frame_rate
+        return np.asarray(self.times, dtype=np.float64)
 
 
 def _check_places(sight: Sight, view: View, where: str) -> None:

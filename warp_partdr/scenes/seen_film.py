@@ -29,18 +29,19 @@ class SeenFilm:
         lens: The camera whose distortion was taken away; None: there is none.
         given: What networks of others see of the people, in the same pixels; None: the packaged ones' masks and
             keypoints serve.
-        skipped: Frames at the film's start that are left out.
         by_calibration: True if the camera stands where a calibration says.
         warnings: Differences between the film and its camera, a sentence each.
+        numbers: Of its frames in the file, rising, -1 where it has none, shape (F,), int64; None: all, from the first
+            one on.
     """
 
     people: FilmPeople
     view: View
     lens: CalibratedCamera | None = None
     given: FilmSights | None = None
-    skipped: int = 0
     by_calibration: bool = False
     warnings: tuple[str, ...] = ()
+    numbers: np.ndarray | None = None
 
     @classmethod
     def of(cls, people: FilmPeople, camera: Perspective | None = None, *, given: FilmSights | None = None) -> SeenFilm:
@@ -81,10 +82,26 @@ class SeenFilm:
         people, view = replace(people, rows=rows, packed=tuple(packed)), View.of(camera)
         return cls(people, view, camera, given, by_calibration=True, warnings=warnings)
 
-    def since(self, frame: int) -> SeenFilm:
-        """The film without the frames before one."""
-        given = None if self.given is None else self.given.since(frame)
-        return replace(self, people=self.people.since(frame), given=given, skipped=self.skipped + frame)
+    def taken(self, frames: np.ndarray, times: np.ndarray) -> SeenFilm:
+        """The film in some of its frames.
+
+        Args:
+            frames: Numbers of these in the film as it is now, rising, -1 where it has none, shape (T,), int64.
+            times: Of these frames [s], rising, shape (T,).
+        """
+        given = None if self.given is None else self.given.taken(frames)
+        numbers = np.where(frames < 0, -1, self.file_numbers[frames])
+        return replace(self, people=self.people.taken(frames, times), given=given, numbers=numbers)
+
+    @property
+    def file_numbers(self) -> np.ndarray:
+        """Numbers of its frames in the file, -1 where it has none, shape (F,), int64."""
+        return np.arange(len(self.people.times)) if self.numbers is None else self.numbers
+
+    @property
+    def skipped(self) -> int:
+        """Frames at the file's start that are left out."""
+        return int(self.file_numbers[self.file_numbers >= 0][0])
 
     def standing(self, rotation: torch.Tensor, translation: torch.Tensor) -> SeenFilm:
         """The film, taken from there: X_camera = R X_world + t, shapes (3, 3) and (3,) [m]."""

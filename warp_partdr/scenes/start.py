@@ -31,6 +31,7 @@ from .scene import Scene, View
 _START_WIDTH = 2 / 3  # of the moves' Gaussian, by which starts are smoothed: no move brings back what that takes away
 _SLOPES = 0.1  # of smooth moves: weight of their squares, in standard deviations of the Gaussian
 _UNSEEN_SPREAD = 1.0  # [rad], of turns where nobody sees a person
+_ROUNDED = 1e-6  # share of a step, by which times are rounded
 _NEAREST = 0.1  # [m], of a pelvis before its camera
 _MARGIN = 0.02  # of a picture's crop around several people
 
@@ -64,19 +65,21 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
     turned[:, 0] = to_world @ turned[:, 0]
 
     seen = torch.zeros(count, dtype=torch.bool, device=like.device).index_fill(0, rows, True)
-    log_scale, shift, smooth, rate = body.log_scale, body.shift, None, None
+    log_scale, shift, smooth, rates = body.log_scale, body.shift, None, None
     lenses = torch.stack([look.seen.lens for look in looks if look.seen.lens is not None])
     at = torch.tensor(homes, device=like.device)
     if num_frames > 1 and energy.options.smoothing > 0:
-        width = energy.options.smoothing * scene.frame_rate
-        shares = time_shares(seen.view(-1, num_frames), _START_WIDTH * width).to(like)
+        width, times = energy.options.smoothing, torch.from_numpy(scene.frame_times).to(like.device)
+        shares = time_shares(seen.view(-1, num_frames), times, _START_WIDTH * width).to(like)
         each = turned.unflatten(0, (scene.num_people, -1))
         turned = nearest_rotation(torch.einsum("pts,ps...->pt...", shares, each).flatten(0, 1))
         there = rotations[first], translations[first], lenses[at]
         log_scale, shift = _smooth_places(shares, body, *there)
-        smooth = time_shares(seen.new_ones(1, num_frames), width).to(like)[0]
-        if energy.options.sliding > 0 and width >= 1:  # else a foot may have gone and stood again between two frames
-            rate = like.new_tensor(scene.frame_rate)
+        smooth = time_shares(seen.new_ones(1, num_frames), times, width).to(like)[0]
+        steps = times.diff()
+        near = steps <= width * (1 + _ROUNDED)  # else a foot may have gone and stood again between two frames
+        if energy.options.sliding > 0 and near.any():
+            rates = torch.where(near, 1 / steps, 0.0).to(like)
 
     places, points, votes = gather_keypoints(one.model, [look.seen for look in looks])
     depth_spreads, turn_spreads = gather_spreads(one, [look.uncertainty for look in looks], like)
@@ -120,7 +123,7 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         depth_weights=table(1 / depth_spreads.square()),
         shown=shown,
         smooth=smooth,
-        rate=rate,
+        rates=rates,
         together=together,
         alone=alone,
     )
@@ -140,16 +143,16 @@ def _shapes(
     return shape, clothes, unknown
 
 
-def time_shares(seen: torch.Tensor, width: float) -> torch.Tensor:
-    """Shares of frames in each frame's smooth value, by a Gaussian of this standard deviation [frames], (P, T, T).
+def time_shares(seen: torch.Tensor, times: torch.Tensor, width: float) -> torch.Tensor:
+    """Shares of frames in each frame's smooth value, by a Gaussian of this standard deviation, (P, T, T).
 
     Value and slope of each frame are fitted to its neighbours (local linear regression): at the ends of a film, where
     neighbours are on one side, their mean alone would hold moving people back. Slopes are held a little to 0.
 
-    ``seen``, (P, T), says which frames are counted; where none is near, the nearest one is.
+    ``seen``, (P, T), says which frames are counted; where none is near, the nearest one is. ``times``, (T,), float64,
+    are those of the frames, in the unit of the width.
     """
-    frames = torch.arange(seen.shape[1], device=seen.device)
-    apart = (frames - frames[:, None]).double() / width
+    apart = (times - times[:, None]) / width
     near = (-apart.square() / 2).masked_fill(~seen[:, None], -torch.inf).softmax(-1)
     first = (near * apart).sum(-1, keepdim=True)
     second = (near * apart.square()).sum(-1, keepdim=True) + _SLOPES

@@ -171,7 +171,8 @@ def make_clip(
     if clip.positions is not None:
         # Files round places to 2 mm, which would be most of the acceleration; who has longer legs goes farther, or feet
         # that stand would slide.
-        shares = time_shares(torch.ones(1, len(clip), dtype=torch.bool), _ROUNDING)[0].numpy()
+        numbers = torch.arange(len(clip), dtype=torch.float64)
+        shares = time_shares(torch.ones(1, len(clip), dtype=torch.bool), numbers, _ROUNDING)[0].numpy()
         heights = bodies.vertices[..., 1].amax(1).numpy()  # of the pelvis over the lowest point [m]
         smooth = shares @ clip.positions * (np.median(heights) / np.median(clip.positions[:, 1]))
         bodies = bodies.moved(torch.from_numpy((smooth - smooth.mean(0)) * [1, -1, -1]).float())
