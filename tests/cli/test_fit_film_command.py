@@ -15,6 +15,7 @@ from scenes import commands
 from scenes.commands import Run
 from scenes.files import EXAMPLE
 from scenes.films import write_film
+from scenes.skins import read_glb
 
 from warp_partdr.inputs.films import film_facts, read_frames
 from warp_partdr.results.predictions import load_film_bodies
@@ -77,6 +78,32 @@ def test_a_film_that_lost_frames_is_told_once_and_right_in_time(run: Run, film: 
     np.testing.assert_allclose(load_film_bodies("out/person0.npz").rows["times"][-2:], [0.45, 0.5])
     assert "Frames: 11\nFrame Time: 0.0500000\n" in Path("out/person0.bvh").read_text()
     np.testing.assert_allclose([frame.time for frame in read_frames("out/overlay.mp4")][-2:], [0.45, 0.5], atol=1e-4)
+
+
+def test_people_of_two_shots_are_two_people_each_shown_in_theirs(run: Run, film: Path) -> None:
+    size = photo(256).size
+    other = Image.open(EXAMPLE / "astronaut.jpg").convert("RGB").resize(size)
+    write_film(film, [np.asarray(photo(256))] * 5 + [np.asarray(other)] * 4, rate=10)
+    code, said, complaint = run(f"fit stand.mp4 --out out {QUICK}")
+    told = "stand.mp4: a cut at frame 5 (0.50 s): 2 shots, each fitted apart, its people numbered anew"
+    assert (code, complaint) == (0, f"partdr: warning: {told}\n")
+    report = json.loads(Path("out", "people.json").read_text())
+    assert report["warnings"] == [told]
+    assert [(shot["first_frame"], shot["last_frame"]) for shot in report["shots"]] == [(0, 4), (5, 8)]
+    people = {each["shot"]: each for each in report["people"]}
+    assert [(each["first_frame"], each["last_frame"]) for _, each in sorted(people.items())] == [(0, 4), (5, 8)]
+    assert all(line in said for line in ("frames 0 to 4, seen in 5", "frames 5 to 8, seen in 4"))
+    # In the scene each is there in their shot alone.
+    document, arrays = read_glb(Path("out", "scene.glb").read_bytes())
+    names = {f"person{each['person']}": shot for shot, each in people.items()}
+    shown = {}
+    for channel in document["animations"][0]["channels"]:
+        sampler = document["animations"][0]["samplers"][channel["sampler"]]
+        if channel["target"]["path"] == "scale":
+            times, values = arrays[sampler["input"]][:, 0], arrays[sampler["output"]][:, 0]
+            name = document["nodes"][channel["target"]["node"]]["name"]
+            shown[names[name]] = [*zip(times.round(3).tolist(), values.tolist(), strict=True)]
+    assert shown == {0: [(0.0, 1.0), (0.5, 0.0)], 1: [(0.0, 0.0), (0.5, 1.0)]}
 
 
 def test_a_film_that_breaks_off_is_fitted_as_far_as_it_goes(run: Run, film: Path) -> None:

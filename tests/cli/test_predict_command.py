@@ -135,6 +135,19 @@ def test_a_film_s_people_have_a_file_each(run: Run) -> None:
     assert report()["files"].keys() == {"walk.person1.npz"}
 
 
+def test_people_of_two_shots_have_a_file_each(run: Run) -> None:
+    size = photo(256).size
+    other = Image.open(EXAMPLE / "astronaut.jpg").convert("RGB").resize(size)
+    write_film(Path("cut.mp4"), [np.asarray(other)] * 2 + [np.asarray(photo(256))] * 5, rate=20)
+    code, said, complaint = run("predict cut.mp4 --out out --device cpu")
+    assert code == 0
+    assert "2 people in 7 frames" in said
+    assert "partdr: warning: cut.mp4: a cut at frame 2 (0.10 s): 2 shots, people numbered anew" in complaint
+    assert report()["cuts"] == {"cut.mp4": [2]}
+    frames = {(each["first_frame"], each["last_frame"], each["frames"]) for each in report()["people"]}
+    assert frames == {(0, 1, 2), (2, 6, 5)}
+
+
 def test_photos_and_films_go_together_and_a_film_that_breaks_off_keeps_its_frames(run: Run) -> None:
     write_film(Path("a.mp4"), [np.asarray(photo(256))] * 30)
     data = bytearray(Path("a.mp4").read_bytes())

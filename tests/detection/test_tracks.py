@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -13,7 +13,9 @@ from scenes.files import EXAMPLE
 
 from warp_partdr import read_photo
 from warp_partdr.detection.people import find_people
+from warp_partdr.detection.person import FoundPerson
 from warp_partdr.detection.tracks import PeopleTracker, likeness
+from warp_partdr.inputs.cuts import Change
 
 HEIGHT, WIDTH = 400, 640
 
@@ -43,6 +45,11 @@ def run(tracker: PeopleTracker, pictures: Iterator[np.ndarray]) -> list[dict[int
     return middles
 
 
+def leftmost(people: Mapping[int, FoundPerson]) -> int:
+    """Number of whoever stands farthest to the left."""
+    return min(people, key=lambda number: people[number].box[0])
+
+
 def test_people_keep_their_numbers_while_they_move() -> None:
     said = run(PeopleTracker(every=4), (frame(20 + 12 * step, 460 - 12 * step, mirrored=1) for step in range(8)))
     assert [set(people) for people in said] == [{0, 1}] * 8
@@ -69,6 +76,58 @@ def test_who_was_lost_for_a_moment_comes_back_with_their_number() -> None:
 def test_who_stands_there_much_later_is_somebody_else() -> None:
     said = run(PeopleTracker(every=2), (frame(None if 2 <= step < 12 else 250) for step in range(15)))
     assert [sorted(people) for people in (said[0], said[5], said[-1])] == [[0], [], [1]]
+
+
+@pytest.mark.parametrize(("size", "number"), [(0.45, 1), (0.68, 0)])
+def test_who_comes_back_in_another_size_is_somebody_else(size: float, number: int) -> None:
+    """About the same middle, from which the distance of the crops tells nothing."""
+    picture = frame(None)
+    height, width = round(320 * size), round(137 * size)
+    small = np.asarray(Image.fromarray(figure()).resize((width, height)))
+    top, left = 200 - height // 2, 318 - width // 2
+    picture[top : top + height, left : left + width] = small
+    tracker = PeopleTracker(every=2)
+    assert set(tracker.find(frame(250))) == {0}
+    assert run(tracker, [frame(None)] * 2) == [{}, {}]
+    assert list(tracker.find(picture) or tracker.find(picture)) == [number]
+
+
+def test_nobody_is_followed_through_a_cut() -> None:
+    tracker = PeopleTracker(every=4)
+    assert (set(tracker.find(frame(40))), tracker.cut) == ({0}, False)
+    assert (set(tracker.find(frame(44), Change.CUT)), tracker.cut) == ({1}, True)
+    assert (set(tracker.find(frame(48))), tracker.cut) == ({1}, False)
+
+
+def test_at_a_cut_the_detector_looks_at_once_and_nobody_comes_back() -> None:
+    tracker = PeopleTracker(every=9)
+    assert set(tracker.find(frame(40, 420))) == {0, 1}
+    assert len(tracker.find(frame(40, None))) == 1
+    assert set(tracker.find(frame(40, 420), Change.CUT)) == {2, 3}
+
+
+def test_a_jump_is_a_cut_if_nobody_stays_where_they_were() -> None:
+    tracker = PeopleTracker(every=9)
+    assert set(tracker.find(frame(40, 420))) == {0, 1}
+    assert (set(tracker.find(frame(44, 350), Change.JUMP)), tracker.cut) == ({0, 1}, False)  # one stays
+    assert (set(tracker.find(frame(130, 480), Change.JUMP)), tracker.cut) == ({2, 3}, True)
+
+
+def test_a_jump_to_or_from_nobody() -> None:
+    tracker = PeopleTracker(every=1)
+    assert (tracker.find(frame(None)), tracker.cut) == ({}, False)
+    assert (set(tracker.find(frame(250), Change.JUMP)), tracker.cut) == ({0}, False)
+    assert (tracker.find(frame(None), Change.JUMP), tracker.cut) == ({}, True)
+
+
+def test_people_go_on_after_a_flash_with_their_numbers() -> None:
+    white = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+    tracker = PeopleTracker(every=9)
+    left = leftmost(tracker.find(frame(40, 420)))
+    for flash, seen in ((white, []), (frame(240, None), []), (frame(44, None), [left])):
+        assert (list(tracker.find(flash, Change.FLASH)), tracker.cut) == (seen, False)
+    found = tracker.find(frame(44, 424))
+    assert (leftmost(found), set(found)) == (left, {0, 1})
 
 
 def test_the_detector_looks_every_few_frames_and_when_somebody_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:

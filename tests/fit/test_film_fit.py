@@ -17,7 +17,7 @@ from warp_partdr.detection.film_people import FilmPeople, find_film_people, kept
 from warp_partdr.errors import InputError
 from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.inputs.part_labels import read_photo
-from warp_partdr.scenes.film import FilmFit, fit_film, windows
+from warp_partdr.scenes.film import FilmFit, film_shots, fit_film, windows
 from warp_partdr.scenes.film_pieces import FilmPieces
 from warp_partdr.scenes.fitting import SceneFit, fit_scene
 from warp_partdr.scenes.options import SceneOptions
@@ -122,6 +122,50 @@ def test_a_run_that_was_ended_goes_on_where_it_was(
     assert FilmPieces(tmp_path / "out", [film], replace(QUICK, window=9)).folder != again.folder
     again.remove()
     assert not again.folder.exists()
+
+
+def cut_at(people: FilmPeople, cut: int) -> FilmPeople:
+    """The film as if it had a cut there: its person is another one after it."""
+    rows = people.rows.copy()
+    rows["tracks"] = rows["frames"] < cut
+    return replace(people, rows=rows, cuts=(cut,))
+
+
+def test_shots_are_fitted_apart(people: FilmPeople, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bodies after a cut are those of a film that begins there, and no scene reaches over it."""
+    scenes: list[tuple[int, int]] = []
+    refine = fit_scene
+
+    def fit_once(scene: Scene, **how: Any) -> SceneFit:
+        scenes.append((scene.num_people, scene.num_frames))
+        return refine(scene, **how)
+
+    cut, options = 6, replace(QUICK, window=5, overlap=1)
+    monkeypatch.setattr("warp_partdr.scenes.film.fit_scene", fit_once)
+    fit = fit_film([SeenFilm.of(cut_at(people, cut))], options=options)
+    assert fit.shots == [range(cut), range(cut, COUNT)]
+    assert scenes[2:] == [(1, len(window)) for shot in fit.shots for window in windows(*shot_ends(shot), 5, 1)]
+    assert {number: motion.frames.tolist() for number, motion in fit.motions.items()} == {
+        0: list(range(cut, COUNT)),
+        1: list(range(cut)),
+    }
+    rows = people.rows[people.rows["frames"] >= cut].copy()
+    rows["frames"] -= cut
+    rows["times"] -= people.times[cut]
+    alone = replace(people, rows=rows, times=people.times[cut:] - people.times[cut], packed=people.packed[cut:])
+    expected = fit_film([SeenFilm.of(alone)], options=options).motions[0]
+    torch.testing.assert_close(fit.motions[0].translation, expected.translation, atol=2e-3, rtol=0)
+    torch.testing.assert_close(fit.motions[0].rotations, expected.rotations, atol=1e-2, rtol=0)
+
+
+def shot_ends(shot: range) -> tuple[int, int]:
+    return shot.start, shot.stop
+
+
+def test_films_share_the_cuts_that_all_of_them_have(people: FilmPeople) -> None:
+    films = [SeenFilm.of(replace(people, cuts=cuts)) for cuts in ((3, 8), (8,), (5, 8, 11))]
+    assert film_shots(films) == [range(8), range(8, COUNT)]
+    assert film_shots(films[:1]) == [range(3), range(3, 8), range(8, COUNT)]
 
 
 def test_windows_cover_all_frames() -> None:

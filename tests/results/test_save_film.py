@@ -162,6 +162,39 @@ def test_times_of_a_report_that_do_not_rise_are_refused(tmp_path: Path) -> None:
                 load_film_fit(tmp_path / "out", anny())
 
 
+def cut_fit(*cuts: tuple[int, ...]) -> FilmFit:
+    """The fit as if of films that have these cuts."""
+    fit = seen_fit()
+    (film,) = fit.films
+    return replace(fit, films=tuple(replace(film, people=replace(film.people, cuts=each)) for each in cuts))
+
+
+def test_cuts_are_told_and_shots_are_in_the_report(tmp_path: Path) -> None:
+    film = write_film(tmp_path / "walk.mp4", [np.full((*SIZE, 3), 90, np.uint8)] * COUNT, rate=RATE)
+    report = save_film_fit(cut_fit((LATE, 12)), tmp_path / "out", films=[film])
+    cuts = f"cuts at frames {LATE}, 12 (0.60, 1.20 s): 3 shots"
+    assert report["warnings"] == [f"{film}: {cuts}, each fitted apart, its people numbered anew"]
+    assert report["shots"] == [
+        {"first_frame": 0, "last_frame": 5, "start": 0.0, "end": 0.5},
+        {"first_frame": 6, "last_frame": 11, "start": 0.6, "end": 1.1},
+        {"first_frame": 12, "last_frame": 19, "start": 1.2, "end": 1.9},
+    ]
+    assert [person["shot"] for person in report["people"]] == [0, 1]
+    assert len(save_film_fit(cut_fit(()), tmp_path / "whole", films=[film])["shots"]) == 1
+
+
+def test_a_cut_that_one_of_several_films_has_is_told(tmp_path: Path) -> None:
+    films = [
+        write_film(tmp_path / name, [np.full((*SIZE, 3), 90, np.uint8)] * COUNT, rate=RATE)
+        for name in ("left.mp4", "right.mp4")
+    ]
+    report = save_film_fit(cut_fit((12,), (LATE, 12)), tmp_path / "out", films=films)
+    fitted, alone = report["warnings"]
+    assert fitted == f"{films[0]}: a cut at frame 12 (1.20 s): 2 shots, each fitted apart, its people numbered anew"
+    assert alone.startswith(f"{films[1]}: cuts at frames {LATE}, 12 (0.60, 1.20 s): 3 shots, which not all films have")
+    assert [shot["first_frame"] for shot in report["shots"]] == [0, 12]
+
+
 def test_other_films_than_the_fit_s_are_refused(tmp_path: Path) -> None:
     fit = made_fit()
     for wrong, told in (

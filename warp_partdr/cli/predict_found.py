@@ -14,6 +14,7 @@ import numpy as np
 import typer
 
 from ..errors import InputError, printable
+from ..inputs.cuts import cuts_sentence
 from ..inputs.films import FILM_SUFFIXES, check_pyav, film_facts, is_film
 from ..inputs.frame_times import time_warnings, usual_rate
 from ..inputs.part_labels import photo_warnings, read_photo
@@ -119,7 +120,7 @@ def predict_found(
             else:
                 run.photos(some)
         seconds = time.perf_counter() - started
-        report |= {"people": run.people, "nobody_in": run.empty, "unreadable": run.failed}
+        report |= {"people": run.people, "nobody_in": run.empty, "unreadable": run.failed, "cuts": run.cuts}
         if not run.people:
             raise InputError(run.complaint or f"nobody found in any of {len(sources)} files; expected people")
         if run.complaint:
@@ -147,6 +148,7 @@ class _Run:
     empty: list[str] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)
     complaint: str = ""
+    cuts: dict[str, list[int]] = field(default_factory=dict)
     passed: Counter[str] = field(default_factory=Counter)
     _waiting: list[_Seen] = field(default_factory=list)
     _rows: dict[int, list[np.ndarray]] = field(default_factory=dict)  # of the present film, by track
@@ -190,18 +192,22 @@ class _Run:
 
     def film(self, source: _Source) -> None:
         """Take a film, frame by frame."""
-        from ..detection.film_people import SHORTEST, follow_people
+        from ..detection.film_people import follow_people, lasting, shots_between
 
         size, rate = (0, 0), 0.0
         times: list[float] = []
         guessed: list[bool] = []
+        cuts: list[int] = []
         how: dict[str, Any] = {"min_score": self.choice.min_score, "device": self.device}
         try:
             rate = film_facts(source.path).rate
-            for frame, _, found in follow_people(source.path, rate, **how):
+            for followed in follow_people(source.path, rate, **how):
+                frame, found = followed.frame, followed.people
                 size = frame.picture.shape[:2]
                 times.append(frame.time)
                 guessed.append(frame.guessed)
+                if followed.cut:
+                    cuts.append(frame.index)
                 self._add(source, frame.picture, found, set(found), frame.index, frame.time)
                 self.passed["frame"] += 1
                 self.progress(source.path.name)
@@ -211,7 +217,11 @@ class _Run:
             self.progress.say(f"partdr: warning: {warning}")
         self._predict()
         tracks, self._rows = [np.concatenate(rows) for rows in self._rows.values()], {}
-        tracks = [rows for rows in tracks if len(rows) >= min(SHORTEST, len(times))]
+        tracks = [rows for rows in tracks if lasting(rows["frames"], shots_between(cuts, len(times)))]
+        if cuts:
+            self.cuts[source.path.name] = cuts
+            told = cuts_sentence(cuts, [times[cut] for cut in cuts])
+            self.progress.say(f"partdr: warning: {source.path}: {told}, people numbered anew")
         if tracks:
             self._save_film(source, tracks, (size[0], size[1]))
         elif times:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import torch
 
 from ..errors import InputError
+from ..inputs.cuts import Change, with_changes
 from ..inputs.films import Frame, film_facts, read_frames
 from ..inputs.frame_times import time_warnings, usual_rate
 from ..inputs.keypoints import Keypoints2D
@@ -24,7 +26,7 @@ from .person import SKELETON, FoundPerson
 from .tracks import PeopleTracker
 
 _LOOKS = 3  # a second, of the detector in films
-SHORTEST = 3  # frames of a person in a film; fewer are taken for a mistake
+_SHORTEST = 3  # frames of a person in a shot; fewer are taken for a mistake
 _SIDE = 640  # [px], longer side at which it is kept whom pixels show; masks have 256 px a person
 
 SEEN: dict[str, tuple[type, tuple[int, ...]]] = {
@@ -50,6 +52,7 @@ class FilmPeople:
         packed: ``owners`` of the frames, compressed.
         fault: Why the film ended before its end; empty if it did not.
         warnings: Sentences about frames that are missing, and about times that are guesses.
+        cuts: First frames of all shots but the first, in order. Nobody is followed through a cut.
     """
 
     image_size: tuple[int, int]
@@ -59,6 +62,7 @@ class FilmPeople:
     packed: tuple[bytes, ...]
     fault: str = ""
     warnings: tuple[str, ...] = ()
+    cuts: tuple[int, ...] = ()
 
     @property
     def num_people(self) -> int:
@@ -80,7 +84,9 @@ class FilmPeople:
         rows["frames"] = frame_places(rows["frames"], numbers)
         rows["times"] = times[rows["frames"]]
         packed = tuple(self.packed[number] if number >= 0 else b"" for number in numbers.tolist())
-        return replace(self, times=times, rows=_by_size(rows, len(times)), packed=packed)
+        cuts = _cuts_taken(self.cuts, numbers)
+        kept = _by_size(rows, shots_between(cuts, len(times)))
+        return replace(self, times=times, rows=kept, packed=packed, cuts=cuts)
 
     def of(self, track: int) -> np.ndarray:
         """Rows of a person."""
@@ -91,6 +97,18 @@ def frame_places(frames: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """Places of frames among the numbers, which rise but for -1, where there is none, shape of ``frames``, int64."""
     there = np.flatnonzero(numbers >= 0)
     return there[np.searchsorted(numbers[there], frames)]
+
+
+def shots_between(cuts: Sequence[int], num_frames: int) -> list[range]:
+    """Frames of each shot of a film that has cuts at these frames."""
+    return [range(*each) for each in pairwise((0, *cuts, num_frames))]
+
+
+def _cuts_taken(cuts: Sequence[int], numbers: np.ndarray) -> tuple[int, ...]:
+    """Cuts of a film of which frames of these numbers are taken, as of ``FilmPeople.taken``."""
+    there = np.flatnonzero(numbers >= 0)
+    first = np.unique(np.searchsorted(numbers[there], cuts))
+    return tuple(there[first[(first > 0) & (first < len(there))]].tolist())
 
 
 def kept_size(size: tuple[int, int]) -> tuple[int, int]:
@@ -131,49 +149,72 @@ def find_film_people(
     packed: list[bytes] = []
     times: list[float] = []
     guessed: list[bool] = []
+    cuts: list[int] = []
     size, fault = (0, 0), ""
     try:
-        for frame, pyramid, found in follow_people(path, facts.rate, min_score=min_score, device=device):
+        for followed in follow_people(path, facts.rate, min_score=min_score, device=device):
+            frame, found = followed.frame, followed.people
             size = (frame.picture.shape[0], frame.picture.shape[1])
+            if followed.cut:
+                cuts.append(frame.index)
             packed.append(_pack(list(found.values()), size))
             times.append(frame.time)
             guessed.append(frame.guessed)
             for place, (number, person) in enumerate(found.items()):
                 rows.append(np.array([(*seen_values(person, frame.index, frame.time), number, place)], _ROW))
             if watch is not None:
-                watch(frame, pyramid, list(found.values()))
+                watch(frame, followed.pyramid, list(found.values()))
             if progress is not None:
                 progress(len(times), max(facts.frames, len(times)))
     except InputError as error:
         if not times:
             raise
         fault = str(error)
-    numbered = _by_size(np.concatenate(rows) if rows else np.zeros(0, _ROW), len(times))
+    everyone = np.concatenate(rows) if rows else np.zeros(0, _ROW)
+    numbered = _by_size(everyone, shots_between(cuts, len(times)))
     if not len(numbered):
         raise InputError(fault or f"{path}: nobody found in {len(times)} frames; expected people")
     rate = usual_rate(times, facts.rate)
     told = time_warnings(str(path), times, guessed, rate)
-    return FilmPeople(size, rate, np.array(times), numbered, tuple(packed), fault, told)
+    return FilmPeople(size, rate, np.array(times), numbered, tuple(packed), fault, told, tuple(cuts))
+
+
+@dataclass(frozen=True)
+class FollowedFrame:
+    """Frame of a film and the people in it.
+
+    Attributes:
+        frame: The frame.
+        pyramid: Its picture, to cut crops from.
+        people: By numbers that stay through a shot.
+        cut: Whether another shot begins with it.
+    """
+
+    frame: Frame
+    pyramid: Pyramid
+    people: dict[int, FoundPerson]
+    cut: bool
 
 
 def follow_people(
     path: str | Path, rate: float, *, min_score: float, device: torch.device | str
-) -> Iterator[tuple[Frame, Pyramid, dict[int, FoundPerson]]]:
-    """Frames of a film, so many a second, pictures to cut crops from, and their people by numbers that stay.
+) -> Iterator[FollowedFrame]:
+    """Find and follow the people of a film of so many frames a second.
 
     Raises:
         InputError: As of ``read_frames``.
     """
     tracker = PeopleTracker(device=device, min_score=min_score, every=max(round(rate / _LOOKS), 1))
-    for frame, pyramid in made_ahead(_with_pyramids(path, device)):
-        yield frame, pyramid, tracker.find(pyramid)
+    for frame, pyramid, change in made_ahead(_with_pyramids(path, device)):
+        people = tracker.find(pyramid, change)
+        yield FollowedFrame(frame, pyramid, people, tracker.cut)
 
 
-def _with_pyramids(path: str | Path, device: torch.device | str) -> Iterator[tuple[Frame, Pyramid]]:
-    for frame in read_frames(path):
+def _with_pyramids(path: str | Path, device: torch.device | str) -> Iterator[tuple[Frame, Pyramid, Change]]:
+    for frame, change in with_changes(read_frames(path)):
         pyramid = Pyramid(frame.picture, device)
         pyramid.level(0)
-        yield frame, pyramid
+        yield frame, pyramid, change
 
 
 def seen_values(person: FoundPerson, frame: int, time: float) -> tuple[Any, ...]:
@@ -198,12 +239,19 @@ def pack_owners(owners: np.ndarray) -> bytes:
     return zlib.compress(owners.tobytes(), 1)
 
 
-def _by_size(rows: np.ndarray, num_frames: int) -> np.ndarray:
+def lasting(frames: np.ndarray, shots: Sequence[range]) -> bool:
+    """True if somebody is seen in so many frames of a shot that it is no mistake; frames are of one shot."""
+    shot = next(shot for shot in shots if frames[0] in shot)
+    return len(frames) >= min(_SHORTEST, len(shot))
+
+
+def _by_size(rows: np.ndarray, shots: Sequence[range]) -> np.ndarray:
     """Rows of those who are seen long enough, numbered by how much of the film they take."""
-    tracks, counts = np.unique(rows["tracks"], return_counts=True)
-    lasting = tracks[counts >= min(SHORTEST, num_frames)]
-    sizes = [-areas(rows["boxes"][rows["tracks"] == track]).sum() for track in lasting]
-    table = {track: place for place, track in enumerate(lasting[np.argsort(sizes, kind="stable")].tolist())}
-    kept = rows[np.isin(rows["tracks"], lasting)].copy()
-    kept["tracks"] = [table[track] for track in kept["tracks"].tolist()]
-    return kept
+    tracks = [rows[rows["tracks"] == track] for track in np.unique(rows["tracks"])]
+    kept = [track for track in tracks if lasting(track["frames"], shots)]
+    sizes = [-areas(track["boxes"]).sum() for track in kept]
+    order = np.argsort(sizes, kind="stable").tolist()
+    table = {int(kept[each]["tracks"][0]): place for place, each in enumerate(order)}
+    known = rows[np.isin(rows["tracks"], list(table))].copy()
+    known["tracks"] = [table[track] for track in known["tracks"].tolist()]
+    return known

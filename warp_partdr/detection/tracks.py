@@ -1,7 +1,8 @@
 """People of a film, who keep their numbers from frame to frame.
 
 Whoever was in the last frame is looked for about the same place, which needs one run of the landmark network a person.
-The detector, which is slower and sees new people, looks every few frames, and whenever somebody was lost.
+The detector, which is slower and sees new people, looks every few frames, and whenever somebody was lost. Nobody is
+followed through a cut: with a new shot, everybody gets a new number.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 import torch
 
 from ..errors import check_whole
+from ..inputs.cuts import Change
 from . import MIN_SCORE
 from .crops import Pyramid, TurnedCrops
 from .people import find_people
@@ -26,6 +28,9 @@ _RATIO = 0.6  # least ratio of the sides of one person's crops, before they were
 _GRID = 48  # points a side at which two masks are compared
 _LEVELS = 2  # of the detector: a film's many frames should not take long
 _PATIENCE = 3  # looks of the detector that one who was lost may be away for
+# Similarity of somebody's keypoints to those of the last frame, from which on they were followed through a change of
+# the picture that may be a cut.
+_STAYED = 0.4
 
 
 class PeopleTracker:
@@ -35,6 +40,9 @@ class PeopleTracker:
         device: Device to run on.
         min_score: As of ``find_people``.
         every: Frames from one look of the detector to the next; others only follow those who are there.
+
+    Attributes:
+        cut: Whether the last frame was the first of another shot.
     """
 
     def __init__(self, *, device: torch.device | str = "cpu", min_score: float = MIN_SCORE, every: int = 10) -> None:
@@ -44,21 +52,36 @@ class PeopleTracker:
         self._lost: dict[int, tuple[FoundPerson, int]] = {}  # and the frames they have been away
         self._since = self._every  # frames since the detector's last look
         self._known = 0  # numbers that were given
+        self.cut = False
 
-    def find(self, picture: np.ndarray | Pyramid) -> dict[int, FoundPerson]:
+    def find(self, picture: np.ndarray | Pyramid, change: Change = Change.NONE) -> dict[int, FoundPerson]:
         """Find the people of the next frame.
 
         Args:
             picture: As in ``find_people``, of one size in all frames.
+            change: From the last frame to this one. People who can't be followed into a flash are looked for after it.
+                Of a jump, it is seen here whether it is a cut.
 
         Returns:
             People by their numbers.
         """
-        before, self._since = self._here, self._since + 1
+        self._since += 1
+        self.cut = change is Change.CUT
+        if self.cut:
+            self._forget_everybody()
+        before = self._here
         followed: dict[int, FoundPerson] = {}
         if before:
             people = self._find(picture, list(before.values()))
             followed = _assign(people, before, lambda person, number: _followed(person, before[number]))
+            if change is Change.FLASH:
+                followed = {number: one for number, one in followed.items() if _stayed(one, before[number])}
+                self._here = before | followed
+                return followed
+            if change is Change.JUMP and not any(_stayed(followed[number], before[number]) for number in followed):
+                self.cut = True
+                self._forget_everybody()
+                before, followed = {}, {}
         self._forget(before, followed)
         if self._since >= self._every or len(followed) < len(before):
             self._since = 0
@@ -92,6 +115,11 @@ class PeopleTracker:
 
         return _assign(people, self._lost, value)
 
+    def _forget_everybody(self) -> None:
+        """Begin another shot, at which the detector looks at once."""
+        self._here, self._lost = {}, {}
+        self._since = self._every
+
     def _forget(self, before: Mapping[int, FoundPerson], followed: Mapping[int, FoundPerson]) -> None:
         """Keep in mind who was lost, but not for long: soon enough, somebody else may stand there."""
         away = {number: (person, frames + 1) for number, (person, frames) in self._lost.items()}
@@ -101,10 +129,19 @@ class PeopleTracker:
 
 def likeness(one: FoundPerson, other: FoundPerson) -> float:
     """Overlap of two people, 0 to 1: of their keypoints, or of their masks where that is larger."""
+    return max(_keypoint_similarity(one, other), _mask_overlap(one, other))
+
+
+def _keypoint_similarity(one: FoundPerson, other: FoundPerson) -> float:
     ours, theirs = (
         (each.keypoints.points[None], each.keypoints.confidence[None], each.next_crop.sides) for each in (one, other)
     )
-    return max(float(similarity(ours, theirs)[0]), _mask_overlap(one, other))
+    return float(similarity(ours, theirs)[0])
+
+
+def _stayed(person: FoundPerson, last: FoundPerson) -> bool:
+    """True if a person is about as they were in the last frame."""
+    return _keypoint_similarity(person, last) >= _STAYED
 
 
 def _mask_overlap(one: FoundPerson, other: FoundPerson) -> float:

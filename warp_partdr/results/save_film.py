@@ -20,6 +20,7 @@ from ..detection.person import SKELETON
 from ..errors import InputError, check_type
 from ..fit.fitting import Progress
 from ..inputs.camera_files import camera_data
+from ..inputs.cuts import cuts_sentence
 from ..inputs.films import read_frames
 from ..inputs.frame_times import is_even
 from ..interop.ahead import made_ahead
@@ -92,9 +93,11 @@ def save_film_fit(
     told = [warning for seen in fit.films for warning in seen.people.warnings]
     told += [f"{seen.people.fault}; frames before were fitted" for seen in fit.films if seen.people.fault]
     told += [_with_names(warning, films) for warning in fit.warnings]
+    told += _cuts(fit, films)
     told += _misfits(fit, films)
     report: dict[str, Any] = {"rate": fit.people.rate, "frames": len(fit.times), "warnings": told, "people": []}
     report["times"] = fit.times.round(6).tolist()
+    report["shots"] = [_shot(shot, fit.times) for shot in fit.shots]
     report["views"] = [_view(Path(film).name, seen) for film, seen in zip(films, fit.films, strict=True)]
     with replacing(Path(folder), PEOPLE_REPORT, report, outdates=(PEOPLE_REPORT,)) as temporary:
         actors: list[Actor] = []
@@ -218,6 +221,7 @@ def _save_motion(
         "last_frame": int(motion.frames[-1]),
         "first_time": round(float(fit.times[motion.frames[0]]), 6),
         "last_time": round(float(fit.times[motion.frames[-1]]), 6),
+        "shot": next(number for number, shot in enumerate(fit.shots) if motion.frames[0] in shot),
         "frames_seen": len(np.unique(np.concatenate([each["frames"] for each in seen]))),
         "distance_m": round(float(rows["translation"][:, 2].mean()), 2),
         "lengths_cm": dict(zip(LENGTH_NAMES, _centimetres(rows["lengths"][0]), strict=True)),
@@ -254,6 +258,34 @@ def _with_names(warning: str, films: Sequence[str | Path]) -> str:
     for place, film in enumerate(films):
         warning = warning.replace(f"films[{place}]", str(film))
     return warning
+
+
+def _shot(shot: range, times: np.ndarray) -> dict[str, Any]:
+    """Frames and times of a shot, as the report has them."""
+    first, last = shot[0], shot[-1]
+    return {
+        "first_frame": first,
+        "last_frame": last,
+        "start": round(float(times[first]), 4),
+        "end": round(float(times[last]), 4),
+    }
+
+
+def _cuts(fit: FilmFit, films: Sequence[str | Path]) -> list[str]:
+    """Warnings of films with cuts."""
+    found: list[str] = []
+    common = {shot.start for shot in fit.shots}
+    for film, seen in zip(films, fit.films, strict=True):
+        cuts, times = list(seen.people.cuts), seen.people.times
+        if not cuts:
+            continue
+        told = f"{film}: {cuts_sentence(cuts, times[cuts])}"
+        if common.issuperset(cuts):
+            found.append(f"{told}, each fitted apart, its people numbered anew")
+        else:
+            still = "expected films of cameras that stand still, frame by frame"
+            found.append(f"{told}, which not all films have, so that cameras and moments may not fit; {still}")
+    return found
 
 
 def _misfits(fit: FilmFit, films: Sequence[str | Path]) -> list[str]:

@@ -1,7 +1,7 @@
 """Fit of a film, or of several of one moment: windows of frames, each a scene, and what they share passes on.
 
 A person's shape is found first, from frames spread over the whole film. With it windows know nothing of one another, so
-a film may be of any length.
+a film may be of any length. Shots are fitted apart: no window reaches over a cut, and nobody is the same on both sides.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..clothing.anny import anny
 from ..clothing.measuring import statures
 from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
-from ..detection.film_people import FilmPeople
+from ..detection.film_people import FilmPeople, shots_between
 from ..errors import check_type
 from ..fit.fitting import Progress
 from ..interop.ahead import made_ahead
@@ -93,6 +93,11 @@ class FilmFit:
     def times(self) -> np.ndarray:
         """Of the longest film's frames since the first [s], shape (F,)."""
         return shared_times(self.films)
+
+    @property
+    def shots(self) -> list[range]:
+        """Frames of each shot, which were fitted apart."""
+        return film_shots(self.films)
 
     def rows(self, person: int, film: int = 0) -> np.ndarray:
         """Rows of ``FilmPeople`` of a person in a film, frame by frame."""
@@ -215,12 +220,16 @@ class _Films:
         return range(int(frames.min()), int(frames.max()) + 1)
 
     def windows(self, options: SceneOptions) -> Iterable[range]:
-        """Frames that are fitted together; those in which nobody is seen are left out."""
-        seen = np.concatenate([rows["frames"] for person in self.tracks for _, rows in self._rows(person)])
-        for window in windows(int(seen.min()), int(seen.max()) + 1, options.window, options.overlap):
-            inside = seen[(seen >= window.start) & (seen < window.stop)]
-            if len(inside):
-                yield range(int(inside.min()), int(inside.max()) + 1)
+        """Frames that are fitted together, of one shot; those in which nobody is seen are left out."""
+        everywhere = np.concatenate([rows["frames"] for person in self.tracks for _, rows in self._rows(person)])
+        for shot in film_shots(self.films):
+            seen = everywhere[(everywhere >= shot.start) & (everywhere < shot.stop)]
+            if not len(seen):
+                continue
+            for window in windows(int(seen.min()), int(seen.max()) + 1, options.window, options.overlap):
+                inside = seen[(seen >= window.start) & (seen < window.stop)]
+                if len(inside):
+                    yield range(int(inside.min()), int(inside.max()) + 1)
 
     def scene(self, window: range, shapes: Mapping[int, PersonShape]) -> tuple[list[int], Scene]:
         """People of some frames, and the scene of them."""
@@ -350,6 +359,12 @@ class _Blend:
             nearest_rotation(torch.stack(rotations)).to(like),
             (torch.stack(translations) / torch.tensor(shares)[:, None]).to(like),
         )
+
+
+def film_shots(films: Sequence[SeenFilm]) -> list[range]:
+    """Frames of each shot of films of the same moments; where only some of them have a cut, the others go on."""
+    cuts = set.intersection(*(set(film.people.cuts) for film in films))
+    return shots_between(sorted(cuts), max(len(film.people.times) for film in films))
 
 
 def windows(start: int, stop: int, length: int, overlap: int) -> list[range]:

@@ -21,7 +21,7 @@ from ..files.array_files import read_npz
 from ..predictors.film_sights import SIGHT_ARRAYS, FilmSights, GivenNetworks
 from .seen_film import SeenFilm
 
-_PEOPLE = "image_size", "rate", "times", "rows", "packed", "sizes", "fault", "warnings"
+_PEOPLE = "image_size", "rate", "times", "rows", "packed", "sizes", "fault", "warnings", "cuts"
 _FOLDER = ".partdr-film-"  # of ``result_sets``' own kind: what nobody goes on with is removed after a day
 
 
@@ -107,7 +107,7 @@ def _people(data: Mapping[str, np.ndarray]) -> FilmPeople:
     height, width = data["image_size"].tolist()
     whole = data["packed"].tobytes()
     packed = tuple(whole[start:stop] for start, stop in pairwise(starts))
-    told = str(data["fault"]), tuple(data["warnings"].tolist())
+    told = str(data["fault"]), tuple(data["warnings"].tolist()), tuple(data["cuts"].tolist())
     return FilmPeople((height, width), float(data["rate"]), data["times"], data["rows"], packed, *told)
 
 
@@ -121,4 +121,5 @@ def _people_arrays(people: FilmPeople) -> dict[str, Any]:
         "sizes": np.array([len(each) for each in people.packed], np.int64),
         "fault": np.array(people.fault),
         "warnings": np.array(people.warnings, dtype=str),
+        "cuts": np.array(people.cuts, np.int64),
     }
