@@ -10,14 +10,17 @@ import pytest
 import torch
 
 from warp_partdr.body.skeletons import skeleton
+from warp_partdr.clothing.anny import anny
+from warp_partdr.fit.mesh_energy import mesh_energy
 from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.inputs.keypoints import Keypoints2D
-from warp_partdr.scenes.fitting import fit_scene
-from warp_partdr.scenes.ground import Standing, feet_seen, find_ground
+from warp_partdr.scenes.clusters import find_clusters
+from warp_partdr.scenes.fitting import fit_scene, scene_energy
+from warp_partdr.scenes.ground import Standing, feet_seen, find_ground, stand_on_ground
 from warp_partdr.scenes.looks import look_at
 from warp_partdr.scenes.options import SceneOptions
-from warp_partdr.scenes.scene import Ground, Scene
-from warp_partdr.synthetic.scene_people import make_group, make_views
+from warp_partdr.scenes.scene import Ground, Scene, Sight
+from warp_partdr.synthetic.scene_people import LABELS, make_group, make_views
 
 QUICK = SceneOptions(mesh=MeshOptions(iterations=30, size=96, vertices=800), together=160, ground=0.1)
 PLACES = np.array([[-1.0, 3.0], [-0.4, 5.0], [0.3, 3.6], [0.9, 4.6], [1.4, 5.4], [-1.6, 4.0]])  # [m]: right, away
@@ -72,6 +75,30 @@ def test_a_child_nearby_and_an_adult_far_away_are_told_apart() -> None:
     assert np.ptp(wrong + found.sizes) < 0.5 * np.ptp(wrong)
 
 
+def test_a_camera_is_held_near_the_horizon() -> None:
+    """One body, on any plane, leans by 0.2 rad: the plane lies between what it says and the level of the camera."""
+    lean = np.array([0.0, -np.cos(0.2), np.sin(0.2)])
+    body = Standing(np.array([[[0.0, 1.6, 4.0]]]), lean[None], np.ones(1), np.zeros(1, dtype=np.int64))
+    found = find_ground(body, LEVEL)
+    turned_by = np.arctan2(found.ground.normal[2], -found.ground.normal[1])
+    weights = found.shares[0] / 0.15**2, 1 / 0.35**2
+    assert turned_by == pytest.approx(0.2 * weights[0] / sum(weights), rel=0.03)
+
+
+def test_whose_ankles_are_not_seen_in_a_frame_does_not_stand_in_it_alone() -> None:
+    group = make_group(0).scene
+    sights = [replace(each, frame=frame) for each in group.sights[:2] for frame in range(2)]
+    sights[1] = without_ankles(sights[1])
+    scene = replace(group, sights=sights)
+    looks = look_at(scene, "cpu")
+    one, clusters = mesh_energy(anny(), QUICK.mesh, LABELS), find_clusters(looks, scene.num_people)
+    with torch.no_grad():
+        energy = scene_energy(one, QUICK, clusters, LABELS.num_groups)
+        _, grounded = stand_on_ground(energy, anny(), scene, looks)
+    assert grounded is not None
+    assert (grounded.shares > 0).tolist() == [True, False, True, True]
+
+
 def test_who_jumps_or_is_not_seen_is_not_on_the_ground() -> None:
     turn, lifted = turned(10.0, 0.0), np.array([0.9, 0.0, 0.0, 0.0, 0.0, 0.0])
     bodies = standing(np.zeros(6), turn, lifted)
@@ -118,6 +145,13 @@ def test_grounds_that_can_t_be() -> None:
         replace(scene, ground="floor")
 
 
+def without_ankles(sight: Sight) -> Sight:
+    confidence = sight.keypoints.confidence.copy()
+    confidence[-2:] = 0
+    points = np.where(confidence[:, None] > 0, sight.keypoints.points, 0).astype(np.float32)
+    return replace(sight, keypoints=replace(sight.keypoints, points=points, confidence=confidence))
+
+
 def same(one: Scene, options: SceneOptions) -> bool:
     """True if the ground changes no bit."""
     with_it, without = (fit_scene(one, options=replace(options, ground=weight)) for weight in (0.1, 0.0))
@@ -128,13 +162,7 @@ def same(one: Scene, options: SceneOptions) -> bool:
 def test_what_needs_no_ground_is_bit_for_bit_as_without() -> None:
     assert same(make_views(3, 1).scene, QUICK)
     group = make_group(0).scene
-    hidden = []
-    for sight in group.sights:
-        confidence = sight.keypoints.confidence.copy()
-        confidence[-2:] = 0  # ankles
-        points = np.where(confidence[:, None] > 0, sight.keypoints.points, 0).astype(np.float32)
-        hidden.append(replace(sight, keypoints=replace(sight.keypoints, points=points, confidence=confidence)))
-    assert same(replace(group, sights=hidden), QUICK)
+    assert same(replace(group, sights=[without_ankles(sight) for sight in group.sights]), QUICK)
 
 
 def test_feet_of_a_group_come_to_one_ground(device) -> None:

@@ -76,6 +76,18 @@ def test_unsure_keypoints_are_not_compared(pair: SceneSample) -> None:
         assert not meeting(films[mine], films[mine].people.of(0), films[theirs], films[theirs].people.of(0)).compared
 
 
+def test_who_is_largest_in_the_pictures_is_first(pair: SceneSample) -> None:
+    cameras = [camera_at(-0.5), camera_at(0.4)]
+    for large in (0, 1):
+        films = []
+        for camera in cameras:
+            people = film_of(pair, camera)
+            rows = people.rows.copy()
+            rows["boxes"] = np.where((rows["tracks"] == large)[:, None], [0.0, 0, 300, 400], [0.0, 0, 100, 200])
+            films.append(SeenFilm.calibrated(replace(people, rows=rows), camera))
+        assert match_people(films)[0] == ((0, large), (1, large))
+
+
 def test_one_whom_one_camera_sees_is_a_person_too(pair: SceneSample) -> None:
     cameras = [camera_at(-0.5), camera_at(0.4)]
     first, second = (film_of(pair, camera) for camera in cameras)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from warp_partdr.cameras import Crop
 from warp_partdr.clothing.anny import anny
 from warp_partdr.fit.mesh_energy import mesh_energy
 from warp_partdr.fit.mesh_options import MeshOptions
@@ -71,6 +72,20 @@ def test_once_is_enough() -> None:
     """Two who meet in one of the frames are drawn together in all."""
     scene, looks = looked(line(0.0, 3.0) + line(0.0, 0.2, frame=1))
     assert find_clusters(looks, scene.num_people) == ((0, 1),)
+
+
+def test_people_of_other_frames_or_views_do_not_overlap() -> None:
+    scene = make_views(3, 2).scene
+    one = scene.sights[0]
+    for frame, view in ((1, 0), (0, 1)):
+        sights = [beside(one, 0, 0.0, parts=False), replace(beside(one, 1, 0.1, parts=False), frame=frame, view=view)]
+        assert find_clusters(look_at(replace(scene, sights=sights), "cpu"), 2) == ((0,), (1,))
+
+
+def test_boxes_are_those_of_the_picture_however_small_labels_are_kept() -> None:
+    _, looks = looked(line(0.0, 0.2))
+    evidence = replace(looks[1].evidence, window=Crop(0.0, 0.0, 0.1, (1, 1)))
+    assert find_clusters([looks[0], replace(looks[1], evidence=evidence)], 2) == ((0, 1),)
 
 
 def test_a_crowd_in_a_line_is_one_cluster() -> None:

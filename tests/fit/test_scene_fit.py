@@ -26,7 +26,7 @@ from warp_partdr.scenes.energy import SceneEnergy, SceneStarts
 from warp_partdr.scenes.fitting import fit_scene, scene_energy
 from warp_partdr.scenes.looks import Looked, look_at
 from warp_partdr.scenes.options import SceneOptions
-from warp_partdr.scenes.scene import Scene, Sight, View
+from warp_partdr.scenes.scene import PersonShape, Scene, Sight, View
 from warp_partdr.scenes.start import gather_scene, time_shares
 from warp_partdr.synthetic.scene_people import LABELS, make_pair, make_views
 
@@ -121,6 +121,59 @@ def test_a_pair_in_the_wrong_order_is_exchanged(device):
         pelvises = energy.pelvises(people, energy.at_rest(people)).cpu()
         assert int(sample.scene.views[0].to_camera(pelvises)[:, 2].argmin()) == front
         assert exchange(energy, people, energy.at_rest(people), looks) is None
+        # Known sizes, or a second camera, tell how far people are: then nobody is exchanged.
+        mistaken = gather_scene(energy, model, sample.scene, wrong)
+        assert exchange(energy, mistaken, energy.at_rest(mistaken), wrong) is not None
+        for known in (
+            replace(mistaken, unknown=0 * mistaken.unknown),
+            replace(mistaken, view_rotations=mistaken.view_rotations.expand(2, 3, 3)),
+        ):
+            assert exchange(energy, known, energy.at_rest(mistaken), wrong) is None
+
+
+def test_known_shapes_stay_as_they_are():
+    scene = make_pair(102, "clean").scene
+    shape = 0.5 * torch.ones(anny().num_shapes)
+    known = replace(scene, shapes={1: PersonShape(shape, 0.01 * torch.ones(8))})
+    energy, people = prepared(known, "cpu")
+    moved = energy.moved(people, torch.ones_like(energy.rates(people)))
+    assert torch.equal(moved.shape[1], shape)
+    assert torch.equal(moved.clothes[1], 0.01 * torch.ones(8))
+    torch.testing.assert_close(moved.shape[0] - people.shape[0], torch.ones_like(shape))
+
+
+def test_each_view_is_seen_by_its_own_camera():
+    scene = make_views(3, 2).scene
+    usual = look_at(scene, "cpu")
+    first, second = scene.views
+    narrow = replace(second, camera=replace(second.camera, focal=2 * second.camera.focal))
+    found = look_at(replace(scene, views=[first, narrow]), "cpu")
+    for look, before in zip(found, usual, strict=True):
+        factor = 2.0 if look.sight.view else 1.0
+        assert float(look.seen.lens[0]) == pytest.approx(factor * float(before.seen.lens[0]), rel=1e-5)
+
+
+def test_labels_along_no_bone_are_left_out_and_that_is_told():
+    scene = make_views(3, 1).scene
+    sight = scene.sights[0]
+    assert sight.parts is not None
+    corner = np.zeros_like(sight.parts.groups)
+    corner[:3, :3] = 1
+    (look,) = look_at(replace(scene, sights=[replace(sight, parts=replace(sight.parts, groups=corner))]), "cpu")
+    assert look.seen.labels is None
+    (warning,) = look.evidence.warnings
+    assert warning.endswith("keypoints alone taken")
+
+
+def test_only_who_stands_is_held_to_the_ground():
+    energy, people = prepared(make_pair(102, "clean").scene, "cpu")
+    rest = energy.at_rest(people)
+    plane = torch.tensor([0.0, -1.0, 0.0, -2.0])
+    held = replace(people, ground=plane, standing=torch.tensor([0.0, 0.5]))
+    with torch.no_grad():
+        cost, heights = energy(held, rest)["ground"], energy.lowest_feet(energy.landmarks(people, rest), plane)
+    torch.testing.assert_close(cost, torch.tensor([0.0, 0.5]) * (100 * heights).square(), rtol=1e-3, atol=0)
+    assert float(cost[1]) > 1
 
 
 def test_people_are_drawn_together():
@@ -245,6 +298,8 @@ def test_scenes_that_can_t_be():
         SceneOptions(smoothing=-1)
     with pytest.raises(ValueError, match="apart: -1"):
         SceneOptions(apart=-1)
+    with pytest.raises(ValueError, match="overlap: 12; expected an integer from 0 to 11"):
+        SceneOptions(window=12, overlap=12)
     many = Scene(views, [Sight(sight.keypoints, sight.parts, person) for person in range(19)])
     with pytest.raises(InputError, match="19 people of 14 groups overlap; expected 254 labels at most, as of 18"):
         fit_scene(many, options=QUICK)
