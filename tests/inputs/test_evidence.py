@@ -19,7 +19,17 @@ from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.result import FitResult
-from warp_partdr.inputs.agreement import Agreement, Flesh, compare_sides, disagreement, glance, segments_of_parts
+from warp_partdr.inputs.agreement import (
+    Agreement,
+    Flesh,
+    compare_sides,
+    count_sides,
+    disagreement,
+    disagreement_of,
+    glance,
+    places_along,
+    segments_of_parts,
+)
 from warp_partdr.inputs.evidence import WINDOW_SIDE, Evidence, weigh_evidence
 from warp_partdr.inputs.ignored_labels import ignore_stray_labels
 from warp_partdr.inputs.keypoint_files import read_keypoints
@@ -163,6 +173,21 @@ def test_agreement_along_the_bones() -> None:
     assert all(found.swapped for found in compare_sides(mirrored_labels(parts).groups, keypoints, CDCL).values())
 
 
+def test_samples_along_a_bone_are_those_of_the_pixels_that_it_runs_over() -> None:
+    rows, columns = places_along(np.array([[0.9, 1.9]]), np.array([[2.9, 1.9]]), samples=3)
+    assert rows.tolist() == [[1, 1, 1]]
+    assert columns.tolist() == [[0, 1, 2]]
+    shown, inside = np.array([[1, 1, 2, BACKGROUND, IGNORE, 3, 3]]), np.array([[1, 1, 1, 1, 1, 1, 0]], dtype=bool)
+    assert count_sides(shown, inside, np.array([1]), np.array([2])).tolist() == [[2, 1, 1]]
+
+
+def test_disagreement_is_of_many_samples_and_of_pixels_far_away() -> None:
+    few, many = np.array([[[0, 0, 30], [0, 0, 17]]]), np.array([[[24, 0, 0], [0, 0, 24]]])
+    assert disagreement_of(few, np.array([100]), np.array([0])).tolist() == [0.0]
+    assert disagreement_of(many, np.array([100]), np.array([0])).tolist() == [0.5]
+    assert disagreement_of(few, np.array([100]), np.array([25])).tolist() == [1.0]
+
+
 @pytest.mark.parametrize(
     ("own", "mirrored", "swapped"), [(0, 24, True), (0, 23, False), (25, 75, True), (26, 75, False), (100, 100, False)]
 )
@@ -184,6 +209,8 @@ def test_a_set_without_sides_has_none_to_compare() -> None:
 )
 def test_two_readings_of_exchanged_sides(kinds: tuple[str, ...], limb: str) -> None:
     keypoints, parts = example()
+    graded = keypoints.confidence * np.linspace(0.8, 1.0, len(keypoints.confidence), dtype=np.float32)
+    keypoints = replace(keypoints, confidence=graded)
     contrary = mirrored_labels(parts, *kinds)
     ours, theirs = weigh_evidence(keypoints, contrary)
     np.testing.assert_array_equal(ours.groups, select_person(parts.groups, keypoints))
@@ -192,6 +219,7 @@ def test_two_readings_of_exchanged_sides(kinds: tuple[str, ...], limb: str) -> N
     moved = (theirs.keypoints.points != keypoints.points).any(axis=1)
     assert moved.sum() == {"": 16, " of arms": 4, " of legs": 4}[limb]
     np.testing.assert_array_equal(theirs.keypoints.points[moved], keypoints.points[keypoints.format.mirror][moved])
+    np.testing.assert_array_equal(theirs.keypoints.confidence[moved], graded[keypoints.format.mirror][moved])
     assert [each.warnings for each in (ours, theirs)] == [
         (f"labels: left and right{limb} exchanged, say the keypoints; taken so",),
         (f"keypoints: left and right{limb} exchanged, say the labels; taken so",),
@@ -230,6 +258,8 @@ def test_a_blob_far_from_its_bones_is_ignored_and_the_part_itself_is_not() -> No
     groups, mask = with_blob()
     cleaned, names = ignored(groups, keypoints)
     assert names == {"torso"}
+    (seen,) = weigh_evidence(keypoints, replace(parts, groups=groups))
+    assert seen.warnings == ("labels: torso also far from any such bone; ignored there",)
     assert (cleaned[mask] == IGNORE).mean() > 0.9
     assert (cleaned[~mask] == parts.groups[~mask]).all()
     cleaned, names = ignored(parts.groups, keypoints)  # where nothing is wrong
@@ -315,6 +345,15 @@ def enlarged(person: Person, factor: int) -> Person:
     keypoints, parts = person
     groups = np.kron(parts.groups, np.ones((factor, factor), dtype=np.uint8))
     return replace(keypoints, points=keypoints.points * np.float32(factor)), replace(parts, groups=groups)
+
+
+def test_nothing_is_known_beyond_the_picture() -> None:
+    (seen,) = weigh_evidence(*example())
+    height, width = example()[1].groups.shape
+    target = seen.target((3, 3), (-1.0, -1.0, 2.0, 2.0))
+    np.testing.assert_array_equal(target[0], IGNORE)
+    np.testing.assert_array_equal(target[1:, 1:], seen.groups[:2, :2])
+    assert (seen.target((4, 4), (width + 1.0, height + 1.0, width + 9.0, height + 9.0)) == IGNORE).all()
 
 
 def test_a_large_picture_is_looked_at_in_a_window() -> None:
