@@ -161,6 +161,16 @@ def test_flesh_is_about_all_segments_of_a_group() -> None:
     assert (told > seen.distances).any()
 
 
+def test_limbs_are_as_thick_as_people_s() -> None:
+    """Of 1.7 m: from the bone to the skin of a thigh 5 to 13 cm, of a forearm 2 to 6 cm."""
+    names = ("left_hip", "left_knee", "left_elbow", "left_wrist")
+    found = segments_of_parts({name: name for name in names})
+    ((start, end, thigh),), ((_, _, forearm),) = found["left_upper_leg"], found["left_forearm"]
+    assert (start, end) == ("left_hip", "left_knee")
+    assert 0.05 < 1.7 * thigh < 0.13
+    assert 0.02 < 1.7 * forearm < 0.06
+
+
 # --- Sides -----------------------------------------------------------------------------------------------------------
 
 

@@ -28,7 +28,7 @@ from warp_partdr.inputs.person import (
     person_crop,
     person_labels,
 )
-from warp_partdr.inputs.selection import select_person
+from warp_partdr.inputs.selection import Areas, PeopleBones, is_labelled, select_person
 
 PHOTOS = ("000000032081", "000000203864", "000000468632")
 
@@ -121,6 +121,28 @@ def test_choose_person() -> None:
             choose_person(people, index=index)
     with pytest.raises(InputError, match="keypoints: nobody; expected at least one person"):
         choose_person([])
+
+
+def test_background_and_what_is_ignored_are_no_part():
+    assert is_labelled(np.array([0, 1, 254, IGNORE], dtype=np.uint8)).tolist() == [False, True, True, False]
+
+
+def test_pixels_beside_the_bones_of_a_tiny_person_are_theirs():
+    """A person 3 px tall, of whom a pixel is a third."""
+    (tiny, tall) = (PeopleBones.of([standing(height=height)], [[]]).reach[0] for height in (3, 300))
+    assert tiny == MIN_SEED_RADIUS
+    assert tall == pytest.approx(REACH * person_height(standing(height=300)))
+
+
+def test_beyond_an_area_nobody_is_labelled():
+    picture = np.zeros((6, 9), dtype=np.uint8)
+    picture[2:5, 3:7] = 7
+    areas = Areas.of([picture], np.array([[0.0, 0.0, 9.0, 6.0]]))
+    rows, columns = np.indices((20, 20)) - 5
+    found = areas.at(np.zeros((20, 20), dtype=np.int64), rows, columns)
+    expected = np.zeros((20, 20))
+    expected[7:10, 8:12] = 7
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_select_person_ignores_others_and_blobs() -> None:
