@@ -13,6 +13,7 @@ from scenes.files import save_npz, smpl_arrays
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.clothing import load
 from warp_partdr.clothing.load import load_model
+from warp_partdr.clothing.smpl import SMPL_JOINTS, joint_landmarks
 
 smpl_file = scenes.files.smpl_file  # a fixture
 
@@ -36,8 +37,31 @@ def test_load_model_reads_files(num_joints, suffix, tmp_path):
     np.testing.assert_allclose(feature @ model.pose_directions.numpy(), wanted, atol=1e-12)
     assert model.bone_of_part["left_hip"] == model.bone_of_part["right_hip"] == "pelvis"
     assert model.bone_of_part["left_forearm"] == "left_elbow"
+    assert model.bone_of_part["left_shoulder"] == "left_collar"
+    wanted = np.einsum("jv,vcs->sjc", arrays["J_regressor"], arrays["shapedirs"][..., :4])
+    np.testing.assert_allclose(model.joint_directions, wanted, atol=1e-12)
     assert model.bone_of_part["right_foot"] == "right_ankle"
     assert set(PART_NAMES) - {PART_NAMES[k - 1] for k in model.face_parts.unique()} <= {"left_hip", "right_hip"}
+
+
+def test_ends_of_head_feet_and_hands_are_their_outermost_vertices():
+    rng = np.random.default_rng(0)
+    vertices, parts = rng.normal(size=(200, 3)), rng.integers(0, len(PART_NAMES), 200)
+    joints = rng.normal(size=(len(SMPL_JOINTS), 3))
+    rows = joint_landmarks(SMPL_JOINTS, vertices, joints, parts)
+    found = {name: row @ np.concatenate([vertices, joints]) for name, row in rows.items()}
+
+    def of(part: str) -> np.ndarray:
+        return vertices[parts == PART_NAMES.index(part)]
+
+    assert found["head_top"][1] == of("head")[:, 1].max()  # y is up
+    for side in ("left", "right"):
+        assert found[f"{side}_toe"][2] == of(f"{side}_foot")[:, 2].max()  # z is ahead
+        wrist = joints[SMPL_JOINTS.index(f"{side}_wrist")]
+        np.testing.assert_array_equal(found[f"{side}_wrist"], wrist)
+        reach = np.linalg.norm(of(f"{side}_hand") - wrist, axis=1).max()
+        assert np.linalg.norm(found[f"{side}_fingertip"] - wrist) == pytest.approx(reach)
+    np.testing.assert_allclose(found["mid_hip"], (found["left_hip"] + found["right_hip"]) / 2)
 
 
 def test_default_number_of_shapes(tmp_path):

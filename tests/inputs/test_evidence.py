@@ -244,6 +244,10 @@ def test_probabilities_change_sides_with_their_groups() -> None:
     np.testing.assert_array_equal(ours.labels.maps.argmax(0), parts.groups)
     np.testing.assert_array_equal(ours.labels.groups, parts.groups)
     np.testing.assert_array_equal(theirs.labels.maps, maps)
+    observation, _ = crop_evidence(ours, trust_background=True)
+    assert observation.maps.shape[0] == CDCL.num_groups
+    shown = (observation.labels > BACKGROUND) & (observation.labels < IGNORE)
+    assert torch.equal(1 + observation.maps.argmax(0)[shown], observation.labels[shown].long())
 
 
 @pytest.mark.parametrize("start", ["network", "search"])
