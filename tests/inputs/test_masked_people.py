@@ -88,6 +88,15 @@ def test_many_people_are_cut_out_as_each_alone(device, rng):
     assert any(max(each.window.size) <= WINDOW_SIDE for each, _, _ in found)
 
 
+def test_pixels_beside_the_bones_of_a_tiny_person_are_theirs(device):
+    """A person 4 px tall, in a picture that shows nobody else."""
+    keypoints, _ = example()
+    zoom = np.float32(4 / np.ptp(keypoints.points[keypoints.visible, 1]))
+    tiny = Keypoints2D(keypoints.skeleton, keypoints.points * zoom + np.float32(8), keypoints.confidence)
+    ((_, observation, _),) = assert_as_alone([MaskedPerson(tiny, torch.ones(20, 20, dtype=torch.int32), 1)], device)
+    assert bool((observation.labels == 1).any())
+
+
 def test_people_in_parts_of_the_batch_are_the_same(device, rng, monkeypatch):
     """Where memory holds a few at a time."""
     monkeypatch.setattr(masked_people, "_PIXELS", {"cpu": 2**18, "cuda": 2**18})
