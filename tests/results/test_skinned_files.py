@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from warp_partdr.clothing.registration import Registered
 from warp_partdr.results.binding import to_quaternions
+from warp_partdr.results.palette import PART_COLOURS
 from warp_partdr.results.skinned_files import Poses, bvh, glb, save_detailed
 
 registered = scenes.bodies.registered  # a fixture
@@ -46,6 +47,8 @@ def test_obj_and_ply_read_back(registered: Registered, tmp_path: Path) -> None:
         mesh = trimesh.load(tmp_path / f"detailed.{kind}", process=False)
         assert mesh.faces.shape == (27420, 3)
         assert np.abs(mesh.triangles - expected[registered.model.faces.cpu().numpy()]).max() < 1e-4
+    parts = registered.model.face_parts.cpu().numpy()
+    np.testing.assert_array_equal(mesh.visual.face_colors[:, :3], PART_COLOURS[parts])
 
 
 def test_bvh_has_the_skeleton_where_it_is(registered: Registered) -> None:
