@@ -317,3 +317,21 @@ def test_no_window_and_no_matplotlib_before_the_first_figure():
         "assert 'matplotlib' in sys.modules and 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_bodies_are_compared_with_their_pelvises_in_one_place():
+    distance = plot.compare_bodies(body().posed(), away()).axes[2]
+    np.testing.assert_allclose([bar.get_width() for bar in distance.patches], 0, atol=1e-2)
+
+
+def test_of_a_batch_the_first_body_is_shown():
+    two = replace(body(), lengths=body().lengths * torch.tensor([[1.0], [1.5]]))
+    sizes = plot.compare_bodies(two, body()).axes[3]
+    first, second = np.array([bar.get_width() for bar in sizes.patches]).reshape(2, -1)
+    np.testing.assert_array_equal(first, second)
+
+
+def test_a_group_of_one_part_has_its_colour():
+    colours = group_colours(label_set("ellipbody20").part_groups)
+    np.testing.assert_array_equal(colours[1:21], PART_COLOURS[1:])
+    assert not colours[0].any()

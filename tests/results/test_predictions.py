@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -84,3 +85,10 @@ def test_what_is_no_such_file_is_refused(change: dict[str, np.ndarray | None], w
     np.savez(path, **{name: value for name, value in arrays.items() if value is not None})
     with pytest.raises(InputError, match=words):
         load_film_bodies(path)
+
+
+def test_a_file_of_another_run_than_the_report_beside_it_is_refused(tmp_path: Path) -> None:
+    film().save(tmp_path / "a.npz")
+    (tmp_path / "predictions.json").write_text(json.dumps({"files": {"a.npz": 64 * "0"}}))
+    with pytest.raises(InputError, match=r"a\.npz: not of the same run as predictions\.json"):
+        load_film_bodies(tmp_path / "a.npz")

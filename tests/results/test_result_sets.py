@@ -369,3 +369,15 @@ def test_check_folder(tmp_path: Path) -> None:
             check_folder(bad)
     check_folder(tmp_path / "new" / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_folder_in_a_file_s_place_stays(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (out / "picture").mkdir(parents=True)
+    with (
+        pytest.raises(InputError, match=r"out/picture: a folder; expected a file, or nothing"),
+        replacing(out, "report.json", {}) as new,
+    ):
+        (new / "picture").write_text("new")
+    assert [path.name for path in out.iterdir()] == ["picture"]
+    assert (out / "picture").is_dir()

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from warp_partdr.clothing.registration import Registered
 from warp_partdr.results.binding import to_quaternions
+from warp_partdr.results.ellipbody_files import GLTF_FROM_CAMERA
 from warp_partdr.results.palette import PART_COLOURS
 from warp_partdr.results.skinned_files import Poses, bvh, glb, save_detailed
 
@@ -182,3 +183,15 @@ def test_quaternions_of_whole_turns_never_leap() -> None:
     found = to_quaternions(turns.as_matrix().reshape(60, 2, 3, 3))
     assert np.abs(np.diff(found, axis=0)).max() < 0.2
     np.testing.assert_allclose(Rotation.from_quat(found.reshape(-1, 4)).as_matrix(), turns.as_matrix(), atol=1e-9)
+
+
+def test_bvh_s_angles_hold_where_y_is_at_a_right_angle(registered: Registered) -> None:
+    """There two of the angles turn about one axis."""
+    turn = Rotation.from_euler("ZYX", [20, 90, 50], degrees=True).as_matrix()
+    poses = moving(registered)
+    rotations = poses.rotations.clone()
+    rotations[:, 0] = torch.from_numpy(GLTF_FROM_CAMERA.T @ turn).to(rotations)
+    rows = bvh(registered, replace(poses, rotations=rotations)).split("MOTION\n")[1].splitlines()[2:]
+    for row in rows:
+        angles = [float(each) for each in row.split()[3:6]]
+        np.testing.assert_allclose(Rotation.from_euler("ZYX", angles, degrees=True).as_matrix(), turn, atol=1e-3)
