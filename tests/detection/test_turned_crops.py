@@ -59,11 +59,14 @@ def test_what_a_picture_does_not_show_is_black_or_the_border(device):
     torch.testing.assert_close(cut_crops(white, one_crop(0, 10, 20), 8, beyond="border"), torch.ones_like(black))
 
 
-def test_shrunk_crops_do_not_alias(device):
+def test_shrunk_crops_do_not_alias(device, rng):
     board = np.indices((512, 512)).sum(axis=0) % 2 * 255
     picture = np.repeat(board[..., None], 3, axis=-1).astype(np.uint8)
     cut = cut_crops([Pyramid(picture, device)], one_crop(256, 256, 512), 128)
     torch.testing.assert_close(cut, torch.full_like(cut, 0.5), atol=0.01, rtol=0)
+    noise = rng.integers(0, 256, (512, 512, 3), dtype=np.uint8)
+    cut = cut_crops([Pyramid(noise, device)], one_crop(256, 256, 512), 128)  # each pixel is the mean of 16
+    assert float(cut.std()) == pytest.approx(noise.std() / 255 / 4, rel=0.05)
 
 
 def test_huge_pictures_are_halved_first():
