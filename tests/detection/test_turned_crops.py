@@ -140,6 +140,19 @@ def test_masks_come_back_where_they_were_cut():
     assert draw_mask(person(one_crop(-90, 20, 20), mask), (50, 60)).max() == 0
 
 
+def test_masks_are_read_at_the_centres_of_pixels_and_end_with_their_crop():
+    """A mask that grows from row to row, in a crop of many rows; then one in a turned crop."""
+    rows = np.broadcast_to((np.arange(256)[:, None] + 0.5) / 256, (256, 256))
+    drawn = draw_mask(person(one_crop(310, 320, 600), rows), (640, 620))
+    expected = (np.arange(640) + 0.5 - 20) / 600
+    inner = slice(25, 615)
+    np.testing.assert_allclose(drawn[inner, 300], expected[inner], atol=5e-4)
+    turned = draw_mask(person(one_crop(30, 30, 20, np.pi / 4), np.ones((256, 256))), (60, 60))
+    assert turned[30, 30] == pytest.approx(1)
+    assert turned[20, 20] == turned[20, 39] == turned[39, 20] == turned[39, 39] == 0
+    assert turned.sum() == pytest.approx(400, rel=0.06)
+
+
 def test_a_pixel_belongs_to_the_strongest_mask():
     people = [
         person(one_crop(20, 20, 20), np.full((256, 256), 0.7)),

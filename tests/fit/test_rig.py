@@ -96,6 +96,20 @@ def test_one_whom_one_camera_sees_is_a_person_too(pair: SceneSample) -> None:
     assert set(match_people(films)) == {((0, 0), (1, 0)), ((0, 1),)}
 
 
+def test_two_tracks_of_one_frame_are_two_people_however_near(pair: SceneSample) -> None:
+    """Found twice by one camera, where the other sees one person."""
+    cameras = [camera_at(-0.5), camera_at(0.4)]
+    first, second = (film_of(pair, camera) for camera in cameras)
+    own = first.rows[first.rows["tracks"] == 0]
+    again = own.copy()
+    again["tracks"] = 1
+    rows = np.concatenate([own, again])
+    alone = replace(second, rows=second.rows[second.rows["tracks"] == 0])
+    both = zip((replace(first, rows=rows), alone), cameras, strict=True)
+    people = match_people([SeenFilm.calibrated(film, camera) for film, camera in both])
+    assert sorted(people) == [((0, 0), (1, 0)), ((0, 1),)]
+
+
 def test_a_track_that_ends_and_goes_on_is_one_person(pair: SceneSample) -> None:
     cameras = [camera_at(-0.5), camera_at(0.4)]
     first, second = (film_of(pair, camera, frames=6) for camera in cameras)
