@@ -70,9 +70,10 @@ def test_who_is_known_has_the_known_size(clip):
 
 
 def test_one_frame_and_several_cameras_are_left_alone():
-    for scene in (make_views(3, 1).scene, make_views(3, 2).scene):
-        two = scene.sights if len(scene.views) > 1 else scene.sights[:1]
-        looks = look_at(replace(scene, sights=two), "cpu")
+    one, several = make_views(3, 1).scene, make_views(3, 2).scene
+    film = replace(several, sights=[replace(sight, frame=frame) for sight in several.sights for frame in range(2)])
+    for scene in (replace(one, sights=one.sights[:1]), several, film):
+        looks = look_at(scene, "cpu")
         found = of_one_size(anny(), scene, looks)
         assert all(one is other for one, other in zip(found, looks, strict=True))
 
