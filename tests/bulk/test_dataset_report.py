@@ -19,8 +19,10 @@ from scenes.people_rows import SIZE, body_row, write_shards
 
 from warp_partdr.bulk import survey
 from warp_partdr.bulk.reading import Address, PeopleFiles
+from warp_partdr.bulk.rows import columns
 from warp_partdr.bulk.survey import Kinds, kind_of, survey_people, worst_people
 from warp_partdr.cli.dataset_files import ByName
+from warp_partdr.clothing.anny import anny
 
 pytest.importorskip("pyarrow", reason="needs pyarrow, the extra dataset")
 pytestmark = pytest.mark.usefixtures("here")
@@ -77,6 +79,15 @@ def test_scores_are_those_of_the_rows() -> None:
     box = body_row("")["box"]
     assert seen["size"].low == pytest.approx(box[3] - box[1], rel=1e-5)
     assert "stature" not in seen
+
+
+def test_lengths_are_shown_in_the_unit_that_they_are_said_to_have() -> None:
+    units = {column.name: column.unit for column in columns("coco17", anny())}
+    factors = {("m", "m"): 1, ("m", "cm"): 100, ("px", "px"): 1}
+    shown = [score for score in survey.SCORES if score.unit in ("m", "cm", "px")]
+    assert {score.name for score in shown} >= {"depth", "size", "stature", "distance"}
+    for score in shown:
+        assert score.factor == factors[units[score.columns[-1]], score.unit], score.name
 
 
 @pytest.mark.parametrize(

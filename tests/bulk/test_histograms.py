@@ -28,6 +28,8 @@ def test_extremes_are_exact_and_zeros_count() -> None:
     assert (histogram.total, histogram.low, histogram.high) == (5, 0.0, np.float32(1e20))
     assert histogram.quantile(0.6) == 0.0
     assert histogram.quantile(1.0) == np.float32(1e20)
+    falling = counted(np.array([9.0, 5.0, 7.0]), parts=3)
+    assert (falling.low, falling.high) == (5.0, 9.0)
 
 
 @pytest.mark.parametrize("shift", [0.0, 5.0])
