@@ -54,6 +54,14 @@ def test_rows_of_a_batch_are_those_of_its_fits(batch: BatchFits, monkeypatch: py
     assert expected[0]["energy"] == np.float32(sum(batch.energy[name][0].item() for name in ("proj", "seg")))
 
 
+def test_rows_have_the_picture_s_pixels_and_shares_of_the_height(batch: BatchFits) -> None:
+    for fit, row in zip(list(batch), rows_of(batch), strict=True):
+        seen = fit.camera.project(fit.posed.joints)[0, :, :2].cpu().numpy()
+        np.testing.assert_allclose(np.reshape(row["joints_2d"], (-1, 2)), seen, atol=0.02)
+    first, _ = rows_of(batch)
+    assert 0.001 < first["keypoint_error"] < 0.1  # of the person's height
+
+
 def test_people_stacked_before_are_fitted_alike(batch: BatchFits, device: str) -> None:
     """Joined of parts, on another device before; and one by one they are who was given."""
     people = batch.people

@@ -281,3 +281,9 @@ def test_without_pyarrow_they_say_what_to_install(command: str, run: Run, monkey
 
 def test_options_are_those_of_the_survey() -> None:
     assert tuple(each.value for each in ByName) == survey.RANKED
+
+
+def test_the_rate_is_that_of_bodies_whose_time_is_known() -> None:
+    seen = survey.Survey(survey.Worst.by("energy", 1), bodies=10, timed=4, seconds=2.0)
+    assert seen.rate == 2.0
+    assert survey.Survey(survey.Worst.by("energy", 1), bodies=10).rate is None
