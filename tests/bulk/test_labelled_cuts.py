@@ -9,7 +9,7 @@ import pytest
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.bulk import cutting
-from warp_partdr.bulk.cutting import Cut, Cutter
+from warp_partdr.bulk.cutting import Cut, Cutter, one_line
 from warp_partdr.bulk.sources import KnownPerson, SourcePicture
 from warp_partdr.errors import InputError
 from warp_partdr.evaluation.partbench.samples import make_sample
@@ -101,3 +101,9 @@ def test_labels_whose_ids_are_the_groups_are_taken_as_they_are() -> None:
         with pytest.raises(ValueError, match=rf"labels: ids {strange} not in ellipbody20"):
             known.to_groups(np.array([strange, 1], dtype=np.uint8))
     assert label_set("densepose24").to_groups(ids[:, :2]).tolist() == [[0, label_set("densepose24").id_groups[1]]]
+
+
+def test_an_error_is_one_line() -> None:
+    assert one_line(InputError("photo.png: cut off;\n  expected a picture")) == "photo.png: cut off; expected a picture"
+    assert one_line(ValueError("\n")) == "ValueError: ValueError"
+    assert len(one_line(RuntimeError(900 * "x"))) == 300
