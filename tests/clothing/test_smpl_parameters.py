@@ -45,6 +45,17 @@ def bodies(model: DetailedModel, largest: float = 1.0) -> tuple[torch.Tensor, to
     return torch.randn(2, model.num_shapes, dtype=torch.float64), rotations, place
 
 
+def test_a_finger_of_the_left_hand_is_one_of_the_left_hand_s_pose(tmp_path: Path) -> None:
+    np.savez(tmp_path / "hands.npz", **official_arrays(SIZES["smplh"]))
+    model = load_model(tmp_path / "hands.npz")
+    rotations = torch.eye(3).repeat(1, model.num_joints, 1, 1)
+    (finger,) = (joint for joint, name in enumerate(model.joint_names) if name == "left_index1")
+    rotations[0, finger] = random_turns(1, 1, 0.5)[0, 0]
+    found = to_smplx(model, torch.zeros(1, model.num_shapes), rotations, torch.zeros(1, 3))
+    assert found["left_hand_pose"].any()
+    assert not found["right_hand_pose"].any()
+
+
 def skin(arrays: dict[str, np.ndarray], betas: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Vertices of SMPL (Loper et al., 2015), slowly, without any of the package."""
     shaped = arrays["v_template"] + arrays["shapedirs"][..., : len(betas)] @ betas

@@ -76,6 +76,17 @@ def test_unsure_keypoints_are_not_compared(pair: SceneSample) -> None:
         assert not meeting(films[mine], films[mine].people.of(0), films[theirs], films[theirs].people.of(0)).compared
 
 
+def test_where_rays_meet_limbs_have_the_lengths_of_people(pair: SceneSample) -> None:
+    """Cameras whose places are in centimetres see the same pixels of a giant."""
+    cameras = [camera_at(-0.5), camera_at(0.4)]
+    seen = [film_of(pair, camera) for camera in cameras]
+    for unit, expected in ((1.0, True), (100.0, False), (0.01, False)):
+        scaled = [replace(camera, translation=unit * camera.translation) for camera in cameras]
+        films = [SeenFilm.calibrated(people, camera) for people, camera in zip(seen, scaled, strict=True)]
+        found = ray_distance(films[0], films[0].people.of(0), films[1], films[1].people.of(0))
+        assert np.isfinite(found) == expected
+
+
 def test_who_is_largest_in_the_pictures_is_first(pair: SceneSample) -> None:
     cameras = [camera_at(-0.5), camera_at(0.4)]
     for large in (0, 1):
