@@ -37,7 +37,7 @@ def test_gradients_of_logarithms_are_sizes_times_those_of_sizes(device):
     for name in ("lengths", "thicknesses"):
         want = plain.tensors()[name].grad * usual.tensors()[name]
         assert want.abs().max() > 0
-        torch.testing.assert_close(logs.tensors()[f"log_{name}"].grad, want, rtol=1e-4, atol=1e-4)
+        torch.testing.assert_close(logs.tensors()[f"log_{name}"].grad, want, rtol=5e-3, atol=1e-3)
     torch.testing.assert_close(logs.rotations.grad, plain.rotations.grad, rtol=1e-4, atol=1e-3)
 
 
