@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from warp_partdr import Perspective, metrics
-from warp_partdr.body.skeletons import MPJPE_JOINTS
+from warp_partdr.body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.capsules import measure_capsules
 from warp_partdr.errors import InputError
@@ -23,6 +23,7 @@ from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.scenes.clusters import find_clusters
 from warp_partdr.scenes.depth_order import exchange, grown, order_people
 from warp_partdr.scenes.energy import SceneEnergy, SceneStarts
+from warp_partdr.scenes.feet import FEET
 from warp_partdr.scenes.fitting import fit_scene, scene_energy
 from warp_partdr.scenes.looks import Looked, look_at
 from warp_partdr.scenes.options import SceneOptions
@@ -165,13 +166,56 @@ def test_labels_along_no_bone_are_left_out_and_that_is_told():
     assert warning.endswith("keypoints alone taken")
 
 
+def test_pixels_that_several_claim_or_somebody_does_not_know_are_ignored():
+    """The same person twice; then a second one of whom a corner of the background is not known."""
+    scene = make_views(3, 1).scene
+    sight = scene.sights[0]
+    assert sight.parts is not None
+    _, people = prepared(replace(scene, sights=[sight, replace(sight, person=1)]), "cpu")
+    assert people.together is not None
+    both = people.together.target
+    assert set(both.unique().tolist()) == {0, 255}
+    low = sight.keypoints.points[sight.keypoints.visible].min(0).astype(int)
+    unknown = sight.parts.groups.copy()
+    corner = unknown[low[1] - 8 : low[1], low[0] - 8 : low[0]]
+    assert not corner.any()
+    corner[:] = 255
+    other = replace(sight, parts=replace(sight.parts, groups=unknown), person=1)
+    _, people = prepared(replace(scene, sights=[sight, other]), "cpu")
+    assert people.together is not None
+    changed = people.together.target[both != people.together.target]
+    assert changed.numel() > 0
+    assert bool((changed == 255).all())
+
+
+def test_starts_of_several_views_are_where_rays_meet_whatever_the_world_s_frame():
+    sample = make_views(11, 2)
+    energy, people = prepared(sample.scene, "cpu")
+    pelvis = energy.pelvises(people, energy.at_rest(people))[0].numpy()
+    assert np.linalg.norm(pelvis - sample.joints[0, 0, MPJPE_HIPS].mean(0)) < 0.1
+    turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(2)))[0]
+    turn = turn * torch.linalg.det(turn)
+    move = torch.tensor([2.0, -1.0, 3.0])  # of the world's origin
+    views = [
+        replace(view, rotation=view.rotation @ turn, translation=view.translation + view.rotation @ move)
+        for view in sample.scene.views
+    ]
+    _, turned = prepared(replace(sample.scene, views=views), "cpu")
+    there = energy.pelvises(turned, energy.at_rest(turned))[0]
+    np.testing.assert_allclose((turn @ there + move).numpy(), pelvis, atol=1e-3)
+    assert float(people.translation.norm()) > 1e-3
+    torch.testing.assert_close(turned.translation @ turn.mT, people.translation, atol=1e-4, rtol=0)
+
+
 def test_only_who_stands_is_held_to_the_ground():
     energy, people = prepared(make_pair(102, "clean").scene, "cpu")
     rest = energy.at_rest(people)
     plane = torch.tensor([0.0, -1.0, 0.0, -2.0])
     held = replace(people, ground=plane, standing=torch.tensor([0.0, 0.5]))
+    names = energy.one.model.landmark_names
     with torch.no_grad():
-        cost, heights = energy(held, rest)["ground"], energy.lowest_feet(energy.landmarks(people, rest), plane)
+        cost, points = energy(held, rest)["ground"], energy.landmarks(people, rest)
+    heights = 2 - points[:, [names.index(name) for name in FEET], 1].amax(1)  # y is down
     torch.testing.assert_close(cost, torch.tensor([0.0, 0.5]) * (100 * heights).square(), rtol=1e-3, atol=0)
     assert float(cost[1]) > 1
 
