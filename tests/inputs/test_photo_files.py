@@ -212,6 +212,7 @@ def test_other_formats_are_called_by_their_name(
     head: bytes, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(part_labels, "find_spec", lambda name: None)
+    Image.init()  # or formats that are registered meanwhile would be lost afterwards
     monkeypatch.setattr(Image, "ID", [each for each in Image.ID if each not in ("AVIF", "HEIF")])  # an old Pillow
     (tmp_path / "a.jpg").write_bytes(head)
     assert refusal(tmp_path / "a.jpg").startswith(f"{tmp_path / 'a.jpg'}: {says}")
