@@ -376,18 +376,6 @@ def test_cameras_in_centimetres_are_told() -> None:
     assert "are translations in metres" in told
 
 
-def test_keypoints_far_from_any_picture_are_refused() -> None:
-    scene = make_views(3, 1).scene
-    (sight,) = scene.sights
-    points = sight.keypoints.points.copy()
-    index = int(np.flatnonzero(sight.keypoints.confident)[0])
-    points[index] = 1e5, 100.0
-    far = replace(scene, sights=[replace(sight, keypoints=replace(sight.keypoints, points=points))])
-    name = sight.keypoints.format.landmarks[index]
-    with pytest.raises(InputError, match=rf"sights\[0\]: keypoints: {name} at \(100000, 100\); expected pixels of"):
-        fit_scene(far, options=QUICK)
-
-
 def test_people_who_walk_through_each_other_end_apart(device):
     """They step aside in depth, so that keypoints are where they were."""
     scene, depths, pulls = walkers(), [], []

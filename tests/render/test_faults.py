@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-import warp as wp
 from scenes.bodies import moved_bodies, unsure_observation, walker
 
 from warp_partdr.body.ellipbody import EllipBody

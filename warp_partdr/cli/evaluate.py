@@ -66,8 +66,7 @@ def folder(
     from ..evaluation.datasets import read_folder
     from ..inputs.photo_files import LeftOut
 
-    _check_counts(limit=options.limit)
-
+    _check_counts(limit=options.limit, jobs=options.jobs)
     left_out = LeftOut()
     people = list(islice(read_folder(path, _label_set(labels), left_out), options.limit))
     if left_out:

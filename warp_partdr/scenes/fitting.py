@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-import numpy as np
 import torch
 
 from ..body.template import JOINT_NAMES
@@ -19,7 +18,7 @@ from ..clothing.measuring import statures
 from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
 from ..clothing.resizing import resize_before
-from ..errors import InputError, check_type
+from ..errors import check_type
 from ..fit.fitting import Progress
 from ..fit.mesh_energy import MeshEnergy, mesh_energy
 from ..fit.mesh_unknowns import Unknowns
@@ -39,10 +38,8 @@ from .ground import Grounded, stand_on_ground
 from .impossible import impossible_people
 from .looks import Looked, look_at
 from .options import SceneOptions
-from .scene import Ground, Scene, Sight, View
+from .scene import Ground, Scene
 from .start import gather_scene
-
-_WIDEST = 15.0  # focal lengths from the principal point, 86 degrees beside the axis
 
 
 @dataclass(frozen=True)
@@ -116,7 +113,7 @@ def fit_scene(
         looks: Of ``look_at`` on the same device, where somebody looked already or starts otherwise.
 
     Raises:
-        InputError: If a sight has no keypoint, or one far outside any picture, people who overlap have more than 254
+        InputError: If a sight has no keypoint, people who overlap have more than 254
             labels, or a stature is of several people or before several cameras.
         ValueError: If a known shape is of another model, or the ground is known and ``options.ground`` 0.
         TypeError: If an argument is of another type.
@@ -124,8 +121,6 @@ def fit_scene(
     check_type("scene", scene, Scene, "such as Scene(views, sights)")
     check_type("options", options, SceneOptions | None, "such as SceneOptions()")
     check_type("model", model, DetailedModel | None, "of load_model, or anny()")
-    for place, sight in enumerate(scene.sights):
-        _check_sight(f"sights[{place}]", sight, scene.views[sight.view])
     options = options or SceneOptions()
     options.check_sights(scene.num_people, len(scene.views))
     if scene.ground is not None and not options.ground:
@@ -221,20 +216,6 @@ def _impossible(fit: SceneFit) -> list[str]:
     places = fit.landmarks(("pelvis",))[:, :, 0].cpu()
     far = (places[:, :, None] - eyes.to(places)).norm(dim=-1).mean(1).amax(1).tolist()
     return impossible_people(dict(enumerate(fit.statures.tolist())), dict(enumerate(far)))
-
-
-def _check_sight(name: str, sight: Sight, view: View) -> None:
-    """Raise InputError if a confident keypoint is where no lens without distortion sees anything."""
-    focal, centre = (each[0].cpu().numpy() for each in (view.camera.focal, view.camera.centre))
-    points = sight.keypoints.points
-    far = sight.keypoints.confident & ~(np.abs(points - centre) <= _WIDEST * focal).all(axis=1)
-    if far.any():
-        index = int(np.flatnonzero(far)[0])
-        where = f"{sight.keypoints.format.landmarks[index]} at ({points[index, 0]:g}, {points[index, 1]:g})"
-        raise InputError(
-            f"{name}: keypoints: {where}; expected pixels of a camera of focal length {focal[0]:g} px about "
-            f"({centre[0]:g}, {centre[1]:g})"
-        )
 
 
 def _warnings(looks: Sequence[Looked]) -> tuple[str, ...]:

@@ -163,7 +163,7 @@ class Scene:
             if key in seen:
                 raise InputError(f"sights[{place}]: person, frame, view {key} a second time; expected once")
             seen.add(key)
-            _check_places(sight, self.views[sight.view], f"sights[{place}]")
+        _check_places(self.sights, self.views)
         if unseen := sorted(set(range(self.num_people)) - {person for person, _, _ in seen}):
             raise InputError(f"sights: person {unseen[0]} in none; expected people 0 to {self.num_people - 1}")
         for person, shape in self.shapes.items():
@@ -199,17 +199,22 @@ class Scene:
         return np.asarray(self.times, dtype=np.float64)
 
 
-def _check_places(sight: Sight, view: View, where: str) -> None:
-    """Raise InputError if a keypoint is very far from the picture; without labels, the camera tells its rough size."""
-    check_type(f"{where}.keypoints", sight.keypoints, Keypoints2D, "of read_keypoints")
-    if sight.parts is None:
-        focal, centre = view.camera.focal[0].tolist(), view.camera.centre[0].tolist()
-        side = max(2 * abs(centre[0]), 2 * abs(centre[1]), focal[0])
-        size, shown = (side, side), f"the camera's picture, of about {side:.0f} pixels"
-    else:
-        height, width = sight.parts.groups.shape
-        size, shown = (float(height), float(width)), f"the picture's {width}x{height} pixels"
-    try:
-        check_near(sight.keypoints, size, shown)
-    except InputError as error:
-        raise InputError(f"{where}.{error}") from None
+def _check_places(sights: Sequence[Sight], views: Sequence[View]) -> None:
+    """Raise InputError if a keypoint is very far from its picture; without labels, the camera tells its rough size."""
+    sizes: dict[int, tuple[float, float]] = {}
+    for sight in sights:
+        if sight.parts is not None:
+            height, width = sizes.get(sight.view, (0.0, 0.0))
+            rows, columns = sight.parts.groups.shape
+            sizes[sight.view] = max(height, float(rows)), max(width, float(columns))
+    shown = {view: f"the picture's {width:.0f}x{height:.0f} pixels" for view, (height, width) in sizes.items()}
+    for view in {sight.view for sight in sights} - set(sizes):
+        camera = views[view].camera
+        side = max(float(camera.focal.max()), 2 * float(camera.centre.abs().max()))
+        sizes[view], shown[view] = (side, side), f"the camera's picture, of about {side:.0f} pixels"
+    for place, sight in enumerate(sights):
+        check_type(f"sights[{place}].keypoints", sight.keypoints, Keypoints2D, "of read_keypoints")
+        try:
+            check_near(sight.keypoints, sizes[sight.view], shown[sight.view])
+        except InputError as error:
+            raise InputError(f"sights[{place}].{error}") from None
