@@ -11,7 +11,7 @@ import torch
 
 from ..cameras import WeakPerspective
 from ..errors import check_whole
-from ..interop.checks import check_finite, check_numbers, check_tensor
+from ..interop.checks import check_numbers, check_tensor
 from ..interop.movable import Movable
 from .posing import Posed, pose_parts
 from .rotations import rotation_from_6d
@@ -71,8 +71,9 @@ class BodyParameters(Movable):
             check_tensor(name, value, (self.batch_size, *shape), dtypes=(torch.float32, torch.float64), like=like)
 
     def check_finite(self) -> None:
-        """Raise ValueError if a number is NaN, infinite or too large to reckon with; waits for the device."""
-        check_finite(**self.tensors(), **{"exp(log_scale)": self.log_scale.exp()})
+        """Raise ValueError for NaN, infinity, numbers too large, sizes or scales of 0 or less; waits for the device."""
+        scale = "exp(log_scale)"
+        check_numbers({**self.tensors(), scale: self.log_scale.exp()}, positive=("lengths", "thicknesses", scale))
 
     @classmethod
     def mean(cls, batch_size: int, *, device: torch.device | str = "cpu") -> BodyParameters:

@@ -128,7 +128,8 @@ def see_ellipsoid(
     # A sum of squares of float32 can't overflow: it is finite if all of them are.
     squares = wp.dot(rx, rx) + wp.dot(ry, ry) + wp.dot(rz, rz) + cx * cx + cy * cy + cz * cz
     squares += wp.length_sq(wp.vec4d(camera))
-    if not (wp.isfinite(squares) and semi_axes[0] > 0.0 and semi_axes[1] > 0.0 and semi_axes[2] > 0.0):
+    sizes_are_positive = semi_axes[0] > 0.0 and semi_axes[1] > 0.0 and semi_axes[2] > 0.0
+    if not (wp.isfinite(squares) and sizes_are_positive and camera[0] > 0.0 and camera[1] > 0.0):
         s.label = BROKEN
         return s
     volume = sizes[0] * sizes[1] * sizes[2]

@@ -54,6 +54,8 @@ def place_on_screen(
     k = ellipsoid - b * parts
     camera = seen.cameras[b, 0]
     point = place_point(seen, b, k, unit_vertices[n])
+    if not (camera[0] > 0.0 and camera[1] > 0.0):  # a scale of 0, of a training that diverged, shows no picture
+        point = wp.vec3(wp.nan)
     ray = wp.vec2(point[0], point[1])
     if perspective:
         ray = ray / project_depth(point[2])

@@ -84,3 +84,13 @@ def test_what_is_told_of_times() -> None:
     uneven = np.cumsum([0.0, *[0.05] * 10, *[0.07] * 10])  # a phone in the dusk
     assert time_warnings("a.mp4", uneven, [False] * 21, 20) == ()
     assert time_warnings("a.mp4", [], [], 30) == ()
+
+
+def test_a_rate_that_changes_is_no_loss():
+    """Half a second at 60 frames a second, then 24, as a phone films in a darker room."""
+    times = [*(np.arange(30) / 60), *(0.5 + np.arange(12) / 24)]
+    (told,) = time_warnings("a.mp4", times, [False] * 42, 60.0)
+    assert told.startswith("a.mp4: another rate after 0.50 s (steps of up to 0.04 s, 0.017 s is usual)")
+    gap = [*times, times[-1] + 0.2, times[-1] + 0.2 + 1 / 24]
+    (told,) = time_warnings("a.mp4", gap, [False] * 44, 60.0)
+    assert told.startswith("a.mp4: frames missing after 0.96 s (steps of up to 0.20 s, ")

@@ -158,3 +158,21 @@ def test_energies_of_something_else_are_refused():
     for size in (0, 64.5):
         with pytest.raises(ValueError, match=f"size: {size}; expected an integer of 1 or more"):
             Energy(seen, size)
+
+
+@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("lengths", 0.0, "lengths: 0.0; expected positive numbers"),
+        ("thicknesses", -1.0, "thicknesses: -1.0; expected positive numbers"),
+        ("log_scale", -200.0, r"exp\(log_scale\): 0.0; expected positive numbers"),
+    ],
+)
+def test_a_start_of_no_size_is_refused(device, path, name, value, says):
+    """Bounds alone would let a length of 0 stay, for its gradient is NaN."""
+    body = walker(device)
+    values = {each: tensor.clone() for each, tensor in body.tensors().items()}
+    values[name].flatten()[0] = value
+    with pytest.raises(ValueError, match=says):
+        path(BodyParameters(**values), energy_of(body), iterations=2)

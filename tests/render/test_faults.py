@@ -51,6 +51,8 @@ NO_SIZES = [
     *(("lengths", (8,), 0.0), ("lengths", (2,), -0.2)),
     *(("thicknesses", (14,), 0.0), ("thicknesses", (6,), -1e-3)),
     ("thicknesses", (13,), -0.02),  # the first of a hand's alone
+    ("log_scale", (), -math.inf),
+    ("log_scale", (), -200.0),  # whose exponential is 0 in float32
 ]
 faults = pytest.mark.parametrize(("name", "place", "value"), NOT_NUMBERS + NO_SIZES)
 

@@ -13,6 +13,7 @@ Item = TypeVar("Item")
 USUAL_RATE = 30.0  # frames a second of a film that does not tell
 _ROUNDED = 1.5e-3  # [s], that times of an even film may be off, for containers round them
 _MISSING = 1.5  # usual steps, above which frames are missing
+_BESIDE = 4  # steps on either side with which one is compared
 _BACK = 2.0  # usual steps; times that go back by more begin anew
 _HELD = 8  # frames without a time of their own that wait for the next one with one
 
@@ -102,7 +103,16 @@ def time_warnings(name: str, times: Sequence[float], guessed: Sequence[bool], ra
     steps = np.diff(at)
     long = np.flatnonzero(steps > _MISSING / rate)
     if len(long) and not is_even(at, rate):
-        several = f", and after {len(long) - 1} more" if len(long) > 1 else ""
+        alone = [step for step in long.tolist() if _stands_out(steps, step)]
+        first, kind = (alone, "frames missing") if alone else (long.tolist(), "another rate")
+        several = f", and after {len(first) - 1} more" if len(alone) > 1 else ""
         size = f"steps of up to {steps.max():.2f} s, {1 / rate:.3f} s is usual"
-        told.append(f"{name}: frames missing after {at[long[0]]:.2f} s{several} ({size}); bodies are at the true times")
+        told.append(f"{name}: {kind} after {at[first[0]]:.2f} s{several} ({size}); bodies are at the true times")
     return tuple(told)
+
+
+def _stands_out(steps: np.ndarray, index: int) -> bool:
+    """True if a step is longer than those on both sides of it; where the rate changes, it is as long as those after."""
+    before, after = steps[max(index - _BESIDE, 0) : index], steps[index + 1 : index + 1 + _BESIDE]
+    usual = [float(np.median(each)) for each in (before, after) if len(each)]
+    return float(steps[index]) > _MISSING * max(usual, default=0.0)

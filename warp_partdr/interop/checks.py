@@ -135,7 +135,7 @@ def check_numbers(
                 raise ValueError(f"{name}: {fault}")
         for name in positive:
             if not (tensors[name] > 0).all():
-                raise ValueError(f"{name}: {float(tensors[name].min())}; expected positive lengths")
+                raise ValueError(f"{name}: {float(tensors[name].min())}; expected positive numbers")
 
 
 def rotation_error(matrices: torch.Tensor, *, mirrored: bool = False) -> torch.Tensor:
