@@ -104,6 +104,18 @@ def test_missing_pictures_are_read_when_they_are_there(run: Run, fitted: list[in
     assert run("report out --out page.html")[0] == 0
 
 
+def test_an_empty_picture_is_read_again(run: Run) -> None:
+    """It is how a picture looks while it is copied; a damaged one stays an error of its row."""
+    write_coco(Path("coco"), count=3)
+    whole = Path("coco/001.jpg").read_bytes()
+    Path("coco/001.jpg").write_bytes(b"")
+    Path("coco/002.jpg").write_bytes(b"no picture")
+    assert AGAIN in run(f"{COCO} --out out")[2]
+    Path("coco/001.jpg").write_bytes(whole)
+    assert run(f"{COCO} --out out")[0] == 0
+    assert [row["picture"] for row in rows("out") if row["error"] is not None] == ["002.jpg"]
+
+
 def test_a_whole_outage_is_another_exit_code(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     write_coco(Path("coco"), count=3)
     with monkeypatch.context() as patch:

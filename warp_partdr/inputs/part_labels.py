@@ -10,6 +10,7 @@ Labels come as an image of ids, 8- or 16-bit, one channel, grayscale or palette 
 
 from __future__ import annotations
 
+import errno
 import math
 import warnings
 from collections.abc import Iterator
@@ -261,6 +262,10 @@ def _open_image(path: PhotoFile) -> Image.Image:
         if (known := foreign_format(head)) is None:
             raise
         told = f"{path}: {known.name}; expected {known.expected}"
+        if not head and not isinstance(
+            path, BytesIO
+        ):  # maybe it is still being copied
+            raise InputError(told) from OSError(errno.ENODATA, "an empty file")
         raise InputError(told) from (ModuleNotFoundError(known.library) if known.library else error)
     if image.format == "TIFF" and _DNG_VERSION in image.tag_v2:  # type: ignore[attr-defined]  # of TIFF
         image.close()
