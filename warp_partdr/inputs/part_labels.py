@@ -262,9 +262,7 @@ def _open_image(path: PhotoFile) -> Image.Image:
         if (known := foreign_format(head)) is None:
             raise
         told = f"{path}: {known.name}; expected {known.expected}"
-        if not head and not isinstance(
-            path, BytesIO
-        ):  # maybe it is still being copied
+        if not head and not isinstance(path, BytesIO):  # maybe it is still being copied
             raise InputError(told) from OSError(errno.ENODATA, "an empty file")
         raise InputError(told) from (ModuleNotFoundError(known.library) if known.library else error)
     if image.format == "TIFF" and _DNG_VERSION in image.tag_v2:  # type: ignore[attr-defined]  # of TIFF
