@@ -10,13 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ..body.landmarks import annotated
-from ..body.skeletons import skeleton
 from ..body.template import LENGTH_NAMES
 from ..clothing.clothes import CLOTHED
 from ..clothing.measuring import measure_ellipbody
 from ..detection.film_people import SEEN
-from ..detection.person import SKELETON
 from ..errors import InputError, check_type
 from ..fit.fitting import Progress
 from ..inputs.camera_files import camera_data
@@ -40,10 +37,6 @@ from .skinned_files import Poses, bvh, glb
 
 OVERLAY, SCENE, CAMERAS = "overlay.mp4", "scene.glb", "cameras.json"
 _CHUNK = 64  # frames whose meshes are in memory at a time, to measure
-_COMPARED = 16  # frames of a person in a film, at most, whose keypoints are compared with the body's
-# Mean distance [person's size in the picture]. Shaded people and real photos ended at 0.01 to 0.05, two people who were
-# taken for one at 0.07 to 0.11.
-_MOST_OFF = 0.06
 _SIDE = 960  # [px], longer side of the film that shows the bodies
 
 
@@ -94,7 +87,6 @@ def save_film_fit(
     told += [f"{seen.people.fault}; frames before were fitted" for seen in fit.films if seen.people.fault]
     told += [_with_names(warning, films) for warning in fit.warnings]
     told += _cuts(fit, films)
-    told += _misfits(fit, films)
     report: dict[str, Any] = {"rate": fit.people.rate, "frames": len(fit.times), "warnings": told, "people": []}
     report["times"] = fit.times.round(6).tolist()
     report["shots"] = [_shot(shot, fit.times) for shot in fit.shots]
@@ -285,29 +277,6 @@ def _cuts(fit: FilmFit, films: Sequence[str | Path]) -> list[str]:
         else:
             still = "expected films of cameras that stand still, frame by frame"
             found.append(f"{told}, which not all films have, so that cameras and moments may not fit; {still}")
-    return found
-
-
-def _misfits(fit: FilmFit, films: Sequence[str | Path]) -> list[str]:
-    """Warnings of people who end far from their keypoints in a film."""
-    found: list[str] = []
-    several = ", of films of the same moments whose cameras stand so" if len(films) > 1 else ""
-    for person, motion in fit.motions.items():
-        model = motion.model
-        names = annotated(skeleton(SKELETON).landmarks, model.landmark_names)
-        for film, seen, rows in zip(films, fit.films, _seen(fit, person), strict=True):
-            if not len(rows):
-                continue
-            some = rows[np.linspace(0, len(rows) - 1, _COMPARED).round().astype(int)]
-            bodies = motion.bodies(np.searchsorted(motion.frames, some["frames"])).detailed
-            points = seen.view.camera.project(seen.view.to_camera(model.landmarks(bodies, names).cpu()))[..., :2]
-            off = np.linalg.norm(points.numpy() - some["keypoints"][..., :2], axis=-1)
-            sizes = (some["boxes"][:, 2:] - some["boxes"][:, :2]).max(1, keepdims=True).clip(1.0)
-            votes = some["keypoints"][..., 2]
-            share = float((votes * off / sizes).sum() / max(votes.sum(), 1e-9))
-            if not share < _MOST_OFF:
-                far = f"{film}: person{person} ends {100 * share:.1f} % of the person's size from BlazePose's keypoints"
-                found.append(f"{far}; expected at most {100 * _MOST_OFF:.0f} %{several}")
     return found
 
 
