@@ -42,6 +42,23 @@ def test_people_of_two_shots_are_two(people: FilmPeople) -> None:
     assert seen == [[0, 1], [2, 3, 4, 5, 6, 7]]
 
 
+def test_people_of_a_slideshow_are_each_their_own(tmp_path: Path) -> None:
+    """Pictures of two people, a second each; one of them comes back, turned round."""
+    first, second = photo("photo.png"), photo("astronaut.jpg")
+    shown = [first, second, first[:, ::-1], second]
+    found = find_film_people(write_film(tmp_path / "show.mp4", shown, rate=1))
+    assert found.cuts == (1, 2, 3)
+    assert sorted(found.of(track)["frames"].tolist() for track in range(found.num_people)) == [[0], [1], [2], [3]]
+
+
+@pytest.mark.parametrize("value", [0, 255])
+def test_people_are_seen_as_soon_as_a_blank_start_ends(value: int, tmp_path: Path) -> None:
+    pictures = [np.full((*SIZE, 3), value, np.uint8)] * 2 + [photo("photo.png")] * 5
+    found = find_film_people(write_film(tmp_path / "blank.mp4", pictures, rate=30))
+    assert (found.cuts, found.num_people) == ((), 1)
+    assert found.of(0)["frames"].tolist() == [2, 3, 4, 5, 6]
+
+
 def test_whoever_is_seen_in_a_whole_shot_is_no_mistake() -> None:
     shots = shots_between([2, 5], 60)
     assert shots == [range(2), range(2, 5), range(5, 60)]

@@ -120,6 +120,23 @@ def test_a_jump_to_or_from_nobody() -> None:
     assert (tracker.find(frame(None), Change.JUMP), tracker.cut) == ({}, True)
 
 
+def test_where_all_is_new_it_is_a_cut_unless_somebody_clearly_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracker = PeopleTracker(every=9)
+    assert (set(tracker.find(frame(250))), tracker.cut) == ({0}, False)
+    assert (set(tracker.find(frame(256), Change.NEW)), tracker.cut) == ({0}, False)
+    assert (set(tracker.find(frame(430), Change.NEW)), tracker.cut) == ({1}, True)
+    monkeypatch.setattr("warp_partdr.detection.tracks._mask_overlap", lambda *_: 0.3)
+    assert (set(tracker.find(frame(430), Change.JUMP)), tracker.cut) == ({1}, False)
+    assert (set(tracker.find(frame(430), Change.NEW)), tracker.cut) == ({2}, True)
+
+
+@pytest.mark.parametrize("change", [Change.JUMP, Change.NEW])
+def test_the_detector_looks_at_once_where_somebody_may_come(change: Change) -> None:
+    tracker = PeopleTracker(every=50)
+    assert [set(tracker.find(frame(None))) for _ in range(6)] == [set()] * 6
+    assert (set(tracker.find(frame(250), change)), tracker.cut) == ({0}, False)
+
+
 def test_people_go_on_after_a_flash_with_their_numbers() -> None:
     white = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
     tracker = PeopleTracker(every=9)
@@ -143,6 +160,21 @@ def test_the_detector_looks_every_few_frames_and_when_somebody_is_lost(monkeypat
     for step in range(10):
         tracker.find(frame(250 if step < 6 else None))
     assert looks == [0, 4, 6]
+
+
+def test_the_detector_looks_sooner_until_it_sees_somebody(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks = []
+
+    def look(picture: np.ndarray, **how: object) -> object:
+        if not how["previous"]:
+            looks.append(step)
+        return find_people(picture, **how)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("warp_partdr.detection.tracks.find_people", look)
+    tracker = PeopleTracker(every=6)
+    for step in range(30):
+        tracker.find(frame(250 if step >= 14 else None), Change.CUT if step == 10 else Change.NONE)
+    assert looks == [0, 1, 3, 7, 10, 11, 13, 17, 23, 29]
 
 
 def test_who_is_found_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -79,6 +79,31 @@ def test_a_film_of_which_every_frame_is_another_place_has_no_cut(rate: float) ->
     assert Change.CUT not in changes(pictures, np.arange(14) / rate).values()
 
 
+@pytest.mark.parametrize("seconds", [0.5, 1.0, 4.0])
+@pytest.mark.parametrize("order", [(0, 1), (0, 1, 0), (0, 1, 2, 3, 4), (0, 1, 0, 1), (0, 1, 2, 0, 1)])
+def test_every_picture_of_a_slideshow_is_for_others_to_judge(order: tuple[int, ...], seconds: float) -> None:
+    found = changes([place(seed) for seed in order], np.arange(len(order)) * seconds)
+    assert list(found) == list(range(1, len(order)))
+    assert set(found.values()) <= {Change.NEW, Change.CUT}
+
+
+def test_a_fast_pan_and_frames_that_are_missing_in_one_are_apart() -> None:
+    """What is new everywhere is told, but not where times tell why it is new."""
+    lefts = [*range(0, 800, 80), *range(1200, 2000, 80)]
+    times = np.array(lefts) / 80 / 30
+    found = changes(pan(3, lefts), times)
+    assert 10 not in found
+    assert set(found.values()) == {Change.NEW}
+
+
+@pytest.mark.parametrize("value", [0, 255])
+@pytest.mark.parametrize("count", [1, 4, 20])
+def test_the_end_of_a_blank_start_is_a_jump(value: int, count: int) -> None:
+    film = pan(1, range(8))
+    assert changes([np.full_like(film[0], value)] * count + film) == {count: Change.JUMP}
+    assert changes([np.full_like(film[0], value)] * count) == {}
+
+
 def test_a_flash_is_no_cut() -> None:
     film = pan(1, range(0, 32, 2))
     for first, flash in (

@@ -2,7 +2,8 @@
 
 Small pictures of two frames are compared block by block, each block with what lies around it in the other frame, so
 that motion, slow pans and changes of light explain themselves. What is left is compared with what is left of the frames
-just before and after: fast pans, shakes and low rates of frames change every frame, a cut changes one.
+just before and after: fast pans, shakes and low rates of frames change every frame, a cut changes one. A
+slideshow changes every frame, too; there, it is seen from the people whether a change is a cut.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ _COLOUR = 0.1  # weight of a block's mean colour beside what it shows
 
 # Unlikeness of two frames, 0 to 1. Of real films: neighbours 0 to 0.43, across cuts to another camera 0.78 to 0.95,
 # across cuts in what one camera recorded 0.07 to 0.4.
-_CUT, _TIMES_CUT = 0.6, 1.5  # from which on another shot begins, also as a multiple of the usual
+_CUT, _TIMES_CUT = 0.6, 1.5  # from which on another shot begins, also as a multiple of the usual; below
+# that multiple it begins if nobody clearly stayed
 _JUMP, _TIMES_JUMP = 0.06, 3.0  # from which on it begins if nobody can be followed
 _AROUND = 3  # frames before and after a frame, whose medians are the usual
 _LATE = 1.5  # usual steps of time, above which frames are missing
@@ -39,13 +41,16 @@ _NAMED = 5  # cuts that are told one by one
 class Change(Enum):
     """Change from the frame before to a frame.
 
-    ``JUMP`` is a cut if nobody can be followed through it. ``FLASH`` is a frame, blank or very different, after which
-    the film goes on as before.
+    ``JUMP`` is a cut if nobody can be followed through it, and where nobody was, people may be seen from here on, as at
+    the end of a blank start. ``NEW`` is one where nearly everything is new, but so it is in the frames around, as in a
+    slideshow, or if a camera turns fast; it is a cut unless somebody clearly stayed. ``FLASH`` is a frame, blank or
+    very different, after which the film goes on as before.
     """
 
     NONE = "none"
     FLASH = "flash"
     JUMP = "jump"
+    NEW = "new"
     CUT = "cut"
 
 
@@ -123,6 +128,7 @@ class _Finder:
         self._before: deque[_Small] = deque(maxlen=_KEPT)  # of this shot, without blank pictures and flashes
         self._ahead: deque[_Small] = deque()
         self._flash = 0  # frames that still belong to a flash
+        self._blank_start = False
 
     def add(self, frame: Frame) -> None:
         """Take the film's next frame."""
@@ -141,14 +147,20 @@ class _Finder:
             self._flash -= 1
             return Change.FLASH
         if small.blank:
+            self._blank_start |= not self._before
             return Change.FLASH if self._before else Change.NONE
+        if not self._before:
+            self._before.append(small)
+            return Change.JUMP if self._blank_start else Change.NONE
         change = _change(small.step, self._usual_before())
-        if change is not Change.NONE:
+        if change is not Change.NONE or small.step >= _CUT:
             if (stop := self._return(small)) is not None:
                 self._flash = stop
                 self._ahead[stop].step = unlikeness(self._before[-1].picture, self._ahead[stop].picture)
                 return Change.FLASH
             change = _change(small.step, self._usual(small))
+            if change is Change.NONE and small.step >= _CUT and not self._late(small):
+                change = Change.NEW
         if change is Change.CUT:
             self._before.clear()
         self._before.append(small)
@@ -159,15 +171,21 @@ class _Finder:
         before = list(self._before)
         after = [each for each in self._ahead if not each.blank]
         usual = max(self._usual_before(), _middle([each.step for each in after[:_AROUND]]))
-        gap = small.time - before[-1].time
-        times = [each.time for each in (*before[-_AROUND - 1 :], small, *after[:_AROUND])]
-        if gap > _LATE * float(np.median(np.diff(times))):
+        if self._late(small):
+            gap = small.time - before[-1].time
             start, stop = before[-1].time - gap, small.time + gap
             earlier = next((each for each in reversed(before) if each.time <= start), before[0])
             later = next((each for each in after if each.time >= stop), after[-1] if after else small)
             pairs = (earlier, before[-1]), (small, later)
             usual = max(usual, *(unlikeness(one.picture, other.picture) for one, other in pairs))
         return usual
+
+    def _late(self, small: _Small) -> bool:
+        """True if frames are missing between a frame and the one before."""
+        before = list(self._before)
+        after = [each for each in self._ahead if not each.blank]
+        times = [each.time for each in (*before[-_AROUND - 1 :], small, *after[:_AROUND])]
+        return small.time - before[-1].time > _LATE * float(np.median(np.diff(times)))
 
     def _usual_before(self) -> float:
         """Unlikeness of the last frames of this shot to those before them."""
@@ -177,13 +195,20 @@ class _Finder:
         """Number of further frames after which the film goes on as before a frame; None if it does not."""
         last = self._before[-1]
         for count, each in enumerate(self._ahead):
-            if count and each.time - small.time > _FLASH:
+            if each.time - small.time > _FLASH and (count or not self._alone(small)):
                 break
             if not each.blank:
                 back = unlikeness(last.picture, each.picture)
                 if back < min(small.step / 2, unlikeness(small.picture, each.picture)):
                     return count
         return None
+
+    def _alone(self, small: _Small) -> bool:
+        """True if a frame that the film returns from with the next one is the only one around that is so unlike."""
+        before = [each.step for each in list(self._before)[1:][-_AROUND:]]
+        after = [each.step for each in list(self._ahead)[1:] if not each.blank][:_AROUND]
+        usual = [_middle(steps) for steps in (before, after) if steps]
+        return bool(usual) and small.step >= _TIMES_CUT * max(usual)
 
 
 def _change(step: float, usual: float) -> Change:
