@@ -21,7 +21,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from ..errors import InputError, shown
-from .landmarks import LANDMARKS, annotated, mirror_name
+from .landmarks import LANDMARKS, annotated, mirror_name, without_side
 from .skeletons import SKELETONS, Skeleton, known_edges
 
 _FEWEST = 2  # landmarks that tell anything
@@ -30,11 +30,11 @@ _SURE = 8  # landmarks that make a person of a list of many other points, such a
 # Words for landmarks without a side, written together.
 _MIDDLE_WORDS: dict[str, tuple[str, ...]] = {
     "nose": ("nose", "nosetip", "tipnose"),
-    "neck": ("neck", "thorax", "headbottom", "bottomhead", "lowerneck", "necklower", "neckbase", "baseneck"),
+    "neck": ("neck", "thorax", "thrx", "headbottom", "bottomhead", "lowerneck", "necklower", "neckbase", "baseneck"),
     "head": ("upperneck", "neckupper", "skullbase", "baseskull"),
     "head_top": ("headtop", "tophead", "crown", "vertex", "headvertex"),
     "mid_hip": (
-        *("midhip", "hipmid", "midhips", "middlehip", "middlehips", "pelvis", "root", "hip", "hips"),
+        *("midhip", "hipmid", "midhips", "middlehip", "middlehips", "pelvis", "pelv", "root", "hip", "hips"),
         *("hipcenter", "centerhip", "hipcentre", "centrehip", "pelviscenter", "pelviscentre", "midpelvis"),
     ),
     "spine": ("spine", "midspine", "spinemid"),
@@ -65,8 +65,11 @@ _SIDED_WORDS: dict[str, tuple[str, ...]] = {
 _MIDDLE_OF_WORD = {word: name for name, words in _MIDDLE_WORDS.items() for word in words}
 _SIDED_OF_WORD = {word: name for name, words in _SIDED_WORDS.items() for word in words}
 _SIDES = {word: side for side in ("left", "right") for word in (side, side[0], f"{side[0]}t")}
+# Landmarks whose numbers tell other points: of fingers, of the spine, and of a face's outlines.
+_COUNTED = ("thumb", "index", "pinky", "fingertip", "toe", "spine", "eye", "ear", "mouth", "neck", "head")
 # Words that add nothing.
 _FILLERS = {"joint", "point", "keypoint", "kpt", "kp", "landmark", "of", "the", "body", "human", "person", "coco", "op"}
+_PEOPLE = {"p", "person", "people", "human", "subject", "player", "id"}  # before the number of one of several people
 _NUMBERED = {*_FILLERS, "new", "p", "pt", "label", "class", "id", "node", "joints", "points", "keypoints"}
 # Points that no person has.
 _OF_ANIMALS = {
@@ -158,8 +161,23 @@ def left_out_warning(names: Sequence[str], form: Skeleton) -> str | None:
 
 
 def landmark_of_name(name: str, names: Iterable[str] = ()) -> str | None:
-    """Landmark that a name means among others of its list, such as "left_ankle" of "LAnkle"; None if it is none."""
+    """Landmark that a name means among others of its list, such as "left_ankle" of "LAnkle"; None if it is none.
+
+    A number behind a name is left out, "left_knee_12", where it numbers the list or does not tell another point.
+    """
     words = _words(name)
+    others = [_words(other) for other in names]
+    landmark = _landmark_of_words(words, others)
+    if landmark is not None or len(words) < 2 or not words[-1].isdigit():
+        return landmark
+    unnumbered = [other[:-1] if other and other[-1].isdigit() else other for other in others]
+    landmark = _landmark_of_words(words[:-1], unnumbered)
+    numbered = len(others) > 1 and len({other[-1] for other in others if other and other[-1].isdigit()}) == len(others)
+    return landmark if landmark is not None and (numbered or without_side(landmark) not in _COUNTED) else None
+
+
+def _landmark_of_words(words: list[str], others: list[list[str]]) -> str | None:
+    """Landmark of a name's words among those of others of its list; None if it is none."""
     together = "".join(words)
     plain = "_".join(words)
     if plain in LANDMARKS and plain not in ("pelvis", "head"):
@@ -172,7 +190,7 @@ def landmark_of_name(name: str, names: Iterable[str] = ()) -> str | None:
         return _MIDDLE_OF_WORD[together]
     if len(sides) == 1 and rest in _SIDED_OF_WORD:
         return _sided(_SIDED_OF_WORD[rest], sides[0])
-    return None if sides else _glued(together, {"".join(_words(other)) for other in names})
+    return None if sides else _glued(together, {"".join(other) for other in others})
 
 
 def _glued(together: str, others: set[str]) -> str | None:
@@ -192,10 +210,13 @@ def _sided(name: str, side: str) -> str:
 
 
 def _words(name: str) -> list[str]:
-    """Words of a name in lower case, without fillers and without a number before them: "03_RBigToe" is r, big, toe."""
+    """Words of a name in lower case, without fillers and what counts points or people before them.
+
+    "03_RBigToe" is r, big, toe, and "p1_left_hip" is left, hip.
+    """
     found = re.findall(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|[0-9]+|[^\W_0-9A-Za-z]+", name)
     words = [word.lower() for word in found]
-    while words and words[0].isdigit():
+    while words and (words[0].isdigit() or (words[0] in _PEOPLE and words[1:] and words[1].isdigit())):
         words = words[1:]
     return [word for word in words if word not in _FILLERS]
 
@@ -220,7 +241,7 @@ def _rows(names: Sequence[str]) -> dict[str, int]:
     together = [word.replace("_", "") for word in plain]
     if "head" in together and "head_top" not in meant:
         meant[together.index("head")] = "head" if _OF_SMPL & set(together) else "head_top"
-    if "neck" in together and "thorax" in together:
+    if "neck" in together and {"thorax", "thrx"} & set(together):
         meant[together.index("neck")] = None
     rows: dict[str, int] = {}
     for row, landmark in enumerate(meant):

@@ -161,3 +161,27 @@ def test_any_names_make_a_skeleton_or_are_refused(names: list[str]) -> None:
         assert form.count == len(names)
         assert len(form.places) == len(form) == len(form.mirror)
         assert all(-1 <= row < len(names) for row in form.places)
+
+
+def test_mpiis_short_names_are_mpii16_whatever_their_order() -> None:
+    short = "rank rkne rhip lhip lkne lank pelv thrx neck head rwri relb rsho lsho lelb lwri".split()
+    for names in (short, short[::-1]):
+        form = skeleton_of_names(names, "mine")
+        assert form is not None
+        named = {names[place]: name for place, name in zip(form.places, form.landmarks, strict=True) if place >= 0}
+        assert (named["pelv"], named["thrx"], named["head"]) == ("mid_hip", "neck", "head_top")
+        assert named["lank"] == "left_ankle"
+        assert "neck" not in named
+
+
+@pytest.mark.parametrize("spelling", ["person1_{}", "p2_{}", "{} [13]", "{}_12", "person_3_{}", "{}-7"])
+def test_numbers_of_people_and_points_around_a_name_are_left_out(spelling: str) -> None:
+    for name in ("left_hip", "Right Knee"):
+        assert landmark_of_name(spelling.format(name)) == name.lower().replace(" ", "_")
+
+
+def test_numbers_that_tell_other_points_are_not_left_out() -> None:
+    for name in ("spine2", "left_eye_3", "left_thumb_4", "C7"):
+        assert landmark_of_name(name) is None
+    numbered = ["nose_0", "left_eye_1", "right_eye_2"]
+    assert [landmark_of_name(name, numbered) for name in numbered] == ["nose", "left_eye", "right_eye"]
