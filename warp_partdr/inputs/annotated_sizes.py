@@ -23,6 +23,18 @@ from .part_labels import LARGEST_PICTURE
 from .person import Box
 
 _ROUNDING = 1.0  # [px] of the smaller picture: resizing rounds its sides
+# Keys of a picture's width and height, of lists of both, of objects that hold them, and of entries that have a box.
+_SIDES = tuple(
+    (f"{picture}{gap}{width}", f"{picture}{gap}{height}")
+    for picture in ("canvas", "image", "img", "frame", "picture", "photo", "original")
+    for gap, width, height in (("_", "width", "height"), ("", "Width", "Height"), ("_", "w", "h"))
+)
+_SIZES = (
+    *("image_size", "img_size", "imageSize", "imsize", "original_size", "orig_size", "canvas_size", "resolution"),
+    *("image_shape", "img_shape", "ori_shape", "orig_shape"),
+)
+_HOLDERS = ("image", "img", "picture", "photo", "image_info", "metadata", "meta", "info", "size")
+_BOX_KEYS = ("x", "y", "left", "top", "x_min", "xmin", "x1", "center_x", "cx")
 _THUMBNAIL = 0.02  # share of a side that rounding may change at most, in very small pictures
 
 
@@ -142,6 +154,68 @@ def stated_size(
             raise InputError(f"{where}: {key}: {shown(given)}; expected whole pixels")
         sides.append(int(side))
     return (sides[0], sides[1]) if min(sides) > 0 else None
+
+
+@dataclass(frozen=True)
+class StatedSize:
+    """Size of a picture that a file states.
+
+    Attributes:
+        size: (H, W) [px].
+        either: True if a bare list [a, b] says it, which some programs write as (W, H) and some as (H, W).
+    """
+
+    size: tuple[int, int]
+    either: bool = False
+
+    def of(self, picture: tuple[int, int]) -> tuple[int, int]:
+        """(H, W) as it fits a picture (H, W) best: the other way round where that alone is its shape."""
+        swapped = self.size[::-1]
+        turns = self.either and not _is_resized(self.size, picture) and _is_resized(swapped, picture)
+        return swapped if turns else self.size
+
+
+def find_size(entry: Mapping[str, Any], where: str) -> StatedSize | None:
+    """The picture's size that an entry of a file states under any of the usual keys; None if it states none.
+
+    These are ``canvas_width``, ``image_width``, ``imageWidth`` and the like with their heights, ``image_size`` and the
+    like, an object such as ``image`` with a width and a height, and ``width`` and ``height`` of the entry itself, if
+    they are not those of a box.
+
+    Raises:
+        InputError: If a number there is no size.
+    """
+    for width, height in _SIDES:
+        if entry.get(width) is not None and entry.get(height) is not None:
+            size = stated_size(entry, where, width, height)
+            if size is not None:
+                return StatedSize(size)
+    for key in _SIZES:
+        sides = entry.get(key)
+        if isinstance(sides, list) and len(sides) in (2, 3) and all(type(side) in (int, float) for side in sides):
+            high, wide = (0, 1) if key.endswith("shape") else (1, 0)
+            size = stated_size({"height": sides[high], "width": sides[wide]}, f"{where}: {key}")
+            if size is not None:
+                return StatedSize(size, either=True)
+    boxed = any(key in entry for key in _BOX_KEYS)
+    for holder in ({} if boxed else entry, *(entry.get(key) for key in (*_SIZES, *_HOLDERS))):
+        if isinstance(holder, Mapping) and holder.get("width") is not None and holder.get("height") is not None:
+            size = stated_size(holder, where)
+            if size is not None:
+                return StatedSize(size)
+    return None
+
+
+def outside_warning(keypoints: Keypoints2D, size: tuple[int, int]) -> str | None:
+    """Sentence about a person most of whose confident keypoints lie outside a picture (H, W); None if they do not."""
+    sure = keypoints.points[keypoints.confident]
+    outside = int(((sure < 0) | (sure > size[::-1])).any(axis=1).sum())
+    if 2 * outside <= len(sure):
+        return None
+    return (
+        f"keypoints: {outside} of {len(sure)} confident ones lie outside the picture, {_side_by_side(size)} px; "
+        "expected keypoints of this picture, at its size"
+    )
 
 
 def match_sizes(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,12 @@ from ..body.keypoint_names import animal_name, left_out_warning, skeleton_of_nam
 from ..body.skeletons import Skeleton
 from ..errors import InputError, shown
 
+# Keys of lists of keypoint names.
+NAME_KEYS = (
+    *("keypoint_names", "keypoints_names", "keypoint_name", "keypoints_name", "joint_names", "joints_names"),
+    *("joints_name", "joint_name", "landmark_names", "bodyparts", "kpt_names", "kpts_names", "keypoint_labels"),
+    *("keypoints_labels", "body_parts", "body_part_names", "marker_names", "point_names", "keypoint_id2name"),
+)
 _PEOPLE = {"person", "persons", "people", "human", "humans", "pedestrian", "man", "woman", "child", "player"}
 # Last words of the names of AP-10K's, Animal Pose's and COCO's animals, and others that are annotated.
 _ANIMALS = set(
@@ -65,7 +72,7 @@ def read_categories(given: Any, where: str) -> dict[int | str, KeypointCategory]
         raise InputError(f"{where}: categories: {type(given).__name__}; expected a list")
     categories: dict[int | str, KeypointCategory] = {}
     for entry in given:
-        if not isinstance(entry, Mapping) or type(entry.get("id")) not in (int, str):
+        if not isinstance(entry, Mapping) or number_of(entry.get("id")) is None:
             raise InputError(f"{where}: categories: {shown(entry)}; expected objects with id and name")
         categories[entry["id"]] = _category(entry, where)
     if any(category.skeleton is not None and _is_people(category.name) for category in categories.values()):
@@ -76,17 +83,62 @@ def read_categories(given: Any, where: str) -> dict[int | str, KeypointCategory]
     return categories
 
 
+def number_of(given: Any) -> int | str | None:
+    """An id as ids are compared: 17, 17.0, "17" and "000017" are one; None if this is none."""
+    if isinstance(given, str):
+        text = given.strip()
+        return int(text) if text.isdecimal() and len(text) < 20 else text
+    if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given) or given % 1:
+        return None
+    return int(given)
+
+
+def common_category(categories: Collection[KeypointCategory]) -> KeypointCategory | None:
+    """Category of annotations that name none of a file's: the only one, or any where those of people name the same.
+
+    Where they name their keypoints in different orders, it is a category without a skeleton, whose warning says so.
+    """
+    if len(categories) == 1:
+        return next(iter(categories))
+    named = [each for each in categories if each.refusal is None and each.skeleton is not None]
+    if not named:
+        return None
+    if all(each.skeleton == named[0].skeleton for each in named):
+        return named[0]
+    told = ", ".join(shown(each.name) for each in named)
+    return KeypointCategory(
+        "unknown",
+        warning=f"keypoints: of none of the categories {told}, whose orders differ; their number tells the order",
+    )
+
+
+def listed_names(names: Any, where: str) -> tuple[Any, ...]:
+    """Names in the order of the rows, from a list, also of objects with a name, or from tables by number or of numbers.
+
+    Raises:
+        InputError: If it is none of these.
+    """
+    if isinstance(names, list):
+        return tuple(name.get("name") if isinstance(name, Mapping) else name for name in names)
+    if isinstance(names, Mapping):
+        numbered = names if all(str(key).isdecimal() for key in names) else {str(n): name for name, n in names.items()}
+        if all(str(key).isdecimal() for key in numbered):
+            return listed_names([numbered[key] for key in sorted(numbered, key=int)], where)
+    raise InputError(f"{where}: keypoint names: {shown(names)}; expected a list of names")
+
+
 def _category(entry: Mapping[str, Any], where: str) -> KeypointCategory:
     name = str(entry.get("name", entry["id"]))
     told = f"{where}: category {shown(name)}"
     kinds = name, str(entry.get("supercategory", ""))
     if any(words and words[-1] in _ANIMALS for words in map(_words, kinds)) and not _is_people(name):
         return KeypointCategory(name, refusal=f"{told}; expected keypoints of people, not of animals", animals=True)
-    names = entry.get("keypoints")
-    if names is None or names == []:
+    given = next((entry[key] for key in ("keypoints", *NAME_KEYS) if entry.get(key)), None)
+    if given is None:
         return KeypointCategory(name)
-    if not isinstance(names, list):
-        raise InputError(f"{told}: keypoints: {type(names).__name__}; expected a list of names")
+    if not isinstance(given, list | Mapping):
+        raise InputError(f"{told}: keypoints: {type(given).__name__}; expected a list of names")
+    names = listed_names(given, told)
     try:
         form = skeleton_of_names(names, told)
     except InputError as error:

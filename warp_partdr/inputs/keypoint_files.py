@@ -41,9 +41,9 @@ from ..body.keypoint_names import left_out_warning, skeleton_of_names
 from ..body.skeletons import SKELETONS, Skeleton, skeleton
 from ..errors import InputError, shown
 from ..files.json_files import read_json
-from .annotated_sizes import match_sizes
+from .annotated_sizes import StatedSize, match_sizes, outside_warning
 from .keypoint_order import mirror_warning, order_warning
-from .keypoint_shapes import FilePicture, PersonEntry, file_people, matching_names
+from .keypoint_shapes import PersonEntry, file_people, matching_names
 from .keypoints import LARGEST_PLACE, Keypoints2D
 from .part_labels import read_orientation, scan_photo
 
@@ -77,6 +77,7 @@ _ALIASES: dict[str, str] = {
     "posetrack": "posetrack17",
     "posetrack18": "posetrack17",
 }
+_PLAIN_BODY = "coco17"
 # Formats with as many points as another, which the number alone is taken for.
 _NAMED_ALONE = ("h36m17", "posetrack17", "crowdpose14", "aic14", "body25b")
 _BY_COUNT: dict[int, Skeleton] = {form.count: form for name, form in SKELETONS.items() if name not in _NAMED_ALONE}
@@ -144,15 +145,20 @@ def parse_keypoints(
     name: str = "keypoints",
     photo: Path | None = None,
     size: tuple[int, int] | None = None,
+    orientation: int | None = None,
 ) -> list[Keypoints2D]:
     """Read everybody's 2D keypoints from a file's content, as ``read_keypoints`` does; errors call it ``name``.
+
+    ``orientation`` is EXIF's of a photo whose file is not at ``photo``, 1 to 8; None: the photo's file tells.
 
     Raises:
         InputError: If it can't be understood, or nobody in it has usable keypoints.
     """
     given = None if keypoint_format is None else given_format(keypoint_format)
     entries, picture = file_people(data, name).of_photo(photo, name)
+    sizes = list(dict.fromkeys(entry.size for entry in entries if entry.size is not None))
     entries, told = _of_people(entries, given)
+    entries = [_whole_body(entry, given) for entry in entries]
     if picture.name is not None and photo is not None and not _is_called(picture.name, photo):
         told.append(f"keypoints: of {shown(picture.name)[1:-1]}, the file's only picture; taken for {photo.name}")
     if not entries:
@@ -194,7 +200,32 @@ def parse_keypoints(
     if not people:
         raise InputError(reasons[min(reasons)])
     found = [people[index] for index in sorted(people)]
-    return _in_picture(found, picture, photo, size, name)
+    if picture.size is None and len(sizes) == 1:
+        return _in_picture(found, sizes[0], photo, size, orientation, name)
+    if picture.size is None and sizes:
+        listed = " and ".join(f"{each.size[1]} x {each.size[0]}" for each in sizes[:2])
+        raise InputError(f"{name}: sizes {listed} of one picture; expected one")
+    return _in_picture(
+        found, None if picture.size is None else StatedSize(picture.size), photo, size, orientation, name
+    )
+
+
+def _whole_body(entry: PersonEntry, given: Skeleton | None) -> PersonEntry:
+    """A person of COCO-WholeBody, whose feet, face and hands stand apart, as one of 133 points."""
+    form, body = SKELETONS["wholebody133"], SKELETONS[_PLAIN_BODY]
+    named = None if entry.category is None else entry.category.skeleton
+    alone = entry.names is None and (named is None or _same_rows(named, body))
+    fits = given is form or (given is None and alone)
+    if not entry.further or not fits or not isinstance(entry.keypoints, list):
+        return entry
+    if len(entry.keypoints) != 3 * body.count:
+        return entry
+    # COCO's visibilities of the body are a scale of its own, as those of the other parts.
+    rows = [entry.keypoints[k : k + 3] for k in range(0, 3 * body.count, 3)]
+    labels = [row[2] for row in rows]
+    if 2 in labels and set(labels) <= {0, 1, 2}:
+        rows = [[x, y, visibility / 2] for x, y, visibility in rows]
+    return replace(entry, keypoints=[*rows, *entry.further], names=None, category=None, format=form.name)
 
 
 def _doubts(entry: PersonEntry, form: Skeleton, points: np.ndarray, confidence: np.ndarray) -> list[str]:
@@ -233,20 +264,28 @@ def _is_called(name: str, photo: Path) -> bool:
 
 
 def _in_picture(
-    people: list[Keypoints2D], stated: FilePicture, photo: Path | None, size: tuple[int, int] | None, where: str
+    people: list[Keypoints2D],
+    stated: StatedSize | None,
+    photo: Path | None,
+    size: tuple[int, int] | None,
+    orientation: int | None,
+    where: str,
 ) -> list[Keypoints2D]:
     """Keypoints in pixels of the picture, whose size the file may state otherwise."""
-    if stated.size is None and (photo is None or not photo.is_file()):  # of a photo, the name alone may be known
-        return people
-    orientation = 1 if photo is None else read_orientation(photo)
-    if size is None and photo is not None:
+    there = photo is not None and (stated is not None or photo.is_file())  # of a photo, the name alone may be known
+    if orientation is None:
+        orientation = read_orientation(photo) if there and photo is not None else 1
+    if size is None and there and photo is not None:
         size = scan_photo(photo)
     if size is None:
         return people
-    change = match_sizes(stated.size, size, orientation, where)
-    told = () if change.warning is None else (f"keypoints: {change.warning}",)
+    change = match_sizes(None if stated is None else stated.of(size), size, orientation, where)
     moved = [change.keypoints(person) for person in people]
-    return [replace(person, warnings=(*person.warnings, *told)) for person in moved]
+    told = None if change.warning is None else f"keypoints: {change.warning}"
+    return [
+        replace(person, warnings=(*person.warnings, *filter(None, (told, outside_warning(person, size)))))
+        for person in moved
+    ]
 
 
 @dataclass
@@ -346,12 +385,11 @@ def _person(entry: PersonEntry, form: Skeleton | None, where: str) -> tuple[Skel
         raise InputError(f"{where}: no list of keypoints; expected one under keypoints or pose_keypoints_2d")
     values = [_point_row(value) if isinstance(value, Mapping) else value for value in values]
     rows = _rows(values, form, where)
+    if entry.scores is not None:
+        rows = _scored(rows, entry.scores, where)
+    if entry.numbers is not None and len(entry.numbers) == len(rows):
+        rows = _numbered(rows, entry.numbers, form, where)
     form = format_of(len(rows), form, where)
-    scores = entry.scores
-    if scores is not None:
-        if not isinstance(scores, list) or len(scores) != len(rows):
-            raise InputError(f"{where}: keypoint_scores: not one a keypoint; expected {len(rows)}")
-        rows = [[*row[:2], score] for row, score in zip(rows, scores, strict=True)]
     missing = [None] * len(rows[0]) if rows else []
     rows = [missing if place < 0 else rows[place] for place in form.places]
     width, values = len(rows[0]), list(chain.from_iterable(rows))
@@ -360,6 +398,38 @@ def _person(entry: PersonEntry, form: Skeleton | None, where: str) -> tuple[Skel
             return form, width, list(map(float, values))
     names = [f"{where}: {_named(form, joint)}" for joint in range(len(form))]
     return form, width, [_number(value, names[index // width]) for index, value in enumerate(values)]
+
+
+def _scored(rows: list[list[Any]], scores: Any, where: str) -> list[list[Any]]:
+    """Rows [x, y, score], with scores of a list of their own; a row of zeros alone stays missing."""
+    if isinstance(scores, list) and len(scores) == 1 and isinstance(scores[0], list) and len(rows) > 1:
+        scores = scores[0]
+    if not isinstance(scores, list) or len(scores) != len(rows):
+        raise InputError(f"{where}: keypoint_scores: not one a keypoint; expected {len(rows)}")
+    scored: list[list[Any]] = []
+    for row, given in zip(rows, scores, strict=True):
+        score = given[0] if isinstance(given, list) and given else given
+        if isinstance(score, bool):
+            score = int(score)
+        scored.append([*row[:2], 0 if [*row] == [0, 0, 0] else score])
+    return scored
+
+
+def _numbered(rows: list[list[Any]], numbers: Sequence[int], form: Skeleton | None, where: str) -> list[list[Any]]:
+    """All rows of a format, of some that are numbered in it from 0 or from 1 on; missing ones are null."""
+    most = max(numbers)
+    if form is None and most > max(_BY_COUNT):  # numbers of something else
+        return rows
+    if form is not None and most > form.count:
+        return rows
+    from_one = 0 not in numbers and (most == form.count if form else most in _BY_COUNT and len(rows) == most)
+    if from_one and form is None and most + 1 in _BY_COUNT and most + 1 == SKELETONS[_PLAIN_BODY].count:
+        raise InputError(f"{where}: keypoints numbered 1 to {most}, without names; expected their names or a format")
+    first = 1 if from_one else 0
+    count = form.count if form else min(count for count in _BY_COUNT if count >= most + 1 - first)
+    placed = dict(zip(numbers, rows, strict=True))
+    missing = [None] * len(rows[0])
+    return [placed.get(number, missing) for number in range(first, first + count)]
 
 
 def _named(form: Skeleton, joint: int) -> str:
@@ -434,9 +504,15 @@ def _checked(
     points, unknown = table[..., :2], np.isnan(table).all(axis=-1)
     confidence = table[..., 2] if table.shape[-1] == 3 else np.ones(table.shape[:2])
     missing = unknown | ((confidence == 0) if table.shape[-1] == 3 else (points == 0).all(axis=-1))
+    minus = (points == -1).all(axis=-1)  # as many programs write points that are not there
+    missing |= minus & ((confidence <= 0) if table.shape[-1] == 3 else True)
     refuse(~missing & ~np.isfinite(table).all(axis=-1), lambda row: f"{listed(row)}; expected finite numbers")
     points = np.where(missing[..., None], 0.0, points)
     confidence = np.where(missing, 0.0, confidence)
+    if (confidence == 3).any() and np.isin(confidence, (0, 1, 2, 3)).all():
+        # OCHuman's: 1 = seen, 2 = hidden by the person, 3 = hidden by others. Without a 1, 2 is seen, as COCO's is.
+        seen = np.where((confidence == 1).any(), 1, 2)
+        confidence = np.where(confidence == 0, 0.0, np.where(confidence == seen, 1.0, 0.5))
     if (confidence == 2).any():
         visibility = np.isin(confidence, (0, 1, 2)).all(axis=1) & (confidence == 2).any(axis=1)
         confidence[visibility] /= 2  # COCO's: 1 = labelled, but hidden.

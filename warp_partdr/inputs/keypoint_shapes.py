@@ -12,9 +12,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from ..body.keypoint_names import landmark_of_name
 from ..errors import InputError, shown
-from .annotated_sizes import stated_size
-from .keypoint_categories import KeypointCategory, read_categories
+from .annotated_sizes import StatedSize, find_size, stated_size
+from .keypoint_categories import (
+    NAME_KEYS,
+    KeypointCategory,
+    common_category,
+    listed_names,
+    number_of,
+    read_categories,
+)
 from .labelled_points import labelled_people, labelled_tasks
 
 # Keys of objects that hold a list of people, or of frames.
@@ -26,12 +34,38 @@ KEYPOINTS = (
     *("keypoints", "pose_keypoints_2d", "pose_keypoints", "keypoints_2d"),  # the third: OpenPose's before version 1.2
     *("joints", "kpts"),  # AlphaPose's ``--format cmu``
 )
-_SCORES = ("keypoint_scores", "keypoints_scores", "keypoint_score", "kp_score", "scores")
-_NAMES = ("keypoint_names", "keypoints_names", "keypoint_name", "joint_names", "landmark_names", "bodyparts")
+_SCORES = (
+    *("keypoint_scores", "keypoints_scores", "keypoint_score", "keypoints_score", "kp_score", "kpt_scores"),
+    *("keypoint_confidence", "keypoints_confidence", "keypoint_confidences", "keypoints_conf", "keypoint_conf"),
+    *("kpts_conf", "kpts_scores", "kpt_score", "kpt_conf", "joint_scores", "joints_conf", "joints_confidence"),
+    *("joints_vis", "joint_vis", "joints_visible", "keypoints_visible", "keypoint_visible", "keypoints_visibility"),
+    *("keypoint_visibility", "keypoints_vis", "keypoint_vis", "kpts_vis", "visibilities", "confidences"),
+)
+# Keys of lists of scores that may also hold one number about the whole person.
+_SCORES_OR_SCORE = ("scores", "confidence", "visibility", "visible", "conf", "vis", "score", "likelihood")
+_LOOSE_NAMES = 2  # names of landmarks in a list of names that stands under any key
+_ROW_NAMES = (
+    *("name", "part", "label", "class", "class_name", "keypoint", "keypoint_name", "joint", "joint_name", "body_part"),
+    *("bodypart", "type", "landmark"),
+)
+_ROW_NUMBERS = (
+    "id",
+    "class_id",
+    "index",
+    "idx",
+    "keypoint_id",
+    "joint_id",
+    "label",
+    "class",
+    "label_id",
+    "category_id",
+)
+_WHOLE_BODY = {"foot_kpts": 6, "face_kpts": 68, "lefthand_kpts": 21, "righthand_kpts": 21}  # points, in their order
 _PICTURES = (
     *("file_name", "filename", "image_name", "img_name", "imgname", "image_file", "image_path", "img_path"),
     *("image", "image_id", "img_id", "picture", "photo"),
 )
+_NAME_TABLES = (*NAME_KEYS, "keypoint_name2id", "keypoint_info")  # within MMPose's data about a data set
 _MOST_LISTED = 6  # pictures that a message names
 
 
@@ -47,6 +81,10 @@ class PersonEntry:
         by_name: True if each point was named by itself, so that the rows' order is made here.
         category: COCO's.
         picture: Index of the picture in ``FilePeople.pictures``.
+        size: Of the picture, where it is stated beside the keypoints.
+        numbers: The points' numbers in their format, one a row, from 0 or 1 on, where not all points are there.
+        loose: Lists of texts in the file, any of which may name the points if it has as many.
+        further: COCO-WholeBody's points of feet, face and hands, which continue ``keypoints``: rows of numbers.
     """
 
     keypoints: Any = None
@@ -56,6 +94,10 @@ class PersonEntry:
     by_name: bool = False
     category: KeypointCategory | None = None
     picture: int = 0
+    size: StatedSize | None = None
+    numbers: tuple[int, ...] | None = None
+    loose: tuple[tuple[str, ...], ...] = ()
+    further: tuple[list[float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -124,7 +166,29 @@ def file_people(data: Any, where: str) -> FilePeople:
         raise InputError(f"{where}: nested too deeply; expected keypoints of people") from None
     if not found.pictures:
         found.picture()
+    found.people = [_with_loose_names(person) for person in found.people]
     return found
+
+
+def _with_loose_names(person: PersonEntry) -> PersonEntry:
+    """A person with a list of names that stands somewhere in the file, if it has as many as there are points."""
+    categorised = person.category is not None and person.category.skeleton is not None
+    if person.names is not None or categorised or not isinstance(person.keypoints, list):
+        return person
+    count = len(person.keypoints)
+    nested = any(isinstance(row, list | Mapping) for row in person.keypoints)
+    counts = {count} if nested else {count / 3, count / 2}
+    return replace(person, names=next((names for names in person.loose if len(names) in counts), None))
+
+
+def file_names(data: Mapping[str, Any], keypoints: Any, where: str) -> tuple[Any, ...] | None:
+    """Names of the points that stand at a file's top, for people with such keypoints; None if there are none.
+
+    Raises:
+        InputError: If they are no list of names.
+    """
+    said, _ = _said(data, PersonEntry(), None, where)
+    return _with_loose_names(replace(said, keypoints=keypoints)).names
 
 
 def _add_everybody(found: FilePeople, data: Any, where: str) -> None:
@@ -190,13 +254,18 @@ def _add_labelled(found: FilePeople, task: Mapping[str, Any], where: str) -> Non
 
 def _add_coco(found: FilePeople, data: Mapping[str, Any], where: str) -> None:
     """Add the people of COCO's annotations, whose pictures and categories may be missing."""
-    images: dict[str, int] = {}
+    images: dict[int | str | None, int] = {}
+    sizes: dict[int, StatedSize] = {}  # by pictures, where they are stated under other keys than COCO's
     for image in data.get("images") or ():
         if isinstance(image, Mapping) and isinstance(image.get("file_name"), str):
             size = stated_size(image, f"{where}: {shown(image['file_name'])[1:-1]}")
-            images[str(image.get("id"))] = found.picture(image["file_name"], size)
-    categories = {str(key): value for key, value in read_categories(data.get("categories"), where).items()}
-    only = next(iter(categories.values())) if len(categories) == 1 else None
+            stated = find_size(image, where) if size is None else None
+            index = found.picture(image["file_name"], size)
+            images[number_of(image.get("id"))] = index
+            if stated is not None:
+                sizes[index] = stated
+    categories = {number_of(key): value for key, value in read_categories(data.get("categories"), where).items()}
+    only = common_category(categories.values())
     common, _ = _said(data, PersonEntry(), None, where)
     for index, entry in enumerate(data["annotations"]):
         if not isinstance(entry, Mapping | list):
@@ -204,11 +273,12 @@ def _add_coco(found: FilePeople, data: Mapping[str, Any], where: str) -> None:
         if not isinstance(entry, Mapping) or entry.get("image_id") is None:
             _add(found, entry, replace(common, category=only), None, f"{where}: person {index}")
             continue
-        image_id = str(entry["image_id"])
-        picture = images[image_id] if image_id in images else found.picture(image_id)
-        category = categories.get(str(entry.get("category_id")), only)
+        image_id = number_of(entry["image_id"])
+        picture = images[image_id] if image_id in images else found.picture(str(entry["image_id"]))
+        category = categories.get(number_of(entry.get("category_id")), only)
         if any(key in entry for key in KEYPOINTS):  # others have a box alone
-            person, _ = _said(entry, replace(common, category=category), None, where)
+            known = replace(common, category=category, size=sizes.get(picture, common.size))
+            person, _ = _said(entry, known, None, where)
             found.people.append(_with_keypoints(entry, replace(person, picture=picture)))
 
 
@@ -222,9 +292,10 @@ def _add(found: FilePeople, data: Any, common: PersonEntry, picture: str | None,
         return
     common, picture = _said(data, common, picture, where)
     people = next((data[key] for key in _LISTS if isinstance(data.get(key), list)), None)
-    if people is None and _holds_people(data.get("keypoints")):
-        people = data["keypoints"]
-    if people is not None:
+    rows = next((data[key] for key in KEYPOINTS if key in data), None)
+    if people is None and _holds_people(rows):
+        _add_with_scores(found, rows, _scores(data, rows), common, picture, where)
+    elif people is not None:
         _add_all(found, people, common, picture, where)
     elif any(key in data for key in KEYPOINTS):
         found.people.append(_with_keypoints(data, replace(common, picture=_place(found, picture))))
@@ -255,6 +326,47 @@ def _add_all(found: FilePeople, entries: list[Any], common: PersonEntry, picture
             found.people.append(replace(common, keypoints=entry, picture=_place(found, picture)))
         else:
             _add(found, entry, common, picture, place)
+
+
+def _add_with_scores(
+    found: FilePeople, people: list[Any], scores: Any, common: PersonEntry, picture: str | None, where: str
+) -> None:
+    """Add the people of a list whose scores stand in another, one list a person, as torchvision writes them.
+
+    Its scores are logits: those below 0 are of points that are not there.
+    """
+    before = len(found.people)
+    _add_all(found, people, common, picture, where)
+    if not isinstance(scores, list) or not scores:
+        return
+    listed = scores if isinstance(scores[0], list) else [scores]
+    if len(listed) != len(people) or len(found.people) - before != len(people):
+        raise InputError(f"{where}: scores of {len(listed)} people; expected those of {len(people)}")
+    found.people[before:] = [
+        replace(person, scores=_without_negative(each))
+        for person, each in zip(found.people[before:], listed, strict=True)
+    ]
+
+
+def _without_negative(scores: Any) -> Any:
+    if not isinstance(scores, list):
+        return scores
+    return [0 if type(score) in (int, float) and score < 0 else score for score in scores]
+
+
+def _scores(entry: Mapping[str, Any], keypoints: Any) -> Any:
+    """An object's scores of its keypoints, one each, or a list of them for each of several people; None without."""
+    for key in _SCORES:
+        if entry.get(key) is not None and entry[key] != []:
+            return entry[key]
+    for key in _SCORES_OR_SCORE:
+        scores = entry.get(key)
+        if not isinstance(scores, list) or not isinstance(keypoints, list) or not scores:
+            continue
+        of_people = _holds_people(keypoints) and len(scores) == len(keypoints)
+        if isinstance(scores[0], list) or (len(scores) > 1 and not of_people):
+            return scores
+    return None
 
 
 def _add_frame(found: FilePeople, entry: Any, common: PersonEntry, picture: str | None, where: str) -> None:
@@ -290,42 +402,103 @@ def _said(
     meta = entry.get("meta_info")  # MMPose's
     meta = meta if isinstance(meta, Mapping) else {}
     said = entry.get("format", meta.get("dataset_name"))
-    names = next((entry[key] for key in _NAMES if entry.get(key)), None)
-    if names is None:
-        names = meta.get("keypoint_id2name") or meta.get("keypoint_name2id")
+    names = next((entry[key] for key in NAME_KEYS if entry.get(key)), None)
+    for key in ("meta_info", "dataset_meta", "dataset_info", "metainfo", "info"):
+        inner = entry.get(key)
+        if names is None and isinstance(inner, Mapping):
+            tables = (inner.get(table) for table in _NAME_TABLES)
+            names = next((table for table in tables if isinstance(table, list | Mapping) and table), None)
+            loose = [] if names is not None else _loose_names(inner)
+            common = replace(common, loose=(*loose, *common.loose))
     if names is not None:
-        common = replace(common, names=_listed_names(names, where))
+        common = replace(common, names=listed_names(names, where))
+    loose = _loose_names(entry)
+    size = find_size(entry, where)
+    if loose:
+        common = replace(common, loose=(*loose, *common.loose))
+    if size is not None:
+        common = replace(common, size=size)
     if said is not None:
         common = replace(common, format=said)
     for key in _PICTURES:
         value = entry.get(key)
+        value = number_of(value) if type(value) is float else value
         if (isinstance(value, str) and value) or type(value) is int:
             return common, str(value)
     return common, picture
 
 
-def _listed_names(names: Any, where: str) -> tuple[Any, ...]:
-    """Names in the order of the rows, from a list, or from MMPose's tables by number or of numbers."""
-    if isinstance(names, list):
-        return tuple(names)
-    if isinstance(names, Mapping):
-        numbered = names if all(str(key).isdecimal() for key in names) else {str(n): name for name, n in names.items()}
-        if all(str(key).isdecimal() for key in numbered):
-            return tuple(numbered[key] for key in sorted(numbered, key=int))
-    raise InputError(f"{where}: keypoint names: {shown(names)}; expected a list of names")
+def _loose_names(entry: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """An object's lists of texts most of which are names of landmarks, under whatever keys."""
+    found: list[tuple[str, ...]] = []
+    for value in entry.values():
+        if isinstance(value, list) and value and all(isinstance(name, str) for name in value):
+            known = sum(landmark_of_name(name, value) is not None for name in value)
+            if known >= _LOOSE_NAMES and 2 * known >= len(value):
+                found.append(tuple(value))
+    return found
 
 
 def _with_keypoints(entry: Mapping[str, Any], common: PersonEntry) -> PersonEntry:
     """An object's keypoints and scores; those that it names one by one become rows with names."""
     values = next(entry[key] for key in KEYPOINTS if key in entry)
-    scores = next((entry[key] for key in _SCORES if key in entry), None)
+    scores = _scores(entry, values)
     if isinstance(values, Mapping) and values and not {"x", "y"} & set(values):
         return replace(common, keypoints=list(values.values()), names=tuple(values), by_name=True)
     if isinstance(values, list) and values and all(isinstance(row, Mapping) for row in values):
-        names = [next((row[key] for key in ("name", "part", "label") if key in row), None) for row in values]
-        known = all(isinstance(name, str) for name in names)
-        return replace(common, keypoints=values, names=tuple(names) if known else common.names, by_name=known)
-    return replace(common, keypoints=values, scores=scores)
+        names = _row_names(values)
+        if names is not None:
+            return replace(common, keypoints=values, scores=scores, names=names, by_name=True)
+        return replace(common, keypoints=values, scores=scores, numbers=_row_numbers(values))
+    numbers = entry.get("labels")  # of transformers' ViTPose
+    numbered = isinstance(numbers, list) and isinstance(values, list) and len(numbers) == len(values)
+    places = _distinct(numbers) if numbered else None
+    return replace(common, keypoints=values, scores=scores, numbers=places, further=_further(entry))
+
+
+def _row_names(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...] | None:
+    """Names of points that are objects each, by the key that holds most names of landmarks; None if they have none."""
+    best: tuple[int, tuple[str, ...]] | None = None
+    for key in dict.fromkeys((*_ROW_NAMES, *(key for row in rows for key in row))):
+        texts = [row.get(key) for row in rows]
+        names = [text for text in texts if isinstance(text, str) and text]
+        known = sum(landmark_of_name(name, names) is not None for name in names)
+        usual = key in ("name", "part", "label") and len(names) == len(rows)
+        if (known or usual) and (best is None or known > best[0]):
+            best = known, tuple(text if isinstance(text, str) and text else "without a name" for text in texts)
+    return None if best is None else best[1]
+
+
+def _row_numbers(rows: Sequence[Mapping[str, Any]]) -> tuple[int, ...] | None:
+    """Numbers of points that are objects each; None if they have none, or the same twice."""
+    found = (_distinct([row.get(key) for row in rows]) for key in _ROW_NUMBERS)
+    return next((numbers for numbers in found if numbers is not None), None)
+
+
+def _distinct(numbers: list[Any]) -> tuple[int, ...] | None:
+    """Numbers from 0 on, all different, that are not just 0, 1, 2 and so on; None if these are none."""
+    whole = [number_of(number) for number in numbers]
+    if not all(isinstance(number, int) and number >= 0 for number in whole) or len({*whole}) < len(whole):
+        return None
+    return tuple(number for number in whole if isinstance(number, int))
+
+
+def _further(entry: Mapping[str, Any]) -> tuple[list[float], ...]:
+    """COCO-WholeBody's rows of feet, face and hands, 0 where a part is missing; none if the entry has none of them."""
+    if not any(isinstance(entry.get(key), list) and entry[key] for key in _WHOLE_BODY):
+        return ()
+    rows: list[list[float]] = []
+    for key, count in _WHOLE_BODY.items():
+        given = entry.get(key) or [0] * (3 * count)
+        numeric = isinstance(given, list) and all(type(value) in (int, float) for value in given)
+        if not numeric or len(given) != 3 * count:
+            raise InputError(
+                f"{key}: {shown(given)}; expected {3 * count} numbers, x, y and visibility of {count} points"
+            )
+        labels = {*given[2::3]}
+        share = 0.5 if 2 in labels and labels <= {0, 1, 2} else 1.0
+        rows += [[given[k], given[k + 1], given[k + 2] * share] for k in range(0, 3 * count, 3)]
+    return tuple(rows)
 
 
 def _is_by_picture(data: Mapping[str, Any]) -> bool:
@@ -357,4 +530,4 @@ def _holds_people(values: Any) -> bool:
 
 def is_point(entry: Mapping[str, Any]) -> bool:
     """True if an object is one keypoint: TensorFlow.js and others write {"name": ..., "x": ..., "y": ..., ...}."""
-    return "position" in entry or ("x" in entry and "y" in entry)
+    return "position" in entry or ("x" in entry and "y" in entry and not any(key in entry for key in KEYPOINTS))
