@@ -172,7 +172,8 @@ def landmark_of_name(name: str, names: Iterable[str] = ()) -> str | None:
         return landmark
     unnumbered = [other[:-1] if other and other[-1].isdigit() else other for other in others]
     landmark = _landmark_of_words(words[:-1], unnumbered)
-    numbered = len(others) > 1 and len({other[-1] for other in others if other and other[-1].isdigit()}) == len(others)
+    every = len(others) > 1 and all(other and other[-1].isdigit() for other in others)
+    numbered = every and len({tuple(other) for other in unnumbered}) == len(others)
     return landmark if landmark is not None and (numbered or without_side(landmark) not in _COUNTED) else None
 
 

@@ -11,7 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -20,13 +20,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..body.skeletons import Skeleton, skeleton
+from ..body.keypoint_names import left_out_warning, skeleton_of_names
+from ..body.skeletons import SKELETONS, Skeleton, skeleton
 from ..errors import InputError, shown
 from ..files.disk import file_sha256
 from ..files.json_files import read_json
-from ..inputs.annotated_sizes import PictureChange, match_sizes, stated_size
-from ..inputs.keypoint_categories import KeypointCategory, read_categories
-from ..inputs.keypoint_files import parse_keypoints
+from ..inputs.annotated_sizes import PictureChange, find_size, match_sizes, outside_warning, stated_size
+from ..inputs.keypoint_categories import KeypointCategory, common_category, number_of, read_categories
+from ..inputs.keypoint_files import is_whole_body, parse_keypoints
+from ..inputs.keypoint_shapes import file_names
 from ..inputs.keypoints import LARGEST_PLACE, Keypoints2D
 from ..inputs.part_labels import PhotoFile, read_orientation
 from ..inputs.person import Box
@@ -56,7 +58,7 @@ class CocoAnnotation:
     @property
     def number(self) -> int | None:
         """Its id, if that is a number that a column holds."""
-        number = _id(self.entry.get("id"))
+        number = number_of(self.entry.get("id"))
         return number if isinstance(number, int) and abs(number) <= _LARGEST_NUMBER else None
 
     @property
@@ -71,7 +73,7 @@ class CocoAnnotation:
 
     def keypoints(self, where: str) -> Keypoints2D:
         """Read the keypoints [px of the annotated picture]; an InputError begins with ``where``."""
-        return parse_keypoints({"keypoints": self.entry.get("keypoints")}, self.form, name=where)[0]
+        return parse_keypoints(self.entry, self.form, name=where)[0]
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,11 @@ class _Picture:
 
     def add(self, annotation: CocoAnnotation) -> None:
         """Read an annotation; its faults are its person's, but an inexplicable size is the whole picture's."""
-        change = match_sizes(stated_size(annotation.image, self.name), self.size, self.orientation, self.name)
+        stated = stated_size(annotation.image, self.name)
+        if stated is None:
+            found = find_size(annotation.entry, self.name) or find_size(annotation.image, self.name)
+            stated = None if found is None else found.of(self.size)
+        change = match_sizes(stated, self.size, self.orientation, self.name)
         where = f"{self.name}: annotation {annotation.entry.get('id')}"
         mask: np.ndarray | None = None
         try:
@@ -180,7 +186,24 @@ def open_coco(path: Path, folder: Path, keypoint_format: Skeleton | None = None)
     if not isinstance(images, list) or not isinstance(entries, list):
         raise InputError(f"{path}: no lists images and annotations; expected COCO's annotations")
     categories = read_categories(data.get("categories"), str(path))
-    return _File(path, images, entries, categories, keypoint_format).open(folder)
+    first = next((entry["keypoints"] for entry in entries if isinstance(entry, Mapping) and "keypoints" in entry), None)
+    names = None if keypoint_format is not None else file_names(data, first, str(path))
+    named = None if names is None else skeleton_of_names(names, str(path))
+    told = None if names is None or named is None else left_out_warning(names, named)
+    named_images = [_found_image(image, folder) for image in images]
+    warnings = () if told is None else (f"{path}: {told}",)
+    return _File(path, named_images, entries, categories, keypoint_format, named, warnings).open(folder)
+
+
+def _found_image(image: Any, folder: Path) -> Any:
+    """An image of the list images, with a file_name of this system where it is one of Windows."""
+    name = image.get("file_name") if isinstance(image, Mapping) else None
+    if not isinstance(name, str) or "\\" not in name or (folder / name).is_file():
+        return image
+    parts = [part for part in name.split("\\") if part not in ("", ".")]
+    tails = ["/".join(parts[start:]) for start in range(len(parts))]
+    there = next((tail for tail in tails if (folder / tail).is_file()), None)
+    return {**image, "file_name": there or name.replace("\\", "/")}
 
 
 def _named_images(results: Sequence[Mapping[str, Any]], path: Path) -> list[dict[str, Any]]:
@@ -203,29 +226,33 @@ class _File:
     entries: Sequence[Any]
     categories: Mapping[int | str, KeypointCategory]
     form: Skeleton | None  # of all, as the user says
+    named: Skeleton | None = None  # by names at the file's top
+    warnings: tuple[str, ...] = ()
 
     def open(self, folder: Path) -> CocoPictures:
         """Give each annotation its picture and its skeleton, and count what is left out."""
-        warnings: list[str] = []
+        warnings = list(self.warnings)
         named = self._named(warnings)
         pictures = self._pictures(named)
-        by_category = {_id(number): category for number, category in self.categories.items()}
+        by_category = {number_of(number): category for number, category in self.categories.items()}
         annotations: dict[str, list[CocoAnnotation]] = {image["file_name"]: [] for image in named}
         orphans: list[Any] = []
         refused: list[KeypointCategory] = []
         used: dict[str, None] = {}  # warnings of the categories that people are of
         for entry in self.entries:
-            image = pictures.get(_id(entry.get("image_id"))) if isinstance(entry, Mapping) else None
+            image = pictures.get(number_of(entry.get("image_id"))) if isinstance(entry, Mapping) else None
             if image is None:
                 orphans.append(entry)
                 continue
-            category = by_category.get(_id(entry.get("category_id"))) or self._only_category
+            category = by_category.get(number_of(entry.get("category_id"))) or self._common_category
             if category is not None and category.refusal is not None and (self.form is None or category.animals):
                 refused.append(category)
                 continue
             if category is not None and category.warning is not None and self.form is None:
                 used[f"{self.path}: {category.warning}"] = None
-            form = self.form or (None if category is None else category.skeleton)
+            form = self.form or (None if category is None else category.skeleton) or self.named
+            if self.form is None and is_whole_body(entry, form):
+                form = SKELETONS["wholebody133"]
             annotations[image["file_name"]].append(CocoAnnotation(entry, image, form))
         people = list(chain.from_iterable(annotations.values()))
         if self.entries and not people:
@@ -261,7 +288,7 @@ class _File:
         by_name: dict[int | str | None, Mapping[str, Any]] = {}
         for image in named:
             by_name.setdefault(image["file_name"], image)
-            number = _id(image.get("id"))
+            number = number_of(image.get("id"))
             if number is None:
                 continue
             same = by_id.setdefault(number, image)
@@ -271,23 +298,12 @@ class _File:
         return by_name | by_id
 
     @cached_property
-    def _only_category(self) -> KeypointCategory | None:
-        """The category with names of people's keypoints, if there is one alone: annotations may lack theirs."""
-        named = [each for each in self.categories.values() if each.refusal is None and each.skeleton is not None]
-        return named[0] if len(named) == 1 else None
+    def _common_category(self) -> KeypointCategory | None:
+        """Category of annotations that name none of the file's."""
+        return common_category(self.categories.values())
 
     def _count(self, count: int) -> str:
         return f"{count} of {len(self.entries)} annotations"
-
-
-def _id(given: Any) -> int | str | None:
-    """An id as ids are compared: 17, 17.0, "17" and "000017" are one; None if this is none."""
-    if isinstance(given, str):
-        text = given.strip()
-        return int(text) if text.isdecimal() and len(text) < 20 else text
-    if isinstance(given, bool) or not isinstance(given, int | float) or given != given // 1:
-        return None
-    return int(given)
 
 
 def _is_named(image: Any) -> bool:
@@ -316,6 +332,9 @@ def _main_skeleton(marked: Sequence[CocoAnnotation]) -> str | Skeleton:
 def _annotated_person(annotation: CocoAnnotation, change: PictureChange, where: str) -> KnownPerson:
     """A person whose keypoints and box are those of the picture that is read."""
     keypoints = change.keypoints(annotation.keypoints(where))
+    outside = outside_warning(keypoints, change.picture)
+    if outside is not None:
+        keypoints = replace(keypoints, warnings=(*keypoints.warnings, outside))
     box = _box(annotation.entry.get("bbox"), where)
     return KnownPerson(
         keypoints,

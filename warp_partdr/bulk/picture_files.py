@@ -31,6 +31,7 @@ from ..inputs.part_labels import (
     PhotoFile,
     check_sizes,
     photo_warnings,
+    read_orientation,
     read_parts,
     read_photo,
     scan_photo,
@@ -132,15 +133,20 @@ class PictureFiles:
     def read_keypoints(self, file: PhotoFile, photo: ScannedPhoto | None = None) -> list[Keypoints2D]:
         """Everyone's keypoints of a file, which may be in memory, and lies beside a photo."""
         size = None if photo is None else photo.size
+        beside = photo.file if photo is not None and isinstance(photo.file, Path) else None
         if not isinstance(file, NamedBytes):
-            beside = photo.file if photo is not None and isinstance(photo.file, Path) else None
             return read_keypoints(str(file), self.keypoint_format, photo=beside, size=size)
         try:
             text = file.read().decode("utf-8-sig")
         except UnicodeDecodeError as error:
             raise InputError(f"{file}: not JSON ({error}); expected keypoints in JSON") from error
         data = parse_json(text, str(file), "keypoints in JSON")
-        return parse_keypoints(data, self.keypoint_format, name=str(file), size=size)
+        orientation = None
+        if photo is not None and isinstance(photo.file, NamedBytes):
+            beside, orientation = Path(photo.file.name.rpartition("#")[2]), read_orientation(photo.file)
+        return parse_keypoints(
+            data, self.keypoint_format, name=str(file), photo=beside, size=size, orientation=orientation
+        )
 
     def _member(self, container: str, name: str, ending: str) -> NamedBytes | None:
         """A photo of a tar file, or a file beside it; None if there is none."""

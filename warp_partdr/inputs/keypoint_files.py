@@ -43,7 +43,7 @@ from ..errors import InputError, shown
 from ..files.json_files import read_json
 from .annotated_sizes import StatedSize, match_sizes, outside_warning
 from .keypoint_order import mirror_warning, order_warning
-from .keypoint_shapes import PersonEntry, file_people, matching_names
+from .keypoint_shapes import PersonEntry, file_people, has_further, matching_names
 from .keypoints import LARGEST_PLACE, Keypoints2D
 from .part_labels import read_orientation, scan_photo
 
@@ -210,6 +210,13 @@ def parse_keypoints(
     )
 
 
+def is_whole_body(annotation: Mapping[str, Any], form: Skeleton | None) -> bool:
+    """True if COCO's annotation has COCO-WholeBody's feet, face or hands, and its keypoints are COCO's by ``form``."""
+    keypoints, body = annotation.get("keypoints"), SKELETONS[_PLAIN_BODY]
+    plain = isinstance(keypoints, list) and len(keypoints) == 3 * body.count
+    return plain and (form is None or _same_rows(form, body)) and has_further(annotation)
+
+
 def _whole_body(entry: PersonEntry, given: Skeleton | None) -> PersonEntry:
     """A person of COCO-WholeBody, whose feet, face and hands stand apart, as one of 133 points."""
     form, body = SKELETONS["wholebody133"], SKELETONS[_PLAIN_BODY]
@@ -223,7 +230,7 @@ def _whole_body(entry: PersonEntry, given: Skeleton | None) -> PersonEntry:
     # COCO's visibilities of the body are a scale of its own, as those of the other parts.
     rows = [entry.keypoints[k : k + 3] for k in range(0, 3 * body.count, 3)]
     labels = [row[2] for row in rows]
-    if 2 in labels and set(labels) <= {0, 1, 2}:
+    if 2 in labels and all(label in (0, 1, 2) for label in labels):
         rows = [[x, y, visibility / 2] for x, y, visibility in rows]
     return replace(entry, keypoints=[*rows, *entry.further], names=None, category=None, format=form.name)
 
@@ -418,7 +425,7 @@ def _scored(rows: list[list[Any]], scores: Any, where: str) -> list[list[Any]]:
 def _numbered(rows: list[list[Any]], numbers: Sequence[int], form: Skeleton | None, where: str) -> list[list[Any]]:
     """All rows of a format, of some that are numbered in it from 0 or from 1 on; missing ones are null."""
     most = max(numbers)
-    if form is None and most > max(_BY_COUNT):  # numbers of something else
+    if form is None and most >= max(_BY_COUNT):  # numbers of something else
         return rows
     if form is not None and most > form.count:
         return rows
@@ -426,7 +433,13 @@ def _numbered(rows: list[list[Any]], numbers: Sequence[int], form: Skeleton | No
     if from_one and form is None and most + 1 in _BY_COUNT and most + 1 == SKELETONS[_PLAIN_BODY].count:
         raise InputError(f"{where}: keypoints numbered 1 to {most}, without names; expected their names or a format")
     first = 1 if from_one else 0
-    count = form.count if form else min(count for count in _BY_COUNT if count >= most + 1 - first)
+    if form is not None:
+        count = form.count
+    elif len(rows) in _BY_COUNT and most + 1 - first == len(rows):  # all are there
+        count = len(rows)
+    else:
+        body = SKELETONS[_PLAIN_BODY].count
+        count = min(known for known in _BY_COUNT if known >= max(body, most + 1 - first))
     placed = dict(zip(numbers, rows, strict=True))
     missing = [None] * len(rows[0])
     return [placed.get(number, missing) for number in range(first, first + count)]

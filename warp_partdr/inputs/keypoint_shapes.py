@@ -483,9 +483,14 @@ def _distinct(numbers: list[Any]) -> tuple[int, ...] | None:
     return tuple(number for number in whole if isinstance(number, int))
 
 
+def has_further(entry: Mapping[str, Any]) -> bool:
+    """True if an annotation has any of COCO-WholeBody's points of feet, face and hands."""
+    return any(isinstance(entry.get(key), list) and entry[key] for key in _WHOLE_BODY)
+
+
 def _further(entry: Mapping[str, Any]) -> tuple[list[float], ...]:
     """COCO-WholeBody's rows of feet, face and hands, 0 where a part is missing; none if the entry has none of them."""
-    if not any(isinstance(entry.get(key), list) and entry[key] for key in _WHOLE_BODY):
+    if not has_further(entry):
         return ()
     rows: list[list[float]] = []
     for key, count in _WHOLE_BODY.items():
