@@ -644,3 +644,79 @@ def test_the_format_of_keypoints_in_tar_files_may_be_said() -> None:
         source = open_source(Path("a.tar"), keypoint_format=form)
         (person,) = source.read("a.tar#000.jpg").people
         assert source.skeleton == person.keypoints.skeleton == form
+
+
+def test_scores_names_and_sizes_of_files_of_other_programs() -> None:
+    """They count in data sets as they do in ``fit``."""
+    plain = coco().read("000.jpg").people[0].keypoints
+
+    def rewrite(data: dict[str, Any]) -> None:
+        numbers = np.array(data["annotations"][0]["keypoints"], dtype=float).reshape(-1, 3)[::-1]
+        data["annotations"][0]["keypoints"] = (2 * numbers[:, :2]).tolist()
+        data["annotations"][0]["keypoint_scores"] = [0.0, 0.0, *[0.5] * 15]
+        data["annotations"][0]["scores"] = []
+        image = data["images"][0]
+        image |= {"image_width": 2 * image.pop("width"), "image_height": 2 * image.pop("height")}
+        data["joints_name"] = COCO[::-1]
+
+    (person,) = coco(rewrite).read("000.jpg").people
+    assert person.keypoints.confidence.tolist() == [0.5] * 15 + [0.0, 0.0]
+    there = person.keypoints.visible & plain.visible
+    np.testing.assert_allclose(person.keypoints.points[there], plain.points[there], atol=1e-4)
+    assert "scaled" in person.warnings[0]
+
+
+def test_annotations_of_no_category_have_the_names_that_categories_share() -> None:
+    plain = coco().read("000.jpg").people[0].keypoints
+
+    def rewrite(data: dict[str, Any], orders: list[list[str]]) -> None:
+        numbers = np.array(data["annotations"][0]["keypoints"]).reshape(-1, 3)[::-1]
+        data["annotations"][0] |= {"keypoints": numbers.ravel().tolist(), "category_id": 9}
+        data["categories"] = [{"id": n, "name": f"woman {n}", "keypoints": names} for n, names in enumerate(orders)]
+
+    source = coco(lambda data: rewrite(data, [COCO[::-1], COCO[::-1]]))
+    np.testing.assert_array_equal(source.read("000.jpg").people[0].keypoints.points, plain.points)
+    assert source.warnings == ()
+    source = coco(lambda data: rewrite(data, [COCO[::-1], COCO]))
+    assert "of none of the categories 'woman 0', 'woman 1', whose orders differ" in source.warnings[0]
+
+
+def test_whole_bodies_and_paths_of_windows() -> None:
+    def rewrite(data: dict[str, Any]) -> None:
+        data["annotations"][0]["foot_kpts"] = [30, 40, 2] * 6
+        Path("coco/sub").mkdir(exist_ok=True)
+        (Path("coco") / "000.jpg").rename("coco/sub/a.jpg")
+        data["images"][0]["file_name"] = "D:\\shoot\\sub\\a.jpg"
+
+    source = coco(rewrite)
+    assert source.names == ("sub/a.jpg",)
+    (person,) = source.read("sub/a.jpg").people
+    assert person.keypoints.skeleton == "wholebody133"
+    toe = person.keypoints.format.landmarks.index("left_big_toe")
+    assert (person.keypoints.points[toe].tolist(), person.keypoints.confidence[toe]) == ([30, 40], 1)
+
+
+def test_annotations_outside_their_picture_are_told() -> None:
+    source = coco(lambda data: move(data, lambda points: points + 5000))
+    (person,) = source.read("000.jpg").people
+    assert any("confident ones lie outside the picture" in told for told in person.keypoints.warnings)
+
+
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_keypoints_in_tar_files_are_turned_as_those_in_folders(orientation: int) -> None:
+    """With the photo's EXIF data, and of many pictures' people, those of the photo are read."""
+    coco()
+    height, width = turn_file("000.jpg", orientation, "jpeg")
+    points = np.array([[30 + k, 20 + 2 * k] for k in range(17)], dtype=float)
+    image = {"id": 1, "file_name": "a.jpg", "width": width, "height": height}
+    flat = np.column_stack([points, np.full(17, 2.0)]).ravel().tolist()
+    annotations = [{"image_id": 1, "keypoints": flat}, {"image_id": 2, "keypoints": [9.0] * 51}]
+    data = {"images": [image, {"id": 2, "file_name": "b.jpg"}], "annotations": annotations}
+    files = {"a.jpg": Path("coco/000.jpg").read_bytes(), "a.keypoints.json": json.dumps(data).encode()}
+    write_tar(Path("all/a.tar"), files)
+    write_beside(Path("plain"), files)
+    (packed,) = open_source(Path("all")).read("a.tar#a.jpg").people
+    (plain,) = open_source(Path("plain")).read("a.jpg").people
+    np.testing.assert_array_equal(packed.keypoints.points, plain.keypoints.points)
+    assert packed.keypoints.warnings == plain.keypoints.warnings
+    assert "EXIF orientation" in packed.keypoints.warnings[0]

@@ -398,3 +398,180 @@ def test_sizes_that_files_state(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"k\.json: annotated at 400 x 300 px, picture 300 x 300"):
         read_keypoints(tmp_path / "k.json", size=(300, 300))
     assert read_keypoints(tmp_path / "k.json")[0].warnings == ()
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["class", "class_name", "keypoint", "keypoint_name", "joint", "joint_name", "body_part", "type", "landmark", "q"],
+)
+def test_names_of_points_stand_under_any_key(key: str) -> None:
+    """Also where points are missing, and another text or number stands beside the name."""
+    known = places()
+    names = [name for name in COCO if name not in ("left_ear", "nose")][::-1]
+    points = [{"x": known[n][0], "y": known[n][1], "kind": "point", "class_id": 3, key: n} for n in names]
+    box = {"x": 100, "y": 130, "width": 70, "height": 240, "class": "person", "confidence": 0.8}
+    for data in ({"predictions": [{**box, "keypoints": points}]}, [{**box, "keypoints": points}]):
+        (person,) = parse_keypoints(data)
+        assert person.visible.sum() == 15
+        assert_all_at_their_places(person)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_numbers_of_points_without_names_tell_their_places(first: int) -> None:
+    known = places()
+    rows = [{"class_id": n + first, "x": known[name][0], "y": known[name][1]} for n, name in enumerate(COCO)]
+    (person,) = parse_keypoints({"keypoints": rows[::-1]})
+    assert person.visible.all()
+    assert_all_at_their_places(person)
+    if first == 0:
+        (person,) = parse_keypoints({"keypoints": [row for row in rows if row["class_id"] not in (3, 5, 7)]})
+        assert (person.skeleton, person.visible.sum()) == ("coco17", 14)
+        assert_all_at_their_places(person)
+        with pytest.raises(InputError, match="keypoints numbered 1 to 16, without names; expected their names or"):
+            parse_keypoints({"keypoints": rows[1:]})
+        (person,) = parse_keypoints({"keypoints": rows[1:]}, "coco17")
+        assert_all_at_their_places(person)
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "joints_vis",
+        "keypoints_visible",
+        "visibility",
+        "keypoints_visibility",
+        "confidence",
+        "keypoint_confidence",
+        *("conf", "keypoints_conf", "vis", "keypoints_score", "kpt_scores", "scores"),
+    ],
+)
+def test_scores_stand_in_lists_of_their_own(key: str) -> None:
+    rows = [places()[name] for name in COCO]
+    rows[4] = [-1, -1]
+    values = [0.5] * 4 + [0.0] + [0.75] * 12
+    (person,) = parse_keypoints({"joints": rows, key: values})
+    assert person.confidence.tolist() == values
+    people = parse_keypoints({"keypoints": [rows, rows], key: [values, [0.25] * 4 + [0] + [1] * 12]})
+    assert people[1].confidence[[0, 4, 16]].tolist() == [0.25, 0, 1]
+    (person,) = parse_keypoints({"keypoints": [[*row, 1] for row in rows[:4]] * 4 + [[9, 9, 1]], key: []})
+    assert person.visible.all()
+
+
+def test_negative_scores_of_many_people_are_of_points_that_are_missing() -> None:
+    rows = [[*places()[name], 1] for name in COCO]
+    logits = [8.0] * 13 + [-0.5, -3, -1, -2]
+    (person,) = parse_keypoints({"scores": [0.9], "labels": [1], "keypoints": [rows], "keypoints_scores": [logits]})
+    assert person.confidence.tolist() == [1.0] * 13 + [0.0] * 4
+
+
+@pytest.mark.parametrize("row", [[-1, -1], [-1, -1, -1], [-1, -1, 0]])
+def test_rows_of_minus_one_are_missing(row: list[float]) -> None:
+    rows = [[*places()[name], 1][: len(row)] for name in COCO]
+    rows[2] = row
+    (person,) = parse_keypoints({"keypoints": rows})
+    assert np.flatnonzero(~person.visible).tolist() == [2]
+    assert_all_at_their_places(person)
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        *({"canvas_width": 400, "canvas_height": 600}, {"width": 400, "height": 600}, {"image_size": [400, 600]}),
+        *({"image": {"width": 400, "height": 600}}, {"image_width": 400, "image_height": 600}),
+        *({"image_size": [600, 400]}, {"img_shape": [600, 400, 3]}, {"imageWidth": 400, "imageHeight": 600}),
+    ],
+)
+def test_sizes_are_stated_under_many_keys(stated: dict[str, Any]) -> None:
+    people = [{"pose_keypoints_2d": [2 * v if k % 3 < 2 else 1 for k, v in enumerate(flat(COCO))]}]
+    for data in ({"people": people, **stated}, [{"people": people, **stated}], {**people[0], **stated}):
+        (person,) = parse_keypoints(data, size=(300, 200))
+        assert_all_at_their_places(person)
+        assert person.warnings == ("keypoints: made at 400 x 600 px, scaled to the picture's 200 x 300",)
+        with pytest.raises(InputError, match=r"annotated at \d00 x \d00 px, picture 300 x 300"):
+            parse_keypoints(data, size=(300, 300))
+
+
+def test_keypoints_mostly_outside_the_picture_are_told() -> None:
+    (person,) = parse_keypoints({"keypoints": flat(COCO, 150)}, size=(300, 200))
+    told = "keypoints: 17 of 17 confident ones lie outside the picture, 200 x 300 px; expected keypoints of this"
+    assert person.warnings[0].startswith(told)
+    assert parse_keypoints({"keypoints": flat(COCO, 60)}, size=(300, 200))[0].warnings == ()
+
+
+def test_a_box_s_width_is_no_picture_s() -> None:
+    box = {"x": 90, "y": 100, "width": 33, "height": 44}
+    assert_all_at_their_places(parse_keypoints({**box, "keypoints": flat(COCO)}, size=(300, 200))[0])
+
+
+@pytest.mark.parametrize("number", [None, 7])
+def test_categories_that_agree_name_the_points_of_annotations_without_one(number: int | None) -> None:
+    names = COCO[::-1]
+    data = coco(names, {"category_id": number, "keypoints": flat(names)})
+    data["categories"] += [{"id": 2, "name": "woman", "keypoints": list(names)}, {"id": 5, "name": "ball"}]
+    (person,) = parse_keypoints(data)
+    assert_all_at_their_places(person)
+    assert person.warnings == ()
+    data["categories"][1]["keypoints"] = list(COCO)
+    (person,) = parse_keypoints(data)
+    assert "of none of the categories 'person', 'woman', whose orders differ" in person.warnings[0]
+
+
+@pytest.mark.parametrize(
+    "key", "joint_names joints_name kpt_names keypoint_labels body_parts names labels markers".split()
+)
+def test_names_at_the_top_of_a_file(key: str) -> None:
+    names = COCO[::-1]
+    listed = {key: list(names), "others": ["left_hip", "right_hip"]}
+    for data in ({**listed, "people": [{"keypoints": flat(names)}]}, {**listed, "keypoints": flat(names)}):
+        assert_all_at_their_places(parse_keypoints(data)[0])
+    data = {**listed, "images": [], "annotations": [{"keypoints": flat(names)}]}
+    assert_all_at_their_places(parse_keypoints(data)[0])
+
+
+def test_names_in_mmposes_data_about_a_data_set() -> None:
+    names = COCO[::-1]
+    tables = {str(n): name for n, name in enumerate(names)}
+    for said in (
+        {"dataset_meta": {"keypoint_id2name": tables}},
+        {"dataset_info": {"keypoint_info": {n: {"name": name, "id": int(n)} for n, name in tables.items()}}},
+    ):
+        assert_all_at_their_places(parse_keypoints({**said, "instances": [{"keypoints": flat(names)}]})[0])
+
+
+def test_ochumans_visibilities() -> None:
+    rows = [[*places()[name], (1, 2, 3, 0)[n % 4]] for n, name in enumerate(COCO)]
+    (person,) = parse_keypoints({"keypoints": rows})
+    assert person.confidence[:4].tolist() == [1.0, 0.5, 0.5, 0.0]
+    assert person.warnings == ()
+    (person,) = parse_keypoints({"keypoints": [[x, y, max(v, 2)] for x, y, v in rows]})
+    assert person.confidence[:3].tolist() == [1.0, 1.0, 0.5]
+
+
+def test_coco_wholebodys_parts_are_joined() -> None:
+    parts = {"foot_kpts": 6, "face_kpts": 68, "lefthand_kpts": 21, "righthand_kpts": 21}
+    numbers, first, entry = [], 17, {"keypoints": flat(COCO)}
+    for key, count in parts.items():
+        entry[key] = [v for n in range(first, first + count) for v in (n, 2 * n, 2 if key == "foot_kpts" else 1)]
+        numbers += entry[key]
+        first += count
+    (expected,) = parse_keypoints([[*flat(COCO), *numbers]])
+    (person,) = parse_keypoints(coco(COCO, entry))
+    assert person.skeleton == "wholebody133"
+    np.testing.assert_array_equal(person.points, expected.points)
+    assert person.visible.all()
+    del entry["righthand_kpts"]
+    assert not parse_keypoints(coco(COCO, entry))[0].visible.all()
+    assert parse_keypoints(coco(COCO, entry), "coco17")[0].skeleton == "coco17"
+    entry["foot_kpts"] = entry["foot_kpts"][:-1]
+    with pytest.raises(InputError, match=r"foot_kpts: .*; expected 18 numbers"):
+        parse_keypoints(coco(COCO, entry))
+
+
+@pytest.mark.parametrize("image_id", [3.0, "03", "3"])
+def test_ids_are_compared_as_numbers(image_id: Any) -> None:
+    names = COCO[::-1]
+    data = coco(names, {"image_id": image_id, "category_id": 1.0, "keypoints": flat(names)})
+    data["categories"] = [{**data["categories"][0], "id": "01"}, {"id": 2.0, "name": "w", "keypoints": list(COCO)}]
+    data["images"].append({"id": 4.0, "file_name": "street/8.jpg"})
+    (person,) = parse_keypoints(data, photo=Path("7.jpg"))
+    assert_all_at_their_places(person)

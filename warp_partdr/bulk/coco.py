@@ -138,7 +138,7 @@ class _Picture:
         stated = stated_size(annotation.image, self.name)
         if stated is None:
             found = find_size(annotation.entry, self.name) or find_size(annotation.image, self.name)
-            stated = None if found is None else found.of(self.size)
+            stated = None if found is None else found.of(self.size, self.orientation)
         change = match_sizes(stated, self.size, self.orientation, self.name)
         where = f"{self.name}: annotation {annotation.entry.get('id')}"
         mask: np.ndarray | None = None

@@ -34,7 +34,7 @@ _SIZES = (
     *("image_shape", "img_shape", "ori_shape", "orig_shape"),
 )
 _HOLDERS = ("image", "img", "picture", "photo", "image_info", "metadata", "meta", "info", "size")
-_BOX_KEYS = ("x", "y", "left", "top", "x_min", "xmin", "x1", "center_x", "cx")
+_BOX_KEYS = ("x", "y", "center", "left", "top", "x_min", "xmin", "x1", "center_x", "cx")
 _THUMBNAIL = 0.02  # share of a side that rounding may change at most, in very small pictures
 
 
@@ -168,10 +168,14 @@ class StatedSize:
     size: tuple[int, int]
     either: bool = False
 
-    def of(self, picture: tuple[int, int]) -> tuple[int, int]:
-        """(H, W) as it fits a picture (H, W) best: the other way round where that alone is its shape."""
+    def of(self, picture: tuple[int, int], orientation: int) -> tuple[int, int]:
+        """(H, W) as it fits a picture (H, W) best: the other way round where that alone is its shape.
+
+        Of a picture that EXIF's ``orientation`` turns on its side, both are shapes of it, and the usual order counts.
+        """
         swapped = self.size[::-1]
-        turns = self.either and not _is_resized(self.size, picture) and _is_resized(swapped, picture)
+        turned = _TURN_OF_ORIENTATION.get(orientation, _Turn()).transposed
+        turns = self.either and not turned and not _is_resized(self.size, picture) and _is_resized(swapped, picture)
         return swapped if turns else self.size
 
 

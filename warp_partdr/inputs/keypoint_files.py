@@ -286,7 +286,7 @@ def _in_picture(
         size = scan_photo(photo)
     if size is None:
         return people
-    change = match_sizes(None if stated is None else stated.of(size), size, orientation, where)
+    change = match_sizes(None if stated is None else stated.of(size, orientation), size, orientation, where)
     moved = [change.keypoints(person) for person in people]
     told = None if change.warning is None else f"keypoints: {change.warning}"
     return [
