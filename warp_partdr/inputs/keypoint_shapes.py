@@ -293,7 +293,7 @@ def _add(found: FilePeople, data: Any, common: PersonEntry, picture: str | None,
     common, picture = _said(data, common, picture, where)
     people = next((data[key] for key in _LISTS if isinstance(data.get(key), list)), None)
     rows = next((data[key] for key in KEYPOINTS if key in data), None)
-    if people is None and _holds_people(rows):
+    if people is None and isinstance(rows, list) and _holds_people(rows):
         _add_with_scores(found, rows, _scores(data, rows), common, picture, where)
     elif people is not None:
         _add_all(found, people, common, picture, where)
@@ -451,8 +451,9 @@ def _with_keypoints(entry: Mapping[str, Any], common: PersonEntry) -> PersonEntr
             return replace(common, keypoints=values, scores=scores, names=names, by_name=True)
         return replace(common, keypoints=values, scores=scores, numbers=_row_numbers(values))
     numbers = entry.get("labels")  # of transformers' ViTPose
-    numbered = isinstance(numbers, list) and isinstance(values, list) and len(numbers) == len(values)
-    places = _distinct(numbers) if numbered else None
+    places = None
+    if isinstance(numbers, list) and isinstance(values, list) and len(numbers) == len(values):
+        places = _distinct(numbers)
     return replace(common, keypoints=values, scores=scores, numbers=places, further=_further(entry))
 
 
