@@ -104,10 +104,10 @@ def time_warnings(name: str, times: Sequence[float], guessed: Sequence[bool], ra
     long = np.flatnonzero(steps > _MISSING / rate)
     if len(long) and not is_even(at, rate):
         alone = [step for step in long.tolist() if _stands_out(steps, step)]
-        first, kind = (alone, "frames missing") if alone else (long.tolist(), "another rate")
-        several = f", and after {len(first) - 1} more" if len(alone) > 1 else ""
+        places, kind = (alone, "frames missing") if alone else (long.tolist(), "another rate")
+        several = f", and after {len(alone) - 1} more" if len(alone) > 1 else ""
         size = f"steps of up to {steps.max():.2f} s, {1 / rate:.3f} s is usual"
-        told.append(f"{name}: {kind} after {at[first[0]]:.2f} s{several} ({size}); bodies are at the true times")
+        told.append(f"{name}: {kind} after {at[places[0]]:.2f} s{several} ({size}); bodies are at the true times")
     return tuple(told)
 
 
