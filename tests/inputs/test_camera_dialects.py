@@ -422,6 +422,12 @@ def test_films_in_the_order_of_cameras_are_told(tmp_path: Path) -> None:
     said.clear()
     cameras = cameras_of_films(path, ["x_cam2.mp4", "x_cam1.mp4"], say=said.append)
     assert ([camera.translation[0] for camera in cameras], said) == ([0, 1], [])
+    cameras = cameras_of_films(path, ["hop_02.mp4", "hop_01.mp4"], say=said.append)
+    assert [camera.translation[0] for camera in cameras] == [0, 1]
+    assert said == [
+        f"{path}: films are taken by numbers or letters in their names, which no word for a camera precedes: "
+        "hop_02 of 2, hop_01 of 1"
+    ]
     with pytest.raises(InputError, match=r"rig.json: cameras 1, 2; expected one a film: a, b, c, by name"):
         cameras_of_films(path, ["a.mp4", "b.mp4", "c.mp4"])
 

@@ -108,7 +108,8 @@ def cameras_of_films(
     Args:
         path: As of ``read_cameras``.
         films: The films' files, or their names.
-        say: Told what was left out or converted, and which film is of which camera if only their order says it.
+        say: Told what was left out or converted, and which film is of which camera if only their order, or
+            a number that may be another one, says it.
 
     Raises:
         InputError: If a camera can't be read, or it is not clear which camera took which film.
@@ -119,10 +120,15 @@ def cameras_of_films(
         assigned = assign_cameras(films, names)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    if assigned.by_order and say is not None:
+    if (assigned.by_order or assigned.by_number) and say is not None:
         pairs = zip(film_names(films), assigned.cameras, strict=True)
         told = ", ".join(f"{film} of {names[place]}" for film, place in pairs)
-        say(f"{path}: films are taken in the order of cameras, for no name says otherwise: {told}")
+        how = (
+            "in the order of cameras, for no name says otherwise"
+            if assigned.by_order
+            else "by numbers or letters in their names, which no word for a camera precedes"
+        )
+        say(f"{path}: films are taken {how}: {told}")
     found = [cameras[names[place]] for place in assigned.cameras]
     return [camera.seen_from(found[0]) for camera in found]
 

@@ -1,4 +1,4 @@
-"""Assignment of films to calibrated cameras by their names, by the numbers in them, or by their order."""
+"""Assignment of films to calibrated cameras by names, by numbers, letters and sides in them, or by order."""
 
 from __future__ import annotations
 
@@ -9,13 +9,21 @@ from pathlib import Path
 
 from ..errors import InputError
 
-# A number after one of these words is a camera's.
+# A number, a letter or a side after one of these words is a camera's.
 _CAMERA_WORDS = frozenset(
-    "cam camera cams cameras camara caméra kamera c k v view port dev device gopro gp kinect sensor channel ch".split()
+    (
+        "cam camera cams cameras camara cámara caméra kamera webcam c k v view port dev device gopro gp kinect sensor "
+        "channel ch"
+    ).split()
 )
+_SHORT_WORDS = frozenset("c k v gp".split())
+_DIGITS_OF_CLIPS = 4  # from which on a number after a short word counts a camera's clips: C0001, GP010045
+_SIDES = {"left": "l", "right": "r"}
+_GOPRO = re.compile("gopro", re.IGNORECASE)
 _CASE_CHANGE = re.compile(r"(?<=[a-zß-ÿ])(?=[A-Z])")
 _TOKENS = re.compile(r"\d+|[^\W\d_]+")
 _LONGEST = 18  # digits that are compared as a number
+_BY_NAME = "by name, or as many in order"
 
 Token = str | int
 
@@ -27,33 +35,46 @@ class Assignment:
     Attributes:
         cameras: Places of the cameras, film by film.
         by_order: True if the names tell nothing, so that only the order of films and cameras is left.
+        by_number: True if numbers or letters tell it that may also be those of takes or of a date, for they follow no
+            word for a camera.
     """
 
     cameras: tuple[int, ...]
     by_order: bool = False
+    by_number: bool = False
 
 
 def assign_cameras(films: Sequence[str | Path], cameras: Sequence[str]) -> Assignment:
     """Assign films to cameras.
 
     Names count first: a film's is a camera's, or one is part of the other ("cam10_sync" and "cam10", "cam01" and
-    "int_cam01_img"). Then the number that tells the films apart ("view-03" and "camera3"). Only where names have
-    nothing in common, films and cameras are paired in order, films of a shell's ``*`` in natural order (2 before 10).
+    "int_cam01_img"). Then the number, the letter or the side that a word for a camera says to be a camera's ("view-03"
+    and "camera3", "camB" and "Camera B", "right" and "cam_R"). Where names of files do not tell it, those of their
+    folders may. Then any number or letter that tells the films apart. Only where names have nothing in common, films
+    and cameras are paired in order, films of a shell's ``*`` in natural order (2 before 10).
 
     Raises:
         InputError: If names contradict one another or fit several cameras, or numbers of films and cameras differ.
     """
-    names = film_names(films)
-    found = _by_name(names, cameras)
-    if found is None:
-        found = _by_number(names, cameras)
-    if found is not None:
-        return Assignment(found)
-    order = _film_order(names)
-    named = _named(names, cameras)
-    if len(names) != len(cameras) or any(mine and order.index(film) not in mine for film, mine in enumerate(named)):
-        raise _contradiction(names, cameras, "by name, or as many in order")
-    return Assignment(tuple(order.index(film) for film in range(len(names))), by_order=True)
+    levels = _levels(films)
+    for names in levels:
+        found = _by_name(names, cameras)
+        if found is None:
+            found = _by_mark(names, cameras, of_cameras=True)
+        if found is not None:
+            return Assignment(found)
+    for names in levels:
+        found = _by_mark(names, cameras, of_cameras=False)
+        if found is not None:
+            return Assignment(found, by_number=True)
+    order = _film_order(films)
+    for names in levels:
+        named = _named(names, cameras)
+        if any(mine and order.index(film) not in mine for film, mine in enumerate(named)):
+            raise _contradiction(names, cameras, _BY_NAME)
+    if len(films) != len(cameras):
+        raise _contradiction(film_names(films), cameras, _BY_NAME)
+    return Assignment(tuple(order.index(film) for film in range(len(films))), by_order=True)
 
 
 def film_names(films: Sequence[str | Path]) -> list[str]:
@@ -64,19 +85,41 @@ def film_names(films: Sequence[str | Path]) -> list[str]:
     return names
 
 
+def _levels(films: Sequence[str | Path]) -> list[list[str]]:
+    """Names of the films' files, and those of folders, nearest first, where each film has another one."""
+    levels = [[Path(film).stem for film in films]]
+    folders = [Path(film).parent.parts[::-1] for film in films]
+    nearest = 1 if len(films) == 1 else None  # folders farther up tell one film from nothing
+    for names in zip(*(each[:nearest] for each in folders), strict=False):
+        if len(set(names)) == len(films):
+            levels.append(list(names))
+    return levels
+
+
 def _contradiction(films: Sequence[str], cameras: Sequence[str], how: str) -> InputError:
     return InputError(f"cameras {', '.join(cameras)}; expected one a film: {', '.join(films)}, {how}")
 
 
 def _tokens(name: str) -> tuple[Token, ...]:
-    """Words and numbers of a name: ("cam", 1) of "Cam_01"."""
-    words = _TOKENS.findall(_CASE_CHANGE.sub(" ", name))
-    return tuple(int(word) if word.isdecimal() and len(word) <= _LONGEST else word.casefold() for word in words)
+    """Words and numbers of a name: ("cam", 1) of "Cam_01", ("cam", "a") of "camA" and of "cama"."""
+    words = _TOKENS.findall(_CASE_CHANGE.sub(" ", _GOPRO.sub("gopro", name)))
+    tokens: list[Token] = []
+    for word, following in zip(words, [*words[1:], ""], strict=True):
+        plain = word.casefold()
+        if plain in _SHORT_WORDS and following.isdecimal() and len(following) >= _DIGITS_OF_CLIPS:
+            tokens.append(f"{plain} clip")
+        elif word.isdecimal() and len(word) <= _LONGEST:
+            tokens.append(int(word))
+        elif plain not in _CAMERA_WORDS and len(plain) > 3 and plain[:-1] in _CAMERA_WORDS and plain[-1] != "s":
+            tokens += [plain[:-1], plain[-1]]
+        else:
+            tokens.append(plain)
+    return tuple(tokens)
 
 
 def _holds(whole: tuple[Token, ...], part: tuple[Token, ...]) -> bool:
-    """True if one name is a part of another; a number alone is no name."""
-    if not part or (len(part) == 1 and isinstance(part[0], int)):
+    """True if one name is a part of another; a number or a letter alone is no name."""
+    if not part or (len(part) == 1 and len(str(part[0])) == 1) or (len(part) == 1 and isinstance(part[0], int)):
         return False
     return any(whole[start : start + len(part)] == part for start in range(len(whole) - len(part) + 1))
 
@@ -105,71 +148,110 @@ def _by_name(films: Sequence[str], cameras: Sequence[str]) -> tuple[int, ...] | 
     return tuple(found) if len(set(found)) == len(films) else None
 
 
-def _by_number(films: Sequence[str], cameras: Sequence[str]) -> tuple[int, ...] | None:
-    """Cameras of the films' numbers; None if the names hold no number that tells them apart, or none in common.
+def _by_mark(films: Sequence[str], cameras: Sequence[str], *, of_cameras: bool) -> tuple[int, ...] | None:
+    """Cameras of the films' marks; None if the names hold no mark that tells them apart, or none in common.
+
+    Args:
+        films: Names of films, or of their folders.
+        cameras: Names of cameras.
+        of_cameras: Marks count that the films' names say to be cameras'; else the others.
 
     Raises:
-        InputError: If numbers contradict one another, or fit in several ways.
+        InputError: If marks contradict one another, or fit in several ways.
     """
-    mine, theirs = _numbers(films), _numbers(cameras)
-    fits = {
-        tuple(other.values.index(number) for number in one.values)
-        for one in mine
-        for other in theirs
-        if set(one.values) <= set(other.values)
-    }
-    if len(fits) > 1:
-        raise _contradiction(films, cameras, "by numbers that fit in one way")
-    if fits:
-        return fits.pop()
+    mine = [each for each in _marks(films) if each.of_cameras == of_cameras]
+    theirs = _marks(cameras)
+    # What is said to be a camera's number counts before other numbers in its name.
+    for some in ([each for each in theirs if each.of_cameras], theirs):
+        fits = {
+            tuple(other.values.index(mark) for mark in one.values)
+            for one in mine
+            for other in some
+            if set(one.values) <= set(other.values)
+        }
+        if len(fits) > 1:
+            raise _contradiction(films, cameras, "by numbers that fit in one way")
+        if fits:
+            return fits.pop()
     for one in mine:
         for other in theirs:
-            if set(one.values) & set(other.values) or (one.of_cameras and other.of_cameras):
+            common = set(one.values) & set(other.values)
+            if common or (one.of_cameras and other.of_cameras and one.are_numbers and other.are_numbers):
                 raise _contradiction(films, cameras, "by the same numbers")
     return None
 
 
 @dataclass(frozen=True)
-class _Numbers:
-    """Numbers that tell names apart, and whether the names say that they are cameras' numbers."""
+class _Marks:
+    """Numbers, letters or sides that tell names apart, and whether the names say that they are cameras'."""
 
-    values: tuple[int, ...]
+    values: tuple[Token, ...]
     of_cameras: bool
 
+    @property
+    def are_numbers(self) -> bool:
+        return all(isinstance(value, int) for value in self.values)
 
-def _numbers(names: Sequence[str]) -> list[_Numbers]:
-    """Numbers at each place of names where all have another one; cameras' numbers alone if some are."""
+
+def _marks(names: Sequence[str]) -> list[_Marks]:
+    """Marks at each place of names where all have another one, and those said to be cameras'; the latter first."""
     tokens = [_tokens(name) for name in names]
-    numbers = [[place for place, token in enumerate(each) if isinstance(token, int)] for each in tokens]
     places: list[list[int]] = []
-    if len({len(each) for each in numbers}) == 1:  # the first, second, ... number of each
-        places += [list(each) for each in zip(*numbers, strict=True)]
-    elif all(numbers):
-        places.append([each[-1] for each in numbers])
-    after = [[place for place in each if _is_camera_s(mine, place)] for mine, each in zip(tokens, numbers, strict=True)]
+    after = [[place for place in range(len(mine)) if _is_camera_s(mine, place)] for mine in tokens]
     if all(len(each) == 1 for each in after):
         places.append([each[0] for each in after])
-    found: list[_Numbers] = []
+    for is_mark in (_is_number, _is_letter):
+        found = [[place for place, token in enumerate(each) if is_mark(token)] for each in tokens]
+        if len({len(each) for each in found}) == 1:  # the first, second, ... number of each
+            places += [list(each) for each in zip(*found, strict=True)]
+        elif all(found):
+            places.append([each[-1] for each in found])
+    marks: list[_Marks] = []
     for each in places:
-        values = [mine[place] for mine, place in zip(tokens, each, strict=True)]
+        values = [_side(mine[place]) for mine, place in zip(tokens, each, strict=True)]
         of_cameras = all(_is_camera_s(mine, place) for mine, place in zip(tokens, each, strict=True))
         # A single name's number tells it from nothing, unless it is said to be a camera's.
         if len(set(values)) == len(names) and (of_cameras or len(names) > 1):
-            found.append(_Numbers(tuple(int(value) for value in values), of_cameras))
-    return [each for each in found if each.of_cameras] or found
+            marks.append(_Marks(tuple(values), of_cameras))
+    return marks
+
+
+def _is_number(token: Token) -> bool:
+    return isinstance(token, int)
+
+
+def _is_letter(token: Token) -> bool:
+    """True for a single letter, or a side."""
+    return isinstance(token, str) and len(_SIDES.get(token, token)) == 1
+
+
+def _side(token: Token) -> Token:
+    """A mark as it is compared: the letter of a side."""
+    return _SIDES.get(token, token) if isinstance(token, str) else token
 
 
 def _is_camera_s(tokens: tuple[Token, ...], place: int) -> bool:
-    """True if the number at this place follows a word for cameras, or is the whole name."""
-    return len(tokens) == 1 or (place > 0 and tokens[place - 1] in _CAMERA_WORDS)
+    """True if the mark at this place follows a word for cameras, or is the whole name, or is a letter before a word."""
+    mark = tokens[place]
+    if not (_is_number(mark) or _is_letter(mark)):
+        return False
+    if len(tokens) == 1:
+        return True
+    before = tokens[place - 1] if place > 0 else None
+    if isinstance(mark, int):
+        return before in _CAMERA_WORDS
+    words = _CAMERA_WORDS - _SHORT_WORDS
+    # "left_cam", but not the a of "trial_a_cam2".
+    return before in words or (place + 2 == len(tokens) and tokens[-1] in words)
 
 
-def _film_order(films: Sequence[str]) -> list[int]:
+def _film_order(films: Sequence[str | Path]) -> list[int]:
     """Places of films in the order that pairs them with cameras: as given, but naturally where a shell sorted them."""
     given = list(range(len(films)))
-    if list(films) != sorted(films):
+    names = [str(Path(film).parent / Path(film).stem) for film in films]
+    if names != sorted(names):
         return given
-    return sorted(given, key=lambda film: natural_key(films[film]))
+    return sorted(given, key=lambda film: natural_key(names[film]))
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
