@@ -320,6 +320,8 @@ def check_square(camera: Perspective) -> None:
     across, down = camera.focal[0].tolist()
     if not (camera.intrinsics.isfinite().all() and across > 0 and abs(across - down) <= _SQUARE * across):
         raise ValueError(f"camera: focal lengths {across:g} and {down:g}; expected square pixels")
+    if not camera.intrinsics.abs().max() <= _MOST_PIXELS:
+        raise ValueError(f"camera: {camera.intrinsics[0].tolist()}; expected pixels, up to {_MOST_PIXELS:g}")
 
 
 def is_rotation(matrix: torch.Tensor) -> bool:

@@ -65,7 +65,9 @@ def test_cameras_that_are_refused():
     keypoints, parts, _ = seen_aside("cpu")
     two = Perspective(CAMERA.focal.repeat(2, 1), CAMERA.centre.repeat(2, 1))
     flat = Perspective(torch.tensor([[260.0, 200.0]]), CAMERA.centre)
+    long = Perspective(torch.full((1, 2), 1e30), CAMERA.centre)
     for camera, error, says in (
+        (long, ValueError, r"camera: \[1.*\]; expected pixels, up to 1e\+06"),
         (two, ValueError, "camera: 2 of them; expected one"),
         (flat, ValueError, "camera: focal lengths 260 and 200; expected square pixels"),
         (260.0, TypeError, "camera: float"),

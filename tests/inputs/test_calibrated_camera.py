@@ -129,6 +129,54 @@ def test_cameras_that_can_t_be() -> None:
         CalibratedCamera((900.0, -900.0), (0.0, 0.0))
 
 
+@pytest.mark.parametrize(
+    ("focal", "principal", "message"),
+    [
+        ((0.7, 0.7), (0.5, 0.5), "focal: .*expected pixels, 80 to 80000 for a picture of 800 x 600 px"),
+        ((70.0, 70.0), (400.0, 300.0), "focal: .*expected pixels, 80 to 80000 for a picture of 800 x 600 px"),
+        ((8.1e4, 8.1e4), (400.0, 300.0), "focal: .*expected pixels, 80 to 80000"),
+        ((700.0, 200.0), (400.0, 300.0), "focal: .*expected two lengths within a factor of 2.5"),
+        ((200.0, 700.0), (400.0, 300.0), "focal: .*expected two lengths within a factor of 2.5"),
+        (
+            (700.0, 700.0),
+            (2401.0, 300.0),
+            "principal: .*expected pixels, -1600 to 2400 and -1200 to 1800 for a picture of 800 x 600 px",
+        ),
+        ((700.0, 700.0), (400.0, -1201.0), "principal: .*expected pixels, -1600 to 2400 and -1200 to 1800"),
+    ],
+)
+def test_lenses_that_no_camera_has(focal: tuple[float, float], principal: tuple[float, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        CalibratedCamera(focal, principal, size=(600, 800))
+
+
+def test_lenses_that_no_camera_of_any_size_has() -> None:
+    for focal, principal, message in (
+        ((0.7, 0.7), (0.5, 0.5), "focal: .*expected pixels, 1 to 1e"),
+        ((2e6, 2e6), (400.0, 300.0), "focal: .*expected pixels, 1 to 1e"),
+        ((700.0, 700.0), (400.0, -2e6), r"principal: .*expected pixels, -1e\+06 to 1e\+06"),
+    ):
+        with pytest.raises(InputError, match=message):
+            CalibratedCamera(focal, principal)
+    # A picture's size, once it is known, tells more.
+    one = CalibratedCamera((70.0, 70.0), (400.0, 300.0))
+    with pytest.raises(InputError, match="expected pixels, 80 to 80000 for a picture of 800 x 600 px"):
+        one.fitted((600, 800))
+
+
+@pytest.mark.parametrize(
+    ("focal", "principal"),
+    [
+        ((90.0, 90.0), (400.0, 300.0)),  # 155 degrees
+        ((5e4, 5e4), (400.0, 300.0)),  # a telescope
+        ((800.0, 400.0), (400.0, 150.0)),  # every other row
+        ((6000.0, 6000.0), (-1500.0, 1700.0)),  # a part of a sensor's picture
+    ],
+)
+def test_lenses_that_are_rare_are_taken(focal: tuple[float, float], principal: tuple[float, float]) -> None:
+    assert CalibratedCamera(focal, principal, size=(600, 800)).focal == focal
+
+
 def sized(width: int, height: int) -> CalibratedCamera:
     return CalibratedCamera((1000.0, 900.0), (500.0, 300.0), size=(height, width))
 
@@ -141,7 +189,10 @@ def sized(width: int, height: int) -> CalibratedCamera:
         ((1088, 1920), (1080, 1920), 1.0),  # and at the right
         ((1920, 1080), (1920, 1088), 1.0),
         ((640, 368), (640, 360), 1.0),
-        ((1008, 608), (1000, 600), 1.0),
+        ((1000, 608), (1000, 600), 1.0),
+        ((864, 480), (854, 480), 1.0),
+        ((640, 360), (640, 384), 1.0),  # to a multiple of 64
+        ((2160, 3840), (1088, 1920), 0.5),  # resized, then padded
         ((1920, 1080), (960, 540), 0.5),
         ((1280, 720), (1920, 1080), 1.5),
         ((1366, 768), (1280, 720), 0.9375),  # a side is rounded
@@ -165,7 +216,10 @@ def test_pictures_are_resized_and_padded(calibrated: tuple[int, int], film: tupl
         ((1920, 1080), (1080, 1920)),
         ((1920, 1080), (640, 480)),
         ((1920, 1080), (1920, 1440)),
-        ((640, 480), (640, 460)),  # more than a block
+        ((640, 480), (640, 440)),  # more than a block
+        ((480, 640), (465, 625)),  # both sides
+        ((1088, 608), (1080, 600)),
+        ((1920, 1080), (960, 560)),  # nobody pads 540 to 560
         ((640, 484), (640, 480)),  # nobody pads to 484
         ((640, 500), (640, 490)),
     ],

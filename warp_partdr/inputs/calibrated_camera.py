@@ -27,7 +27,12 @@ _CLOSE = 1e-12  # at depth 1; about 1e-9 px
 _STEP = 1e-6  # of its derivatives
 _WIDEST = np.linspace(0.0, 10.0, 10_001)  # radii at depth 1, up to 84 degrees beside the axis
 _FARTHEST = 1e6  # of the world's origin from a camera, in whatever unit a file has: a kilometre in millimetres
-_BLOCK = 16  # [px]; codecs pad pictures to multiples of it, at the right and at the bottom
+_MOST_PIXELS = 1e6  # [px], of focal length and principal point, as of any camera
+_LEAST_FOCAL = 1.0  # [px]; less is a share of the picture
+_FOCAL_SHARES = (0.1, 100.0)  # of a focal length in the longer side of the picture: 157 to 0.6 degrees
+_MOST_STRETCH = 2.5  # of f_x / f_y or the inverse: pictures of one half of the rows have 2
+_MOST_SIDES = 2.0  # by which the principal point may be outside of the picture, which may be a part of a sensor's
+_BLOCKS = (8, 16, 32, 64)  # [px]; codecs pad pictures to multiples of one, at the right and at the bottom
 _WHOLE = 0.01  # [px], by which a whole number of pixels may be off
 _ROUNDING = 1.0  # [px], by which a side of a resized picture may be off
 
@@ -58,6 +63,7 @@ class CalibratedCamera:
     def __post_init__(self) -> None:
         if not all(0 < each < math.inf for each in self.focal) or not all(map(math.isfinite, self.principal)):
             raise InputError(f"focal, principal: {self.focal}, {self.principal}; expected pixels, focal above 0")
+        self._check_lens()
         if len(self.distortion) > 8 or not all(map(math.isfinite, self.distortion)):
             raise InputError(f"distortion: {self.distortion}; expected up to 8 numbers, k1, k2, p1, p2, k3, k4, k5, k6")
         if self.rotation.shape != (3, 3) or not is_rotation(torch.from_numpy(self.rotation)):
@@ -67,6 +73,23 @@ class CalibratedCamera:
             raise InputError(
                 f"translation: {self.translation.tolist()}; expected 3 numbers in metres, {_FARTHEST:g} at most"
             )
+
+    def _check_lens(self) -> None:
+        """Raise InputError if no camera has this focal length or principal point, such as shares of the picture."""
+        least, most, of = _LEAST_FOCAL, _MOST_PIXELS, ""
+        if self.size is not None:
+            least, most = (share * max(self.size) for share in _FOCAL_SHARES)
+            of = f" for a picture of {self.size[1]} x {self.size[0]} px"
+        if not all(least <= each <= most for each in self.focal):
+            raise InputError(f"focal: {self.focal}; expected pixels, {least:g} to {most:g}{of}")
+        if max(self.focal) > _MOST_STRETCH * min(self.focal):
+            raise InputError(f"focal: {self.focal}; expected two lengths within a factor of {_MOST_STRETCH:g}")
+        ranges = [(-_MOST_PIXELS, _MOST_PIXELS)] * 2
+        if self.size is not None:
+            ranges = [(-_MOST_SIDES * side, (1 + _MOST_SIDES) * side) for side in self.size[::-1]]
+        if not all(low <= place <= high for place, (low, high) in zip(self.principal, ranges, strict=True)):
+            told = " and ".join(f"{low:g} to {high:g}" for low, high in ranges)
+            raise InputError(f"principal: {self.principal}; expected pixels, {told}{of}")
 
     @property
     def without_distortion(self) -> Perspective:
@@ -156,7 +179,7 @@ class CalibratedCamera:
     def fitted(self, size: tuple[int, int]) -> CalibratedCamera:
         """The camera of its pictures at another (H, W): resized, and with or without the padding of a codec.
 
-        A codec pads 1080 rows to 1088, at the bottom and at the right, where the principal point does not move.
+        A codec pads 1080 rows to 1088, at the bottom or at the right, where the principal point does not move.
 
         Raises:
             InputError: If pictures of this size have another shape.
@@ -164,9 +187,9 @@ class CalibratedCamera:
         if self.size is None or self.size == size:
             return replace(self, size=size)
         zooms = [new / own for new, own in zip(size, self.size, strict=True)]
-        # If the size is another one, too, one side tells the zoom, and the other one is rounded or padded.
+        # One side tells the zoom, and the other one is rounded or padded.
         for zoom in (1.0, max(zooms), min(zooms)):
-            if all(_same_side(own, new / zoom, _ROUNDING / zoom) for own, new in zip(self.size, size, strict=True)):
+            if _same_shape(self.size, size, zoom):
                 focal, principal = ((zoom * pair[0], zoom * pair[1]) for pair in (self.focal, self.principal))
                 return replace(self, focal=focal, principal=principal, size=size)
         self.check_size(size)
@@ -229,8 +252,22 @@ class CalibratedCamera:
         return np.stack([across, down], axis=-1)
 
 
-def _same_side(one: float, other: float, rounding: float) -> bool:
-    """True if two lengths [px] are equal but for rounding, or for padding of the shorter one to a whole block."""
+def _same_shape(own: tuple[int, int], new: tuple[int, int], zoom: float) -> bool:
+    """True if sizes [px] are equal after a zoom but for rounding, or one side is, and the other one is padded."""
+    sides = [(zoom * one, other) for one, other in zip(own, new, strict=True)]
+    if all(abs(one - other) <= _ROUNDING for one, other in sides):
+        return True
+    if all(abs(one - other) > _WHOLE for one, other in sides):
+        return False
+    # Pictures are padded before they are resized, or after.
+    return all(
+        abs(zoom * one - other) <= _WHOLE or _is_padded(zoom * one, other) or _is_padded(one, other / zoom)
+        for one, other in zip(own, new, strict=True)
+    )
+
+
+def _is_padded(one: float, other: float) -> bool:
+    """True if the longer length [px] is the next multiple of a codec's block after the shorter one."""
     short, long = sorted((one, other))
-    padded = long == _BLOCK * math.ceil(short / _BLOCK) and abs(short - round(short)) < _WHOLE
-    return long - short <= rounding or padded
+    whole = abs(short - round(short)) < _WHOLE
+    return whole and any(long == block * math.ceil(short / block) for block in _BLOCKS)
