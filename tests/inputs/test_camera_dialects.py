@@ -149,6 +149,109 @@ def test_nobody_placed_a_camera(tmp_path: Path) -> None:
         read_cameras(path)
 
 
+OLD_CALISCOPE = """
+camera_count = 4
+[charuco]
+columns = 5
+square_size_overide_cm = 4.0
+
+[capture_volume]
+origin_sync_index = 12
+
+[cam_3]
+port = 3
+size = [1280, 720]
+error = "null"
+
+[cam_5]
+port = 5
+size = [1280, 720]
+matrix = [[900.0, 0.0, 640.0], [0.0, 905.0, 360.0], [0.0, 0.0, 1.0]]
+distortions = [0.0, 0.0, 0.0, 0.0, 0.0]
+
+[cam_7]
+port = 7
+size = [1280, 720]
+matrix = [[900.0, 0.0, 640.0], [0.0, 905.0, 360.0], [0.0, 0.0, 1.0]]
+distortions = [0.1, -0.1, 0.001, 0.002, -0.05]
+translation = [0.4, 1.1, 3.2]
+rotation = [0.3, -0.8, 0.1]
+
+[cam_8]
+port = 8
+size = [1280, 720]
+matrix = [[900.0, 0.0, 640.0], [0.0, 905.0, 360.0], [0.0, 0.0, 1.0]]
+distortions = [0.0, 0.0, 0.0, 0.0, 0.0]
+translation = [0.0, 0.0, 2.0]
+rotation = [0.0, 0.0, 0.0]
+"""
+
+
+def test_old_files_of_caliscope(tmp_path: Path) -> None:
+    """Other tables stand beside the cameras, of which one is not calibrated, and one has no place."""
+    path = tmp_path / "config.toml"
+    path.write_text(OLD_CALISCOPE)
+    said: list[str] = []
+    cameras = read_cameras(path, say=said.append)
+    assert list(cameras) == ["cam_7", "cam_8"]
+    assert cameras["cam_7"].translation.tolist() == list(MOVE)
+    assert said == [
+        f"{path}: camera cam_3 is left out, for it is not calibrated",
+        f"{path}: camera cam_5 is left out, for it has no place",
+    ]
+
+
+def test_files_without_cameras_are_left_out(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(FREEMOCAP)
+    (tmp_path / "Config.toml").write_text("[project]\nframe_rate = 60\n[pose.intrinsics]\nk = 3\n")
+    (tmp_path / "info.json").write_text('{"cameras_used": 2, "m": 1.5}')
+    (tmp_path / "parameters.yaml").write_text("model:\n  complexity: 2\n")
+    said: list[str] = []
+    assert list(read_cameras(tmp_path, say=said.append)) == ["sesh_synced_Cam1", "sesh_synced_Cam2"]
+    left_out = [f"{tmp_path / name}: left out, for it holds no camera" for name in ("Config.toml", "info.json")]
+    assert said[:3] == [*left_out, f"{tmp_path / 'parameters.yaml'}: left out, for it holds no camera"]
+    # One that is a camera's is read, and what it lacks is said.
+    (tmp_path / "left.json").write_text(json.dumps({"K": [[900, 0, 320], [0, 900, 240]], "R": [0, 0, 0]}))
+    with pytest.raises(InputError, match=r"left.json: K: shape \(2, 3\); expected a camera matrix"):
+        read_cameras(tmp_path)
+    for name in ("rig.toml", "left.json"):
+        (tmp_path / name).unlink()
+    with pytest.raises(InputError, match="no camera in it"):
+        read_cameras(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("matrices", "lenses", "names"),
+    [
+        (("M1", "M2"), ("D1", "D2"), ["1", "2"]),
+        (("cameraMatrix1", "cameraMatrix2"), ("distCoeffs1", "distCoeffs2"), ["1", "2"]),
+        (("camera_matrix_1", "camera_matrix_2"), ("dist_coeffs_1", "dist_coeffs_2"), ["1", "2"]),
+        (("K1", "K2"), ("D1", "D2"), ["1", "2"]),
+        (("K_1", "K_2"), ("D_1", "D_2"), ["1", "2"]),
+        (("cameraMatrixL", "cameraMatrixR"), ("distCoeffsL", "distCoeffsR"), ["left", "right"]),
+        (("K_left", "K_right"), ("dist_left", "dist_right"), ["left", "right"]),
+        (("mtxL", "mtxR"), ("distL", "distR"), ["left", "right"]),
+    ],
+)
+def test_names_of_stereo_calibrations(
+    tmp_path: Path, matrices: tuple[str, str], lenses: tuple[str, str], names: list[str]
+) -> None:
+    text = "%YAML:1.0\n---\nimageSize: [640, 480]\n"
+    for number, (inner, bent) in enumerate(zip(matrices, lenses, strict=True), 1):
+        text += f"{inner}: " + matrix(np.array([[900.0 + number, 0, 320], [0, 900, 240], [0, 0, 1]]))
+        text += f"{bent}: " + matrix(np.array([[-0.1 * number, 0.0, 0.0, 0.0, 0.0]]))
+    path = tmp_path / "stereo.yml"
+    path.write_text(text + "R: " + matrix(turned()) + "T: " + matrix(np.array(MOVE)[:, None]))
+    cameras = read_cameras(path)
+    assert list(cameras) == names
+    first, second = cameras.values()
+    assert (first.focal[0], second.focal[0]) == (901.0, 902.0)
+    assert (first.distortion[0], second.distortion[0]) == (-0.1, -0.2)
+    assert first.translation.tolist() == [0, 0, 0]
+    assert second.translation.tolist() == list(MOVE)
+    assert second.size == (480, 640)
+
+
 def mc_calib(path: Path, **second: object) -> Path:
     """Two cameras of MC-Calib, of which the second stands half a metre to the right, turned to the left."""
     pose = np.eye(4)

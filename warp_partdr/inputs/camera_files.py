@@ -23,7 +23,7 @@ from ..errors import InputError, shown
 from ..files.opencv_files import is_matrix, read_opencv, to_matrix
 from ..files.sections import check_keys, read_toml
 from .calibrated_camera import CalibratedCamera
-from .camera_names import assign_cameras, film_names, natural_key
+from .camera_names import assign_cameras, film_names, is_camera_s, natural_key
 from .qualisys import QUALISYS, read_qualisys
 
 _EXPECTED = (
@@ -36,6 +36,9 @@ _TENTHS = 10  # a vector of more than half a turn that is given in tenths is in 
 _STEREO = ("intrinsics", "extrinsics")  # files of OpenCV's stereo_calib, together two cameras
 _EASYMOCAP = ("intri", "extri")  # files of EasyMocap, together all cameras
 _ALL = ("camera_array.toml", "calibrated_cameras_data.yml")  # files of Caliscope and MC-Calib, among others of theirs
+_CALISCOPE = ("port", "camid")  # keys of its cameras
+# The two cameras of a stereo calibration, and the endings of their matrices' names.
+_PAIRS = ((("1", "1"), ("2", "2")), (("left", "l"), ("right", "r")), (("left", "left"), ("right", "right")))
 _OWN = ("size", "focal", "principal", "distortion", "rotation", "translation")
 # Names that OpenCV's samples, ROS, Pose2Sim and others write, without capitals and underscores.
 _MATRIX = ("cameramatrix", "matrix", "intrinsicmatrix", "k", "m", "mtx", "intrinsics")
@@ -66,8 +69,10 @@ def read_cameras(path: str | Path, *, say: Say | None = None) -> dict[str, Calib
     """Read calibrated cameras by name, in the order of the file, or of the names of a folder's files.
 
     A file holds cameras by name, or one camera, which has the file's name. A stereo calibration of OpenCV (M1, D1, M2,
-    D2, R, T; also as the files intrinsics and extrinsics of a folder) are the cameras "1" and "2", the world being the
-    first one's frame. Translations are in metres; Qualisys' and FreeMoCap's are converted from millimetres.
+    D2, R, T, or cameraMatrix1, K1, ...; also as the files intrinsics and extrinsics of a folder) are the cameras "1"
+    and "2", or "left" and "right" of cameraMatrixL and R, the world being the first one's frame. Files of a folder that
+    hold no camera are left out beside those that do. Translations are in metres; those of
+    Qualisys and FreeMoCap are converted from millimetres.
 
     Args:
         path: A file, or a folder.
@@ -90,8 +95,13 @@ def read_cameras(path: str | Path, *, say: Say | None = None) -> dict[str, Calib
         if sorted(each.stem for each in both) == sorted(pair) and (pair == _EASYMOCAP or both == files):
             return _cameras({key: value for each in both for key, value in _read(each).items()}, str(path), "", tell)
     found: dict[str, CalibratedCamera] = {}
-    for each in files:
-        for name, camera in _cameras(_read(each), str(each), _stem(each), tell).items():
+    held = {each: _read(each) for each in files}
+    without = [each for each in files if not _has_lens(held[each])]
+    for each in without if len(without) < len(files) else []:
+        tell(f"{each}: left out, for it holds no camera")
+        del held[each]
+    for each, data in held.items():
+        for name, camera in _cameras(data, str(each), _stem(each), tell).items():
             if name in found:
                 raise InputError(f"{each}: camera {name} a second time in {path}; expected each once")
             found[name] = camera
@@ -175,12 +185,12 @@ def _cameras(data: Mapping[str, Any], where: str, name: str, say: Say) -> dict[s
         found = {
             key: _any_camera(node, f"{where}: cameras.{key}", alone=len(listed) == 1) for key, node in nodes.items()
         }
+    elif (pair := _stereo_pair(data)) is not None:
+        found = _stereo(data, pair, where)
     elif any(str(key).startswith("K_") for key in data):
         found = _easymocap(data, where)
     elif isinstance(data.get("names"), list) and any(str(key).startswith(("Rot_", "R_")) for key in data):
         raise InputError(f"{where}: places of cameras alone; expected a folder of EasyMocap's intri.yml and extri.yml")
-    elif {"M1", "M2"} <= data.keys():
-        found = _stereo(data, where)
     elif _find(data, _MATRIX) is not None:
         found = {name: _camera(data, where, alone=True)}
     else:
@@ -196,13 +206,16 @@ def _cameras(data: Mapping[str, Any], where: str, name: str, say: Say) -> dict[s
 def _tables(data: Mapping[str, Any], where: str, say: Say) -> dict[str, CalibratedCamera]:
     """Cameras that are a file's tables: Pose2Sim's, Anipose's, OpenCV's, MC-Calib's, Kalibr's."""
     nodes = {key: node for key, node in data.items() if isinstance(node, Mapping) and not is_matrix(node)}
-    nodes.pop("metadata", None)
+    # Other tables: metadata, charuco, capture_volume. One that has a camera's name is a camera, and lacks something.
+    nodes = {key: node for key, node in nodes.items() if _has_lens(node) or _is_camera_name(key, node)}
     if not nodes:
         raise InputError(
             f"{where}: no camera in it, but {', '.join(map(str, data)) or 'nothing'}; expected {_EXPECTED}"
         )
     alone = len(nodes) == 1
     nodes = _placed(nodes, where, say)
+    if not nodes:
+        return {}
     groups = {node["camera_group"] for node in nodes.values() if isinstance(node.get("camera_group"), int)}
     if len(groups) > 1:
         raise InputError(
@@ -228,19 +241,52 @@ def _by_name(listed: Sequence[Any], where: str) -> dict[str, Any]:
 
 
 def _placed(nodes: Mapping[Any, Any], where: str, say: Say) -> dict[Any, Any]:
-    """Cameras without those that are marked as ignored, or that nobody placed, as Caliscope has them."""
+    """Cameras without those that are marked as ignored, or that nobody calibrated or placed, as Caliscope has them."""
+    some_placed = any(isinstance(node, Mapping) and _find(node, _TRANSLATION) is not None for node in nodes.values())
+    # Kalibr's first camera has no place, for the others stand beside it.
+    chained = any(isinstance(node, Mapping) and _find(node, _CHAIN) is not None for node in nodes.values())
     found: dict[Any, Any] = {}
     for key, node in nodes.items():
         if isinstance(node, Mapping):
+            matrix = _find(node, _MATRIX)
             pose = [_find(node, names) for names in (_ROTATION, _TRANSLATION)]
+            unplaced = some_placed and not chained and matrix is not None and pose == [None, None]
             if node.get("ignore") is True:
                 say(f"{where}: camera {key} is left out, for it is marked with ignore")
                 continue
-            if any(each is not None and _is_nothing(each[1]) for each in pose):
+            if _find(node, _CALISCOPE) is not None and (matrix is None or _is_nothing(matrix[1])):
+                say(f"{where}: camera {key} is left out, for it is not calibrated")
+                continue
+            if unplaced or any(each is not None and _is_nothing(each[1]) for each in pose):
                 say(f"{where}: camera {key} is left out, for it has no place")
                 continue
         found[key] = node
     return found
+
+
+def _has_lens(data: object) -> bool:
+    """True if a file's or a table's contents, at any depth, have a camera's matrix or focal length, right or not."""
+    if isinstance(data, list):
+        return any(map(_has_lens, data))
+    if not isinstance(data, Mapping) or is_matrix(data):
+        return False
+    if _stereo_pair(data) is not None:
+        return True
+    for key, value in data.items():
+        named = _plain(key) in (*_MATRIX, "focal") or str(key).startswith(("K_", "Rot_", "R_"))
+        if (named and _is_numbers(value)) or _has_lens(value):
+            return True
+    return False
+
+
+def _is_numbers(value: object) -> bool:
+    """True for a matrix or a list, which may be a wrong one."""
+    return isinstance(value, list) or (isinstance(value, Mapping) and is_matrix(value))
+
+
+def _is_camera_name(key: object, node: Mapping[str, Any]) -> bool:
+    """True if a table has a camera's name, or a camera's place."""
+    return _find(node, _TRANSLATION) is not None or is_camera_s(str(key))
 
 
 def _is_nothing(value: object) -> bool:
@@ -285,15 +331,32 @@ def _chained(nodes: Mapping[str, Any], where: str) -> dict[str, CalibratedCamera
     return found
 
 
-def _stereo(data: Mapping[str, Any], where: str) -> dict[str, CalibratedCamera]:
+def _stereo_pair(data: Mapping[str, Any]) -> dict[str, dict[str, Any]] | None:
+    """Lenses of a stereo calibration's two cameras by name: M1 and D1, cameraMatrixL and distCoeffsL; else None."""
+    plain = {_plain(key): value for key, value in data.items()}
+    # EasyMocap's K_1 and K_2 have places R_1 and T_1, R_2 and T_2.
+    if any(str(key).startswith("K_") for key in data) and not {"r", "t"} <= plain.keys():
+        return None
+    for pair in _PAIRS:
+        found: dict[str, dict[str, Any]] = {}
+        for name, ending in pair:
+            lens = next((plain[word + ending] for word in _MATRIX if word + ending in plain), None)
+            bent = next((plain[word + ending] for word in _DISTORTION if word + ending in plain), [0.0])
+            if _is_numbers(lens):
+                found[name] = {"M": lens, "D": bent}
+        if len(found) == len(pair):
+            return found
+    return None
+
+
+def _stereo(data: Mapping[str, Any], pair: Mapping[str, dict[str, Any]], where: str) -> dict[str, CalibratedCamera]:
     size = {key: data[key] for key in data if _plain(key) in (*_SIZE, *_WIDTH, *_HEIGHT)}
-    cameras = {}
-    for number in ("1", "2"):
-        node = {"M": data[f"M{number}"], "D": data.get(f"D{number}", [0.0]), **size}
-        if number == "2":
-            node |= {key: data[key] for key in ("R", "T") if key in data}
-        cameras[number] = _camera(node, where, alone=number == "1")
-    return cameras
+    pose = {key: data[key] for key in data if _plain(key) in (*_ROTATION, *_TRANSLATION)}
+    first, second = pair
+    return {
+        first: _camera(pair[first] | size, where, alone=True),
+        second: _camera(pair[second] | size | pose, where, alone=False),
+    }
 
 
 def _plain(key: object) -> str:

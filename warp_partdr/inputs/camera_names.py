@@ -254,6 +254,12 @@ def _film_order(films: Sequence[str | Path]) -> list[int]:
     return sorted(given, key=lambda film: natural_key(names[film]))
 
 
+def is_camera_s(name: str) -> bool:
+    """True if a name has a word for a camera, with a number, a letter or a side: cam_1, camB."""
+    tokens = _tokens(name)
+    return len(tokens) > 1 and any(_is_camera_s(tokens, place) for place in range(len(tokens)))
+
+
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
     """Key that sorts names as people do: 2 before 10."""
     return tuple((0, token, "") if isinstance(token, int) else (1, 0, token) for token in _tokens(name))
