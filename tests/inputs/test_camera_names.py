@@ -108,6 +108,7 @@ def test_only_the_order_is_left(films: str, cameras: str, expected: str) -> None
         ("right_sync middle", "left right", "by name, or as many in order"),
         ("left middle right", "1 2", "by name, or as many in order"),
         ("trial_3", "cam1 cam3", "by name, or as many in order"),
+        ("hop_c", "C D", "by name, or as many in order"),
         ("camC camD", "camD camE", "by the same numbers"),
     ],
 )

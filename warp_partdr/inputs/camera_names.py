@@ -119,7 +119,7 @@ def _tokens(name: str) -> tuple[Token, ...]:
 
 def _holds(whole: tuple[Token, ...], part: tuple[Token, ...]) -> bool:
     """True if one name is a part of another; a number or a letter alone is no name."""
-    if not part or (len(part) == 1 and len(str(part[0])) == 1) or (len(part) == 1 and isinstance(part[0], int)):
+    if not part or (len(part) == 1 and (isinstance(part[0], int) or len(part[0]) == 1)):
         return False
     return any(whole[start : start + len(part)] == part for start in range(len(whole) - len(part) + 1))
 
