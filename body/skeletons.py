@@ -236,7 +236,7 @@ def skeleton(source: str | Path | Skeleton | Mapping[str, Any]) -> Skeleton:
 
 
 def describe_skeleton(form: str | Skeleton) -> str | dict[str, Any]:
-    """What to write into JSON so that ``skeleton`` gives the joints of a format again: its name, or its landmarks."""
+    """Describe a format for JSON, so that ``skeleton`` gives its joints again: by its name or its landmarks."""
     own = skeleton(form)
     known = SKELETONS.get(own.name)
     if known is not None and (own.landmarks, own.marks) == (known.landmarks, known.marks):

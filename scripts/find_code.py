@@ -202,7 +202,7 @@ class Module:
         raise ValueError(f"{replace!r}: can't stand in line {line}; expected what can replace the code there")
 
     def _statements_with(self, match: Match, outer: int) -> list[str]:
-        """What becomes of one of the module's statements if the code within it is replaced."""
+        """Return one of the module's statements with the code within it replaced."""
         kept = getattr(match.place.parent, match.place.field)
         count = len(self.tree.body)
         match.place.put(match.replacement)

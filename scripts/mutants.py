@@ -110,7 +110,7 @@ class Mutant:
         return text.replace(self.find, self.replace)
 
     def name(self, path: str) -> str:
-        """Where the fault is, for messages."""
+        """Place of the fault, for messages."""
         return f"{path}: {self.definition}: {self.find!r}"
 
     def words(self, project: Project) -> str:
@@ -158,7 +158,7 @@ def changed_since(commit: str, mutants: Iterable[Mutant], project: Project) -> l
 
 
 def git(*arguments: str, missing: str | None = None) -> str:
-    """What git answers in the project, or another text if it fails."""
+    """Answer of git in the project, or another text if it fails."""
     done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=missing is None)
     return missing if done.returncode and missing is not None else done.stdout
 

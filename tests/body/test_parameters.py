@@ -43,7 +43,7 @@ def test_gradients_of_logarithms_are_sizes_times_those_of_sizes(device):
 
 @pytest.mark.parametrize("rate", [0.01, 1.0])
 def test_no_step_makes_a_logarithm_s_size_negative(device, rate):
-    """Where the same steps of sizes themselves end below 0, and then show NaN."""
+    """Steps of sizes themselves end below 0, and then show NaN."""
     labels, usual = slim_target(device)
     plain, logs = usual.leaves(), usual.leaves(log_sizes=True)
     renderer = RendererEllipsoids("partdr")

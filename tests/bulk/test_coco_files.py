@@ -171,7 +171,7 @@ def test_a_turn_that_the_size_does_not_show_is_a_warning(orientation: int) -> No
 
 
 def test_sizes_are_told_in_rows_and_at_the_end(run: Run) -> None:
-    """Of two pictures one is scaled; of the third nothing explains the size."""
+    """One picture is as annotated, one is scaled, and nothing explains the size of the third."""
     coco(count=3)
     assert run(f"{LINE} --out plain")[0] == 0
 
@@ -561,7 +561,7 @@ def test_masks_that_some_lack_are_left_out_with_a_word() -> None:
 
 
 def test_the_format_may_be_said(run: Run) -> None:
-    """Of COCO files, of keypoints beside pictures and in tar files; shards remember it."""
+    """COCO files, keypoints beside pictures and those in tar files take it; shards remember it."""
     points = [float(number) for number in range(1, 29)]
     source = open_source(write_coco(Path("coco"), 1), keypoint_format="coco17")
     assert source.skeleton == "coco17"

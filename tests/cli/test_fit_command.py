@@ -226,7 +226,7 @@ def test_what_contradicts_itself_is_told(run: Run, files: Path) -> None:
 
 
 def test_keypoints_by_name_of_one_photo_out_of_many(run: Run, files: Path) -> None:
-    """What was odd in their file is told once, and stands in the report."""
+    """Anything odd in their file is told once, and stands in the report."""
     person = read_keypoints("k.json")[0]
     names = [*person.format.landmarks[::-1], "hat"]
     rows = [*np.column_stack([person.points, 6 * person.confidence])[::-1].tolist(), [1, 2, 3]]

@@ -224,7 +224,7 @@ def test_films_without_pyav_name_the_extra(run: Run, monkeypatch: pytest.MonkeyP
 
 
 def test_a_folder_s_files_are_pictures_or_counted(run: Run) -> None:
-    """Of all formats; folders in it are not searched, and hidden files are no pictures."""
+    """Photos of all formats are taken; folders in it are not searched, and hidden files are no pictures."""
     Path("mixed/deeper").mkdir(parents=True)
     photo().save("mixed/a.GIF", save_all=True, append_images=[photo().rotate(3)])
     photo().save("mixed/b.MPO", "MPO")

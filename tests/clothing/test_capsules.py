@@ -46,7 +46,7 @@ def test_depths_are_the_books(crowd, device):
 @pytest.mark.parametrize("people", [2, 3])
 @pytest.mark.parametrize("weights", ["one", "random", "of one body", "of its neighbour"])
 def test_gradients_are_the_books(crowd, device, weights, people):
-    """Of ends and radii, by finite differences in float64, whatever each body's cost weighs."""
+    """Gradients of ends and radii equal finite differences in float64, whatever each body's cost weighs."""
     placed, allowed = crowd
     of_bodies = {
         "one": torch.ones(6),

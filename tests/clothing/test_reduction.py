@@ -174,7 +174,7 @@ def test_small_parts_are_denser(reduced):
 
 
 def test_the_error_holds_for_nearly_all_of_the_surface(reduced):
-    """Of a sample of the whole model's vertices, weighed by the skin around them."""
+    """A sample of the whole model's vertices counts, weighed by the skin around them."""
     model = anny()
     _, areas = vertex_parts(model)
     some = (areas > 0).nonzero()[::23, 0]

@@ -73,7 +73,7 @@ def walk(people: int, frames: int, views: int) -> tuple[torch.Tensor, torch.Tens
 
 
 def rates_of(seen: torch.Tensor, varying: bool = True) -> torch.Tensor:
-    """Of steps that take 1/30 s, and some longer, one unknown."""
+    """Most steps take 1/30 s, some are longer, and one is unknown."""
     steps = max(seen.shape[1] - 1, 0)
     rates = RATE.repeat(steps)
     if varying and steps > 2:

@@ -167,7 +167,7 @@ def test_labels_along_no_bone_are_left_out_and_that_is_told():
 
 
 def test_pixels_that_several_claim_or_somebody_does_not_know_are_ignored():
-    """The same person twice; then a second one of whom a corner of the background is not known."""
+    """One person comes twice; then a second one of whom a corner of the background is not known."""
     scene = make_views(3, 1).scene
     sight = scene.sights[0]
     assert sight.parts is not None

@@ -88,7 +88,7 @@ def test_every_picture_of_a_slideshow_is_for_others_to_judge(order: tuple[int, .
 
 
 def test_a_fast_pan_and_frames_that_are_missing_in_one_are_apart() -> None:
-    """What is new everywhere is told, but not where times tell why it is new."""
+    """A step where all is new is told, but not where times tell why it is new."""
     lefts = [*range(0, 800, 80), *range(1200, 2000, 80)]
     times = np.array(lefts) / 80 / 30
     found = changes(pan(3, lefts), times)

@@ -162,7 +162,7 @@ def test_flesh_is_about_all_segments_of_a_group() -> None:
 
 
 def test_limbs_are_as_thick_as_people_s() -> None:
-    """Of 1.7 m: from the bone to the skin of a thigh 5 to 13 cm, of a forearm 2 to 6 cm."""
+    """A body of 1.7 m has 5 to 13 cm from the bone to the skin of a thigh, and 2 to 6 cm at a forearm."""
     names = ("left_hip", "left_knee", "left_elbow", "left_wrist")
     found = segments_of_parts({name: name for name in names})
     ((start, end, thigh),), ((_, _, forearm),) = found["left_upper_leg"], found["left_forearm"]

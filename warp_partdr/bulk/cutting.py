@@ -167,7 +167,7 @@ def read_picture(source: PictureSource, name: str) -> Read:
 
 
 def _fault(error: Exception) -> Row:
-    """What a row says of an error."""
+    """Text that a row has for an error."""
     return {"error": one_line(error)} | ({UNREAD: True} if is_passing(error) else {})
 
 

@@ -42,7 +42,7 @@ class KnownPerson:
     warnings: tuple[str, ...] = ()
 
     def warned(self, warning: str) -> KnownPerson:
-        """The same person with one more warning."""
+        """Returns a copy with one more warning."""
         return replace(self, warnings=(*self.warnings, warning))
 
 

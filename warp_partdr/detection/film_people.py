@@ -74,7 +74,7 @@ class FilmPeople:
         return np.frombuffer(zlib.decompress(self.packed[frame]), np.uint8).reshape(kept_size(self.image_size))
 
     def taken(self, numbers: np.ndarray, times: np.ndarray) -> FilmPeople:
-        """The same film in some of its frames.
+        """Returns a copy of the film with some of its frames.
 
         Args:
             numbers: Of these frames in this film, rising, -1 where it has none, shape (T,), int64.

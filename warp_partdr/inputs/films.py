@@ -153,7 +153,7 @@ class _Packets:
         return None if ticks is None or frame.time_base is None else float(ticks * frame.time_base)
 
     def _cut_off(self) -> str:
-        """What is missing of a film whose last packet was read; empty if nothing is."""
+        """Describe what is missing from a film whose last packet was read; empty if nothing is."""
         size, stated = os.stat(self._path).st_size, stated_bytes(self._path)
         frames, listed = self._stream.frames, self._listed
         if self._container.format.name == "avi":

@@ -92,7 +92,7 @@ class FilmSights:
         return np.frombuffer(zlib.decompress(packed), np.uint8).reshape(self.size).copy() if packed else None
 
     def taken(self, numbers: np.ndarray) -> FilmSights:
-        """The same in frames of these numbers, as of ``FilmPeople.taken``."""
+        """Returns a copy with the frames of these numbers alone, as ``FilmPeople.taken`` does."""
         kept = np.flatnonzero(np.isin(self.frames, numbers))
         packed = tuple(self.packed[row] for row in kept)
         frames = frame_places(self.frames[kept], numbers)

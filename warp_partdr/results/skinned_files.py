@@ -80,7 +80,7 @@ class Poses:
         return cls(registered.rotations[:1], registered.translation[:1], np.zeros(1), USUAL_RATE, lowest)
 
     def since(self, time: float) -> Poses:
-        """The same, timed since this time [s]."""
+        """Returns a copy whose times are counted from this time [s]."""
         return replace(self, times=self.times - time)
 
     def evenly(self) -> Poses:
