@@ -47,6 +47,8 @@ class Observation(Movable):
         marks: Point of the body that each keypoint marks (``Skeleton.marks``); None: ``landmarks`` themselves.
         lens: Focal length and principal point of the picture's camera, in the crop's coordinates, shape (3,); None:
             unknown, and weak perspective serves.
+        lens_assumed: True if the lens is a usual one, because the picture's own is not known.
+        stature: The person's height [m], if it is known.
     """
 
     landmarks: tuple[str, ...]
@@ -62,6 +64,8 @@ class Observation(Movable):
     depth_spreads: torch.Tensor | None = None
     marks: tuple[str, ...] | None = None
     lens: torch.Tensor | None = None
+    lens_assumed: bool = False
+    stature: float | None = None
 
     @property
     def body_points(self) -> tuple[str, ...]:

@@ -27,6 +27,7 @@ class StackedObservations(Movable):
         labels: Group ids in the crops, shape (N, size, size), uint8; None without labels.
         label_set: What these mean.
         lens: As of ``Observation``, of all or of none, shape (N, 3).
+        lens_assumed: As of ``Observation``, of all.
     """
 
     landmarks: tuple[str, ...]
@@ -37,6 +38,7 @@ class StackedObservations(Movable):
     labels: torch.Tensor | None
     label_set: LabelSet | None
     lens: torch.Tensor | None
+    lens_assumed: bool = False
 
     @classmethod
     def of(cls, seen: Sequence[Observation], keypoints: Sequence[Keypoints2D]) -> StackedObservations:
@@ -60,6 +62,7 @@ class StackedObservations(Movable):
             torch.stack([_at_side(each, side) for each in labels]) if labels else None,
             seen[0].label_set,
             torch.stack(lenses) if lenses else None,
+            seen[0].lens_assumed,
         )
 
     @classmethod
@@ -98,6 +101,7 @@ class StackedObservations(Movable):
             labels=None if self.labels is None else self.labels[row],
             label_set=self.label_set,
             lens=None if self.lens is None else self.lens[row],
+            lens_assumed=self.lens_assumed,
         )
 
     def select(self, rows: slice) -> StackedObservations:

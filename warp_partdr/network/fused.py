@@ -26,9 +26,11 @@ _Known = tuple[list[torch.Tensor], list[int], LabelNetwork]
 _fused: WeakKeyDictionary[LabelNetwork, _Known] = WeakKeyDictionary()
 
 
-def ask_fused(network: LabelNetwork, shares: torch.Tensor, keypoints: torch.Tensor, rays: torch.Tensor) -> Predicted:
+def ask_fused(
+    network: LabelNetwork, shares: torch.Tensor, keypoints: torch.Tensor, conditions: torch.Tensor
+) -> Predicted:
     """Bodies on CUDA, of features in bfloat16; of few people by a captured graph. Inputs as of ``forward``."""
-    fused, inputs = fused_network(network), (shares, keypoints, rays)
+    fused, inputs = fused_network(network), (shares, keypoints, conditions)
     if len(shares) <= _MOST_CAPTURED:
         key = _Captured, fused, tuple([(each.shape, each.dtype) for each in inputs])
         captured = graphs.find(key, shares.device, 0, lambda: _Captured(network, fused, inputs))
@@ -51,8 +53,8 @@ class _Captured:
     """``ask_with``, of inputs in fixed buffers."""
 
     def __init__(self, network: LabelNetwork, fused: LabelNetwork, inputs: _Inputs) -> None:
-        self._inputs = shares, keypoints, rays = tuple([each.clone() for each in inputs])
-        held = shares, keypoints, rays
+        self._inputs = shares, keypoints, conditions = tuple([each.clone() for each in inputs])
+        held = shares, keypoints, conditions
         self._step = CapturedStep(lambda: ask_with(network, fused, held, half=True), shares.device)
 
     def __call__(self, inputs: _Inputs) -> Predicted:

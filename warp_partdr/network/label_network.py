@@ -1,7 +1,8 @@
 """Label network: a body from part labels and keypoints, no colour, by a small convolutional encoder and a regressor.
 
 Its input is independent of the label set and the keypoint format: a pixel holds the share of each of the 20 parts in
-its label, of background and of unknown; keypoints are those of ``LANDMARKS`` that were found. A camera may be known.
+its label, of background and of unknown; keypoints are those of ``LANDMARKS`` that were found. The camera may be known,
+or a usual lens be assumed, and the person's stature may be known (``network_conditions``).
 """
 
 from __future__ import annotations
@@ -30,7 +31,11 @@ NUM_CHANNELS = NUM_PARTS + 2  # the parts, background, unknown
 EVEN_CHANNELS = 24  # the same in bfloat16, which products of matrices take eight at a time; the last ones are 0
 _UNKNOWN = NUM_CHANNELS - 1
 _HEATMAP_STRIDE = 4  # of the labels' pixels
-_RAYS = 4  # numbers of ``lens_rays``
+_RAYS = 4  # the first numbers of ``network_conditions``
+NUM_CONDITIONS = 6
+KNOWN_LENS, USUAL_LENS = 1.0, 0.5  # certainty of a lens that is known, and of one that is assumed
+_STATURE = 1.7  # [m], at which a known stature is 0
+_STATURE_SCALE = 5.0  # of its logarithm, so that people differ by about 1
 # [half-sides of the crop], focal length from which on cameras look alike, about 7 m away. Networks learn from those
 # that end at 9 m: told of a farther one, they shrank the body.
 _FARTHEST = 8.0
@@ -57,6 +62,9 @@ class LabelNetworkConfig:
     keypoint_features: int = 256  # number of features made of the keypoints' coordinates
     attention_layers: int = 0  # of ``LandmarkAttention``; 0: without
     attention_width: int = 192  # of its tokens
+    stature: bool = (
+        False  # the network is told the person's stature where it is known, as packaged ones are from run 18
+    )
     regressor: RegressorConfig = field(default_factory=RegressorConfig)
 
     def __post_init__(self) -> None:
@@ -125,29 +133,42 @@ def map_shares(maps: torch.Tensor, known: torch.Tensor, table: torch.Tensor) -> 
     return torch.einsum("bghw,gc->bchw", shares, rows)
 
 
-def lens_rays(lenses: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
-    """Cameras as networks see them: by the tangents of their rays, which are finite however far away a camera is.
+def network_conditions(
+    lenses: torch.Tensor, certainty: torch.Tensor, statures: torch.Tensor | None = None
+) -> torch.Tensor:
+    """Numbers that networks are told beside pixels and keypoints: the camera's rays, and the person's stature.
+
+    Cameras are told by the tangents of their rays, which are finite however far away a camera is.
 
     Args:
         lenses: Focal length and principal point in crop coordinates, shape (B, 3).
-        known: False for those that the network isn't to know, shape (B,), bool.
+        certainty: Certainty of each lens: ``KNOWN_LENS``, ``USUAL_LENS``, or 0 where nothing is known, shape (B,).
+        statures: Known statures [m], NaN where unknown, shape (B,); None: none is known.
 
     Returns:
-        1; of the crop's half side, as from ``_FARTHEST`` at most; of its middle, negative, across and down; all 0 where
-        unknown, shape (B, 4).
+        Shape (B, 6): the certainty; the tangents of the crop's half side, as from ``_FARTHEST`` at most, and of its
+        middle, negative, across and down; 1 where the stature is known, and its scaled logarithm. All are 0 where
+        unknown.
     """
     focal = lenses[:, :1]
-    rays = torch.cat([torch.ones_like(focal), 1 / focal.clamp_max(_FARTHEST), lenses[:, 1:] / focal], dim=1)
-    return torch.where(known[:, None], rays, 0.0)
+    rays = torch.cat([1 / focal.clamp_max(_FARTHEST), lenses[:, 1:] / focal], dim=1)
+    rays = torch.where(certainty[:, None] > 0, rays, 0.0)
+    tall = rays.new_zeros(len(rays), 2)
+    if statures is not None:
+        known = ~statures.isnan()
+        logarithms = _STATURE_SCALE * (statures / _STATURE).log()
+        tall = torch.stack([known.to(rays), torch.where(known, logarithms, 0.0)], dim=1)
+    return torch.cat([certainty[:, None].to(rays), rays, tall], dim=1)
 
 
 class LabelNetwork(nn.Module):
-    """Label shares, keypoints and rays of the camera to bodies, as a camera sees them that looks at the pelvis."""
+    """Label shares, keypoints and conditions to bodies, as a camera sees them that looks at the pelvis."""
 
     def __init__(self, config: LabelNetworkConfig) -> None:
         super().__init__()
         self.config = config
         stem, *rest, last = config.channels
+        self._conditions = NUM_CONDITIONS if config.stature else _RAYS
         self.stem = nn.Sequential(
             _Widening(NUM_CHANNELS, stem, 5, stride=2, padding=2, bias=False), nn.BatchNorm2d(stem), nn.ReLU()
         )
@@ -167,7 +188,7 @@ class LabelNetwork(nn.Module):
         self._shown = range(0, 2 * len(rest), 2)  # the stages whose maps ``attention`` looks at, the last of each size
         keypoints = config.keypoint_features
         self.keypoints = nn.Sequential(
-            nn.Linear(3 * len(LANDMARKS) + _RAYS, 2 * keypoints),
+            nn.Linear(3 * len(LANDMARKS) + self._conditions, 2 * keypoints),
             nn.ReLU(),
             nn.Linear(2 * keypoints, keypoints),
             nn.ReLU(),
@@ -176,23 +197,23 @@ class LabelNetwork(nn.Module):
         features = config.places * side**2 + keypoints
         if config.attention_layers:
             self.attention = LandmarkAttention(
-                rest, 3 + _RAYS, width=config.attention_width, layers=config.attention_layers
+                rest, 3 + self._conditions, width=config.attention_width, layers=config.attention_layers
             )
             features += NUM_SAID
         self.regressor = Regressor(features, config.regressor)
         self.uncertainty = UncertaintyHead(features)
 
-    def forward(self, shares: torch.Tensor, keypoints: torch.Tensor, rays: torch.Tensor) -> Predicted:
+    def forward(self, shares: torch.Tensor, keypoints: torch.Tensor, conditions: torch.Tensor) -> Predicted:
         """Bodies.
 
         Args:
             shares: From ``label_shares`` or ``map_shares``, shape (B, 22, S, S); more channels, of zeros, may follow.
             keypoints: Crop coordinates and confidence, all 0 where missing (``network_keypoints``), shape (B, 24, 3).
-            rays: Of the cameras, from ``lens_rays``, shape (B, 4).
+            conditions: From ``network_conditions``, shape (B, 6).
         """
-        return self.bodies(self.features(shares, keypoints, rays), keypoints)
+        return self.bodies(self.features(shares, keypoints, conditions), keypoints)
 
-    def features(self, shares: torch.Tensor, keypoints: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:
+    def features(self, shares: torch.Tensor, keypoints: torch.Tensor, conditions: torch.Tensor) -> torch.Tensor:
         """Features that bodies are made of, (B, F); arguments as of ``forward``."""
         heatmaps = draw_heatmaps(keypoints, self.config.size // _HEATMAP_STRIDE)
         coarse = self.coarse(self.stem(shares))
@@ -202,9 +223,10 @@ class LabelNetwork(nn.Module):
             seen = stage(seen)
             if index in self._shown:
                 maps.append(seen)
-        found = [seen, self.keypoints(torch.cat([keypoints.flatten(1), rays], dim=1))]
+        told = conditions[:, : self._conditions]
+        found = [seen, self.keypoints(torch.cat([keypoints.flatten(1), told], dim=1))]
         if self.config.attention_layers:
-            found.append(self.attention(maps, keypoints, rays))
+            found.append(self.attention(maps, keypoints, told))
         return torch.cat([each.to(seen) for each in found], dim=1)
 
     def bodies(self, features: torch.Tensor, keypoints: torch.Tensor) -> Predicted:

@@ -32,15 +32,15 @@ class LandmarkAttention(nn.Module):
         self.layers = nn.TransformerEncoder(layer, layers, nn.LayerNorm(width), enable_nested_tensor=False)
         self.said = nn.Linear(width, _SAID)
 
-    def forward(self, maps: Sequence[torch.Tensor], keypoints: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:
+    def forward(self, maps: Sequence[torch.Tensor], keypoints: torch.Tensor, conditions: torch.Tensor) -> torch.Tensor:
         """Features.
 
         Args:
             maps: Of any sizes, each (B, C, H, W).
             keypoints: Crop coordinates and confidence, all 0 where missing, shape (B, 24, 3).
-            rays: Of the cameras, shape (B, R); a landmark is told these and its keypoint.
+            conditions: Of ``network_conditions``, shape (B, C); a landmark is told these and its keypoint.
         """
-        told = torch.cat([keypoints, rays[:, None].expand(-1, keypoints.shape[1], -1)], dim=2)
+        told = torch.cat([keypoints, conditions[:, None].expand(-1, keypoints.shape[1], -1)], dim=2)
         tokens = self.shown(at_keypoints(maps, keypoints)) + self.told(told) + self.names
         features: torch.Tensor = self.said(self.layers(tokens)).flatten(1)
         return features

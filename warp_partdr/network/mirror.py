@@ -21,7 +21,7 @@ _MOST_CHANNELS = 2 * NUM_CHANNELS
 
 
 def mirror_inputs(
-    shares: torch.Tensor, keypoints: torch.Tensor, rays: torch.Tensor
+    shares: torch.Tensor, keypoints: torch.Tensor, conditions: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Inputs of a label network, left and right exchanged in the picture and in names; shapes as its ``forward``."""
     swap = _orders(shares.device)
@@ -29,7 +29,7 @@ def mirror_inputs(
     places = shares.permute(0, 2, 3, 1).flip(2)  # channels last, as in memory: gathered so in a sixth of the time
     channels = swap["channels"][: places.shape[-1]]
     pictures = places.flatten(0, 2).index_select(1, channels).view(places.shape).permute(0, 3, 1, 2)
-    return pictures, points, rays * swap["ray"]
+    return pictures, points, conditions * swap["condition"]
 
 
 def mirror_bodies(bodies: Predicted) -> Predicted:
@@ -78,7 +78,7 @@ def _orders(device: torch.device) -> dict[str, torch.Tensor]:
         "joints": mirror_order(JOINT_NAMES[1:]),
         "turns": np.append(0, free + 1),
         "point": np.array([-1.0, 1.0, 1.0], np.float32),
-        "ray": np.array([1.0, 1.0, -1.0, 1.0], np.float32),
+        "condition": np.array([1.0, 1.0, -1.0, 1.0, 1.0, 1.0], np.float32),
         # Of M R M, where M mirrors x.
         "rotation": np.array([[1.0, -1.0, -1.0], [-1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]], np.float32),
     }

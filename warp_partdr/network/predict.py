@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import replace
 
@@ -16,12 +17,14 @@ from ..interop.torch_threads import one_torch_thread
 from .fused import ask_fused, ask_with
 from .label_network import (
     EVEN_CHANNELS,
+    KNOWN_LENS,
     NUM_CHANNELS,
+    USUAL_LENS,
     LabelNetwork,
     label_shares,
     label_table,
-    lens_rays,
     map_shares,
+    network_conditions,
 )
 from .landmarks import format_keypoints, stack_keypoints
 from .mirror import mean_bodies, mirror_bodies, mirror_inputs
@@ -32,19 +35,26 @@ from .upright import leans, turn_inputs, turn_predicted
 def network_inputs(
     seen: Sequence[Observation] | StackedObservations, size: int
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Input of a label network for N people: shares (N, 22, size, size), keypoints (N, 24, 3) and rays (N, 4)."""
+    """Input of a label network for N people: shares (N, 22, size, size), keypoints (N, 24, 3) and conditions (N, 6)."""
     if isinstance(seen, StackedObservations):
         keypoints = format_keypoints(seen.landmarks, seen.visible, seen.points, seen.confidence)
         lenses = keypoints.new_ones(len(seen), 3) if seen.lens is None else seen.lens
-        known = torch.full((len(seen),), seen.lens is not None, device=lenses.device)
-        return _stacked_pictures(seen, size), keypoints, lens_rays(lenses, known)
+        certainty = keypoints.new_full((len(seen),), _certainty(seen))
+        return _stacked_pictures(seen, size), keypoints, network_conditions(lenses, certainty)
     keypoints = stack_keypoints(
         [each.landmarks for each in seen], [each.points for each in seen], [each.confidence for each in seen]
     )
     unknown = keypoints.new_ones(3)
     lenses = torch.stack([unknown if each.lens is None else each.lens for each in seen])
-    known = torch.tensor([each.lens is not None for each in seen]).to(lenses.device)
-    return _network_pictures(seen, size), keypoints, lens_rays(lenses, known)
+    certainty = torch.tensor([_certainty(each) for each in seen]).to(lenses.device)
+    statures = torch.tensor([math.nan if each.stature is None else each.stature for each in seen]).to(lenses.device)
+    return _network_pictures(seen, size), keypoints, network_conditions(lenses, certainty, statures)
+
+
+def _certainty(seen: Observation | StackedObservations) -> float:
+    if seen.lens is None:
+        return 0.0
+    return USUAL_LENS if seen.lens_assumed else KNOWN_LENS
 
 
 def upright_inputs(
@@ -52,17 +62,17 @@ def upright_inputs(
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Inputs of N people, turned upright, and by how much they lean, (N,); with ``half``, shares may be bfloat16."""
     if not isinstance(seen, StackedObservations) or seen.labels is None or seen.label_set is None:
-        shares, keypoints, rays = network_inputs(seen, size)
+        shares, keypoints, conditions = network_inputs(seen, size)
         angles = leans(keypoints)
-        return *turn_inputs(shares, keypoints, rays, -angles), angles
-    _, keypoints, rays = network_inputs(replace(seen, labels=None, label_set=None), size)
+        return *turn_inputs(shares, keypoints, conditions, -angles), angles
+    _, keypoints, conditions = network_inputs(replace(seen, labels=None, label_set=None), size)
     angles = leans(keypoints)
     labels = resize_nearest(seen.labels, size)[:, None].float()  # to be turned: a number a pixel, not 22
-    labels, keypoints, rays = turn_inputs(labels, keypoints, rays, -angles)
+    labels, keypoints, conditions = turn_inputs(labels, keypoints, conditions, -angles)
     table = label_table(seen.label_set).to(labels.device)
     if half:
         table = torch.nn.functional.pad(table, (0, EVEN_CHANNELS - table.shape[1])).bfloat16()
-    return _shares_of_ids(labels[:, 0], table), keypoints, rays, angles
+    return _shares_of_ids(labels[:, 0], table), keypoints, conditions, angles
 
 
 def _shares_of_ids(labels: torch.Tensor, table: torch.Tensor) -> torch.Tensor:
@@ -163,15 +173,15 @@ def ask_network(
     With ``half``, features are made in bfloat16.
     """
     *inputs, angles = upright_inputs(observations, network.config.size, half=half)
-    shares, keypoints, rays = inputs
+    shares, keypoints, conditions = inputs
     if mirror:
-        both = zip(inputs, mirror_inputs(shares, keypoints, rays), strict=True)
-        shares, keypoints, rays = map(torch.cat, both)
+        both = zip(inputs, mirror_inputs(shares, keypoints, conditions), strict=True)
+        shares, keypoints, conditions = map(torch.cat, both)
     shares = shares.contiguous(memory_format=torch.channels_last)
     if half and shares.is_cuda:
-        predicted = ask_fused(network, shares, keypoints, rays)
+        predicted = ask_fused(network, shares, keypoints, conditions)
     else:
-        predicted = ask_with(network, network, (shares, keypoints, rays), half=half)
+        predicted = ask_with(network, network, (shares, keypoints, conditions), half=half)
     if mirror:
         own, images = slice(len(observations)), slice(len(observations), None)
         predicted = mean_bodies(predicted.select(own), mirror_bodies(predicted.select(images)))

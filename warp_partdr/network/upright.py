@@ -42,18 +42,18 @@ def leans(keypoints: torch.Tensor) -> torch.Tensor:
 
 
 def turn_inputs(
-    pictures: torch.Tensor, keypoints: torch.Tensor, rays: torch.Tensor, angles: torch.Tensor
+    pictures: torch.Tensor, keypoints: torch.Tensor, conditions: torch.Tensor, angles: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Inputs of a label network, turned clockwise about the crops' middles by ``angles`` (B,) [rad].
 
     Of labels as shares or as ids (B, C, S, S), float32: what comes into a crop from beyond it is what is at its border.
-    Keypoints and rays as of the network's ``forward``.
+    Keypoints and conditions as of the network's ``forward``.
     """
     rows: slice | torch.Tensor = slice(None)  # on a GPU all, for choosing would wait for it
     if not angles.is_cuda:
         rows = angles.nonzero()[:, 0]
         if len(rows) == 0:
-            return pictures, keypoints, rays
+            return pictures, keypoints, conditions
     some = pictures[rows]
     across = cell_centres(some.shape[-1], some.device)
     # From places after the turn to those before it; torch's own products of matrices take a GPU longer.
@@ -65,8 +65,9 @@ def turn_inputs(
     )
     turns = _turns(angles)
     points = keypoints[..., :2] @ turns.mT
-    rays = torch.cat([rays[:, :2], (turns @ rays[:, 2:, None])[..., 0]], dim=1)
-    return pictures, torch.cat([points, keypoints[..., 2:]], dim=2), rays
+    lens, aside, stature = conditions.split([2, 2, conditions.shape[1] - 4], dim=1)
+    conditions = torch.cat([lens, (turns @ aside[..., None])[..., 0], stature], dim=1)
+    return pictures, torch.cat([points, keypoints[..., 2:]], dim=2), conditions
 
 
 def turn_predicted(bodies: Predicted, angles: torch.Tensor) -> Predicted:

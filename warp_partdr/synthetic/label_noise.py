@@ -39,7 +39,7 @@ TRAINING_LABEL_SETS: dict[str, float] = {
 
 MAX_STRENGTH = 2.5
 CLEAN = 0.08  # share of samples without noise
-NO_LABELS, NO_KEYPOINTS = 0.08, 0.06  # shares of samples that lack the one or the other altogether
+NO_LABELS, NO_KEYPOINTS = 0.2, 0.05  # shares of samples that lack the one or the other altogether
 
 # At strength 1, unless said otherwise.
 _SWAP = 0.05  # of a limb's sides

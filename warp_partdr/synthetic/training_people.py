@@ -23,6 +23,7 @@ from ..clothing.point_sums import sum_points
 from ..clothing.pose import pose_from_ellipbody
 from ..inputs.observation import CROP_MARGIN
 from ..network.heads import cell_centres
+from ..network.label_network import KNOWN_LENS, USUAL_LENS
 from ..network.landmarks import LANDMARKS
 from ..render.mesh import PartImage, draw_mesh
 from ..render.part_mesh import PartMesh
@@ -43,10 +44,15 @@ CELL_LEVELS = 4  # of each phenotype value
 NUM_CELLS = CELL_LEVELS ** len(people.PHENOTYPE_RANGES)
 _BEYOND = 0.25  # of a cell: how far the outermost ones reach beyond the ranges of PartBench's people
 _YOUNGER = 1.0  # of a cell: how far below their ages
-_FAR = 0.35  # share of cameras so far away that 1/z is as good as linear: weak perspective
+_FAR = 0.15  # share of cameras so far away that 1/z is as good as linear: weak perspective
 _FAR_AWAY = 100.0  # [m]
-_DISTANCE = (1.4, 9.0)  # [m], of the other cameras; small ones as often as large ones, as logarithms
-_KNOWN = 0.5  # share of these that the network knows
+_DISTANCE = (1.4, 12.0)  # [m], of the other cameras; small ones as often as large ones, as logarithms
+# Shares of people whose camera's lens the network knows, and for whom a usual one is assumed. A usual lens is off by a
+# factor whose logarithm has this standard deviation: focal lengths of phones and cameras are 0.65 to 1.6 of a picture's
+# longer side. Of a camera far away it tells some distance of a near one.
+_KNOWN, _ASSUMED, _ASSUMED_OFF = 0.35, 0.5, 0.25
+_STATURE_KNOWN = 0.25  # share of people whose stature the network knows,
+_STATURE_OFF = 0.01  # [m], with an error of this standard deviation
 # A person is off the optical axis by tangents of this standard deviation, or of a wide picture evenly up to this.
 _ASIDE, _WIDE_ASIDE, _WIDE = 0.08, 0.5, 0.35
 # Mean and standard deviation of pitch and roll [degrees], of most cameras and of the others; one above looks down.
@@ -84,8 +90,9 @@ class PeopleBatch:
     orientation: torch.Tensor  # EllipBody's global orientation, seen along the ray to its pelvis, shape (B, 3, 3)
     rotations: torch.Tensor  # EllipBody's local rotations, its bones along Anny's, shape (B, 20, 3, 3)
     lengths: torch.Tensor  # ``LENGTH_NAMES`` between Anny's joints, both sides' mean [m], shape (B, 12)
-    lenses: torch.Tensor  # true focal length and principal point of the camera, shape (B, 3)
-    lens_known: torch.Tensor  # whether the network knows these, shape (B,), bool
+    lenses: torch.Tensor  # focal length and principal point that the network is told, shape (B, 3)
+    lens_certainty: torch.Tensor  # of these: ``KNOWN_LENS`` for the true ones, ``USUAL_LENS``, or 0, shape (B,)
+    statures: torch.Tensor  # that the network is told [m], NaN where it is not, shape (B,)
     turns: torch.Tensor  # from the frame along the ray to the camera's, shape (B, 3, 3)
     distances: torch.Tensor  # of the pelvis from the camera, along its axis [m], shape (B,)
 
@@ -121,10 +128,10 @@ class _View:
         """Shortest rotations from the camera's axis to the rays to the pelvises, shape (B, 3, 3)."""
         return rotations_to(torch.nn.functional.pad(self.aside, (0, 1), value=1.0))
 
-    def lenses(self, crop: _Crop) -> torch.Tensor:
-        """Focal length and principal point in crop coordinates, shape (B, 3)."""
+    def lenses(self, crop: _Crop, factors: torch.Tensor) -> torch.Tensor:
+        """Focal lengths, times ``factors`` (B, 1), and principal points in crop coordinates, shape (B, 3)."""
         centre = crop((-self.aside * self.distance)[:, None])[:, 0]
-        return torch.cat([self.distance / crop.half[:, None], centre], dim=1)
+        return torch.cat([factors * self.distance / crop.half[:, None], centre], dim=1)
 
 
 @dataclass(frozen=True)
@@ -300,6 +307,7 @@ class PeopleMaker:
         shown[cut] = cut_mask(shown[cut] > 0, found, height[cut], rng.chance(_UNSURE, len(found)))
         groups = self._labels.groups(shown, label_sets, strength)
         groups = torch.where(occluders.mask, occluders.groups, groups)
+        certainty, factors = self._told_lenses(view.distance)
         along = view.turns().mT
         joints = (joints - joints[:, :1]) @ along.mT
         bones = joints[:, 1:] - joints[:, self._bone_starts]
@@ -315,8 +323,11 @@ class PeopleMaker:
             orientation=orientation,
             rotations=people.rotations_along(bones / lengths[..., None], orientation, world),
             lengths=lengths @ self._length_weights.T,
-            lenses=view.lenses(crop),
-            lens_known=(view.distance < _FAR_AWAY)[:, 0] & rng.chance(_KNOWN, count),
+            lenses=view.lenses(crop, factors),
+            lens_certainty=certainty[:, 0],
+            statures=torch.where(
+                rng.chance(_STATURE_KNOWN, count), stature + _STATURE_OFF * rng.normal(count), torch.nan
+            ),
             turns=along.mT,
             distances=view.distance[:, 0],
         )
@@ -346,6 +357,20 @@ class PeopleMaker:
         aside = torch.where(rng.chance(_WIDE, count, 1), wide, _ASIDE * rng.normal(count, 2))
         aside = torch.where(distance < _FAR_AWAY, aside, 0.0)
         return _View(pelvises[:, 0], distance, aside)
+
+    def _told_lenses(self, distance: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Certainty of the lenses that the network is told, and what their focal lengths are times too long, (B, 1).
+
+        ``distance`` (B, 1) is that of the true cameras [m].
+        """
+        count, rng = len(distance), self._rng
+        kind, near, far = rng.uniform(count, 1), *np.log(_DISTANCE)
+        assumed = (kind >= _KNOWN) & (kind < _KNOWN + _ASSUMED)
+        certainty = torch.where(kind < _KNOWN, KNOWN_LENS, torch.where(assumed, USUAL_LENS, 0.0))
+        off = (_ASSUMED_OFF * rng.normal(count, 1)).exp()
+        as_if_near = rng.uniform(count, 1, low=near, high=far).exp() / _FAR_AWAY
+        off = torch.where(distance < _FAR_AWAY, off, as_if_near)
+        return certainty, torch.where(assumed, off, 1.0)
 
     def _crop(
         self, outlines: Sequence[torch.Tensor], points: torch.Tensor, detected: torch.Tensor, labelled: torch.Tensor

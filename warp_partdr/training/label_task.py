@@ -23,7 +23,14 @@ from ..cameras import Perspective
 from ..errors import InputError
 from ..metrics import confusion, foreground_counts, mpjpe, pa_mpjpe, part_f1, pooled
 from ..network.checkpoint import load_label_network, save_label_network
-from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_table, lens_rays
+from ..network.label_network import (
+    NUM_CONDITIONS,
+    LabelNetwork,
+    LabelNetworkConfig,
+    label_shares,
+    label_table,
+    network_conditions,
+)
 from ..network.landmark_attention import NUM_SAID
 from ..network.landmarks import LANDMARKS
 from ..network.predicted import Predicted, posed_landmarks
@@ -172,6 +179,13 @@ class LabelTask(Task):
             sizes = replace(sizes, regressor=replace(sizes.regressor, feedback=True))
             first = "regressor.first.linear.weight"
             weights[first] = torch.nn.functional.pad(weights[first], (0, MISFITS))
+        if expected.stature and not sizes.stature:
+            sizes = replace(sizes, stature=True)
+            # Conditions are the last columns of these layers.
+            for name, before in (("keypoints.0.weight", 3 * len(LANDMARKS)), ("attention.told.weight", 3)):
+                if name in weights:
+                    more = before + NUM_CONDITIONS - weights[name].shape[1]
+                    weights[name] = torch.nn.functional.pad(weights[name], (0, more))
         if sizes != expected:
             raise InputError(f"initial: {source}: a network of {network.config}; expected {self.config.model}")
         return weights
@@ -187,13 +201,14 @@ class LabelTask(Task):
     def predict(self, model: torch.nn.Module, people: PeopleBatch) -> Predicted:
         """Bodies that a network says people have."""
         angles = leans(people.keypoints)
-        groups, keypoints, rays = turn_inputs(
-            people.groups[:, None].float(), people.keypoints, lens_rays(people.lenses, people.lens_known), -angles
+        conditions = network_conditions(people.lenses, people.lens_certainty, people.statures)
+        groups, keypoints, conditions = turn_inputs(
+            people.groups[:, None].float(), people.keypoints, conditions, -angles
         )
         shares = label_shares(groups[:, 0].byte(), self._tables, people.label_sets)
         if not model.training:  # validated without autocast
             shares = shares.float()
-        predicted: Predicted = model(shares, keypoints, rays)
+        predicted: Predicted = model(shares, keypoints, conditions)
         return turn_predicted(predicted, angles)
 
     @cached_property
