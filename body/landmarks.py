@@ -8,18 +8,20 @@ The joints of the model are landmarks under their own names. The others were rea
 pose, the body that ``mean_body.json`` measures: nose, eyes, ears, toes and heels of its COCO regressor, knuckles from
 its finger bones. Some lie off the ellipsoid's surface, as a nose and a heel do.
 
-Every data set has its own idea of where a hip is: what COCO's annotators marked is a landmark of its own, such as
-"coco_left_hip". Which landmark a format's joint stands for is in ``skeletons.py``.
+Every data set has its own idea of where a hip is. What COCO's annotators marked is a landmark of its own, such as
+"coco_left_hip", and so are the joints of ``CONVENTIONS``, such as "h36m_head_top". Which landmark a format's joint
+stands for is in ``skeletons.py``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from .template import PART_NAMES
+from .template import BONE_STARTS, PART_NAMES, SHAPE_INDICES, template
 
 Point = tuple[str, tuple[float, float, float]]  # Part and normalised coordinates.
 
@@ -69,6 +71,30 @@ _ANNOTATED: dict[str, Point] = {
     "ankle": ("left_lower_leg", (0.91, -0.02, -0.06)),
 }
 _SUFFIXED = ("mouth",)  # BlazePose says mouth_left.
+_COCO = "coco"
+
+Offset = tuple[float, float, float]  # to the person's left, up and forward in the rest pose [mm], of the mean adult
+
+# Where joints of data sets lie from the landmarks of the same names, of the left side, fixed to the trunk or
+# the head. Joints that are not here lie at the landmarks. Offsets were learned by ``scripts/learn_landmarks.py`` from
+# people whose 3D joints are known; docs/inputs.md says from how many, and how well each offset is known.
+CONVENTIONS: dict[str, dict[str, tuple[str, Offset]]] = {
+    "h36m": {
+        "mid_hip": ("pelvis", (0.0, 29.3, 24.2)),
+        "hip": ("pelvis", (17.1, 29.3, 24.2)),
+        "spine": ("abdomen", (0.0, 40.8, -20.0)),
+        "neck": ("chest", (0.0, 48.8, 16.7)),
+        "head": ("head", (0.0, -17.6, 74.3)),
+        "head_top": ("head", (0.0, -103.8, 7.7)),
+        "shoulder": ("chest", (-23.6, -2.1, -0.7)),
+    },
+    "shelf": {
+        "hip": ("pelvis", (4.9, -48.9, 70.3)),
+        "shoulder": ("chest", (-12.6, -16.7, -11.5)),
+        "neck": ("chest", (0.0, 98.5, 57.8)),
+        "head_top": ("head", (0.0, -56.1, 54.0)),
+    },
+}
 
 
 def mirror_point(point: Point) -> Point:
@@ -88,16 +114,77 @@ def _table() -> dict[str, tuple[Point, ...]]:
         table[f"coco_left_{name}"], table[f"coco_right_{name}"] = (point,), (mirror_point(point),)
     for middle, ends in (("mid_hip", "hip"), ("neck", "shoulder")):
         table[f"coco_{middle}"] = (*table[f"coco_left_{ends}"], *table[f"coco_right_{ends}"])
+    for convention, offsets in CONVENTIONS.items():
+        for name, (part, offset) in offsets.items():
+            for side in ("left", "right") if name in _SIDED else ("",):
+                own = f"{side}_{name}" if side else name
+                table[f"{convention}_{own}"] = _offset_points(table[own], part, _sided_offset(offset, side), side)
     return table
 
 
-def annotated(names: Sequence[str], known: Collection[str] | None = None) -> tuple[str, ...]:
-    """Landmarks where COCO's annotators mark those of ``names``; the same where they mark the body's own.
+def _sided_offset(offset: Offset, side: str) -> np.ndarray:
+    """Offset of one side in the body frame [m]."""
+    return np.array(offset) * ((-1.0 if side == "right" else 1.0), 1.0, 1.0) / 1000.0
 
-    ``known`` are the landmarks that a model has; None: EllipBody's.
+
+def _offset_points(points: tuple[Point, ...], part: str, offset: np.ndarray, side: str) -> tuple[Point, ...]:
+    """Points that carry what lies so far from the mean of other points in the mean adult at rest."""
+    place = np.mean([_rest_point(each) for each in points], axis=0) + offset
+    if part == "pelvis":  # The hips are the pelvis.
+        carriers = [f"{side}_hip"] if side else ["left_hip", "right_hip"]
+    else:
+        carriers = [part]
+    return tuple((carrier, _normalised(carrier, place)) for carrier in carriers)
+
+
+@lru_cache(maxsize=len(PART_NAMES))
+def _rest_ellipsoid(part: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centre, axes as columns, and semi-axes of a part of the mean adult at rest, body frame [m]."""
+    constants, index = template(), PART_NAMES.index(part)
+    start, bone = np.zeros(3), index
+    length = constants.mean_lengths[SHAPE_INDICES[index][0]]
+    while (bone := BONE_STARTS[bone] - 1) >= 0:
+        start = start + constants.mean_lengths[SHAPE_INDICES[bone][0]] * constants.rest_directions[bone]
+    _, first, second = SHAPE_INDICES[index]
+    sizes = np.array([length, constants.mean_thicknesses[first], constants.mean_thicknesses[second]])
+    return start + length / 2 * constants.rest_directions[index], constants.rest_axes[index], sizes / 2
+
+
+def _rest_point(point: Point) -> np.ndarray:
+    part, coordinates = point
+    centre, axes, semi_axes = _rest_ellipsoid(part)
+    return centre + axes @ (semi_axes * coordinates)
+
+
+def _normalised(part: str, place: np.ndarray) -> tuple[float, float, float]:
+    centre, axes, semi_axes = _rest_ellipsoid(part)
+    bone, first, second = (axes.T @ (place - centre) / semi_axes).tolist()
+    return bone, first, second
+
+
+def annotated(names: Sequence[str], known: Collection[str] | None = None, convention: str = _COCO) -> tuple[str, ...]:
+    """Landmarks where a data set marks those of ``names``; the same where it marks the body's own.
+
+    Args:
+        names: Landmarks.
+        known: The landmarks that a model has; None: EllipBody's.
+        convention: "coco", where COCO's annotators mark them, or one of ``CONVENTIONS``.
     """
     known = LANDMARKS if known is None else known
-    return tuple(f"coco_{name}" if f"coco_{name}" in known else name for name in names)
+    return tuple(f"{convention}_{name}" if f"{convention}_{name}" in known else name for name in names)
+
+
+def plain_landmark(mark: str) -> str:
+    """Landmark whose place in a data set ``mark`` is: coco_left_hip -> left_hip."""
+    convention, _, name = mark.partition("_")
+    return name if convention in (_COCO, *CONVENTIONS) else mark
+
+
+def rest_offset(mark: str) -> np.ndarray:
+    """Way from a landmark to its ``mark`` in a data set, mean adult at rest, body frame [m], shape (3,)."""
+    ends = (np.mean([_rest_point(point) for point in LANDMARKS[name]], axis=0) for name in (plain_landmark(mark), mark))
+    start, end = ends
+    return end - start
 
 
 # Landmark -> the points whose mean it is: two for what lies between left and right, else one.

@@ -9,8 +9,9 @@ annotators meant stands in:
 
 COCO's annotators marked what they saw, OpenPose learned from them, and Halpe and COCO-WholeBody add to them; these have
 ``marks`` nearer the skin than joints. PoseTrack's, CrowdPose's and AI Challenger's (``aic14``) people were marked in
-photos, too, and are taken likewise. Human3.6M's and BlazePose's joints are centres; of LSP's and MPII's nothing is
-known here.
+photos, too, and are taken likewise, and so are CMU Panoptic's, which are triangulated from detections of a network that
+learned from COCO. Human3.6M's joints, and those of Shelf and Campus, are ``CONVENTIONS`` of their own. BlazePose's
+joints are centres; of LSP's and MPII's nothing is known here.
 
 Points of a format that are no landmark, such as a cheek or a fingertip, which bends, are left out: ``places`` tells
 where in a file's rows the others are.
@@ -29,13 +30,14 @@ import numpy as np
 
 from ..errors import InputError, shown
 from ..files.json_files import read_json
-from .landmarks import LANDMARKS, annotated, mirror_name, mirror_order
+from .landmarks import LANDMARKS, annotated, mirror_name, mirror_order, plain_landmark
 
-_ANNOTATED = "coco_"  # begins the names of landmarks where COCO's annotators mark them
 _ANNOTATED_FORMATS = (
     *("coco17", "body25", "body25b", "body135", "coco18", "halpe26", "halpe136", "wholebody133"),
-    *("posetrack17", "crowdpose14", "aic14"),
+    *("posetrack17", "crowdpose14", "aic14", "panoptic19"),
 )
+# Formats whose joints lie as one of ``CONVENTIONS`` has them.
+_CONVENTION_OF = {"h36m17": "h36m", "shelf14": "shelf"}
 _FEWEST = 2  # points that tell anything
 
 
@@ -83,7 +85,11 @@ def _skeleton(name: str, landmarks: str, edges: str, rows: Mapping[int, str] | N
         for side in ("left", "right") if "*" in chain else ("",):
             joints = [order.index(word.replace("*", side)) for word in chain.split("-")]
             pairs.update(dict.fromkeys(pairwise(joints)))
-    marks = annotated(order) if name in _ANNOTATED_FORMATS else order
+    marks = order
+    if name in _ANNOTATED_FORMATS:
+        marks = annotated(order)
+    elif name in _CONVENTION_OF:
+        marks = annotated(order, convention=_CONVENTION_OF[name])
     places = (*range(len(first)), *rows)
     return Skeleton(name, order, marks, tuple(pairs), places, count or len(order))
 
@@ -167,6 +173,19 @@ SKELETONS: dict[str, Skeleton] = {
             "mid_hip right_hip right_knee right_ankle left_hip left_knee left_ankle spine neck head head_top "
             "left_shoulder left_elbow left_wrist right_shoulder right_elbow right_wrist",
             f"mid_hip-spine-neck-head-head_top neck-*_shoulder mid_hip-*_hip {_ARMS_AND_LEGS}",
+        ),
+        _skeleton(
+            "panoptic19",
+            "neck nose mid_hip left_shoulder left_elbow left_wrist left_hip left_knee left_ankle right_shoulder "
+            "right_elbow right_wrist right_hip right_knee right_ankle left_eye left_ear right_eye right_ear",
+            f"mid_hip-neck-nose nose-*_eye-*_ear neck-*_shoulder mid_hip-*_hip {_ARMS_AND_LEGS}",
+        ),
+        # Shelf's and Campus's, in the order of LSP's.
+        _skeleton(
+            "shelf14",
+            "right_ankle right_knee right_hip left_hip left_knee left_ankle right_wrist right_elbow right_shoulder "
+            "left_shoulder left_elbow left_wrist neck head_top",
+            f"neck-head_top neck-*_shoulder *_shoulder-*_hip left_hip-right_hip {_ARMS_AND_LEGS}",
         ),
         _skeleton(
             "lsp14",
@@ -254,7 +273,7 @@ def _from_json(data: Any, path: Path) -> Skeleton:
             raise ValueError(f"point {row}: {shown(name)}; expected null or one of {', '.join(LANDMARKS)}")
     places = tuple(row for row, name in enumerate(points) if name is not None)
     marks = tuple(points[row] for row in places)
-    landmarks = tuple(name.removeprefix(_ANNOTATED) for name in marks)
+    landmarks = tuple(map(plain_landmark, marks))
     if len(places) < _FEWEST:
         raise ValueError(f"{len(places)} landmarks; expected {_FEWEST} at least")
     for name in landmarks:

@@ -15,6 +15,10 @@ from .interop.checks import FLOATS, check_tensor
 from .interop.derivatives import is_transformed
 from .interop.movable import Movable
 
+# Focal length of a usual lens, as a share of a picture's longer side: 36 mm on full frame. Phones and cameras have 0.65
+# to 1.6, mostly 0.7 to 1.2.
+USUAL_FOCAL = 1.0
+
 
 @dataclass(frozen=True)
 class WeakPerspective(Movable):
@@ -206,6 +210,21 @@ class Perspective(Movable):
         check_tensor("point", point, (self.focal.shape[0], 3), dtypes=FLOATS, like=("focal", self.focal))
         scale = self.focal.mean(1) / point[:, 2]
         return WeakPerspective(scale, self.project(point[:, None])[:, 0, :2])
+
+
+@dataclass(frozen=True)
+class UsualLens(Perspective):
+    """Camera of a picture whose own camera is not known: a usual lens, with its axis in the picture's middle.
+
+    Fits and networks treat it as any other camera, but know that it is assumed.
+    """
+
+    @classmethod
+    def of_size(cls, image_size: tuple[int, int]) -> UsualLens:
+        """Camera of a picture of (H, W) pixels, B = 1: its focal length is ``USUAL_FOCAL`` of the longer side."""
+        camera = cls.of_picture(image_size, focal=USUAL_FOCAL * max(image_size))
+        assert isinstance(camera, cls)
+        return camera
 
 
 _MIN_DEPTH = 1e-6  # [m]

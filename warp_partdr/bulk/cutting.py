@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..body.skeletons import Skeleton, skeleton
-from ..cameras import Perspective
+from ..cameras import Perspective, UsualLens
 from ..detection.person import SKELETON
 from ..errors import InputError
 from ..fit.cut_people import CutPeople, CutPerson, stack_alike
@@ -35,7 +35,12 @@ FAULTS = (ValueError, RuntimeError, MemoryError)  # of single pictures; torch's 
 
 
 def no_camera(name: str, size: tuple[int, int]) -> None:
-    """None: the camera of no picture is known."""
+    """None: the camera of no picture is known, and none is assumed."""
+
+
+def usual_camera(name: str, size: tuple[int, int]) -> UsualLens:
+    """Camera that is assumed for a picture of (H, W) pixels, of which none is known."""
+    return UsualLens.of_size(size)
 
 
 @dataclass(frozen=True)
@@ -58,12 +63,12 @@ class Cutter:
     """Cuts people out of pictures.
 
     Attributes:
-        camera: The camera of a picture by its name and (H, W), if it is known; of all pictures or of none.
+        camera: The camera of a picture by its name and (H, W), known or assumed; of all pictures or of none.
         skeleton: Format of keypoints in rows; those of other formats lose what it has not.
         label_size: Side [px] at which labels are kept, of people without masks of instances.
     """
 
-    camera: CameraOf = no_camera
+    camera: CameraOf = usual_camera
     skeleton: str | Skeleton = SKELETON
     label_size: int = LABEL_SIZE
 

@@ -199,13 +199,14 @@ class FitterSetup:
 
     def __call__(self, source: PictureSource, detailed: DetailedModel | None = None) -> PeopleFitter:
         """Make the fitter, and load its kernels."""
-        from ..bulk.cutting import Cutter, no_camera
+        from ..bulk.cutting import Cutter, no_camera, usual_camera
         from ..bulk.people import PeopleFitter, kept_label_size, stages_of_quality
         from ..network.checkpoint import load_label_network
 
         detailed = detailed or self.model()
         options = self.how.fit_options(half=self.half)
         network = load_label_network(self.how.network, device=self.device)
+        assumed = usual_camera if options.guess_camera else no_camera
         fitter = PeopleFitter(
             options,
             network,
@@ -214,7 +215,7 @@ class FitterSetup:
             self.batch or _people_at_a_time(self.device, meshes=detailed is not None),
             self.how.min_score,
             cutter=Cutter(
-                _Cameras(self.view, source) if self.view.given else no_camera,
+                _Cameras(self.view, source) if self.view.given else assumed,
                 source.skeleton,
                 kept_label_size(options, network, meshes=detailed is not None),
             ),

@@ -157,7 +157,9 @@ class PersonFiles:
         people = read_keypoints(keypoints, self.keypoint_format, photo=photo, size=sizes[0] or sizes[1])
         chosen = choose_person(people, groups, self.person)
         check_inside(chosen, sizes[0] or sizes[1])
-        return PersonInputs(chosen, tuple(other for other in people if other is not chosen), parts, picture)
+        others = tuple(other for other in people if other is not chosen)
+        chosen = replace(chosen, image_size=sizes[0] or sizes[1])
+        return PersonInputs(chosen, others, parts, picture)
 
 
 PartsFromOption = Annotated[str | None, Option(help="Network for part labels: folder or hf:ORG/NAME.", metavar="NAME")]

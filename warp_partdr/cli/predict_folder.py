@@ -48,7 +48,7 @@ def predict_folder(
     cameras = [_camera(view, sample) for sample in samples]
 
     from ..inputs.evidence import weigh_evidence
-    from ..inputs.observation import crop_evidence, observe
+    from ..inputs.observation import crop_evidence, observe, usual_lens
     from ..interop.devices import choose_device
     from ..network.checkpoint import load_label_network
     from ..network.predict import predict_bodies
@@ -72,7 +72,7 @@ def predict_folder(
             started = time.perf_counter()
             evidence = [weigh_evidence(sample.keypoints, sample.parts, sample.others)[0] for sample in some]
             pairs = zip(evidence, theirs, strict=True)
-            seen = [crop_evidence(each, device=where, camera=camera) for each, camera in pairs]
+            seen = [crop_evidence(each, device=where, camera=camera or usual_lens(each)) for each, camera in pairs]
             sizes = [image_size(sample.keypoints, sample.parts, None) for sample in some]
             read = time.perf_counter()
             files = predict_files(seen, sizes, model)

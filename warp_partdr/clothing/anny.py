@@ -13,6 +13,7 @@ from importlib import resources
 import numpy as np
 import torch
 
+from .convention_landmarks import with_conventions
 from .model import DetailedModel
 
 FORMAT = "warp-partdr anny 1"
@@ -53,7 +54,7 @@ def anny(device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32)
     def numbers(values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(values)).to(device, dtype)
 
-    return DetailedModel(
+    model = DetailedModel(
         name="anny",
         joint_names=tuple(data["joint_names"].tolist()),
         parents=tuple(data["parents"].tolist()),
@@ -68,6 +69,7 @@ def anny(device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32)
         skin_weights=numbers(skin_weights / skin_weights.sum(1, keepdims=True)),
         landmark_weights=numbers(landmark_weights),
     )
+    return with_conventions(model)
 
 
 def anny_shape(phenotypes: torch.Tensor | np.ndarray) -> torch.Tensor:

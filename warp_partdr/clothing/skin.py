@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from ..body.template import PART_NAMES
+from .convention_landmarks import with_conventions
 from .model import DetailedModel
 
 # Both are carried by the pelvis; any other part by the first joint that its skin follows.
@@ -82,7 +83,7 @@ def skinned_model(
         return torch.from_numpy(np.ascontiguousarray(values)).to(device, dtype)
 
     carried = skin.parts.tolist()
-    return DetailedModel(
+    model = DetailedModel(
         name=name,
         joint_names=tuple(skin.joint_names),
         parents=tuple(skin.parents),
@@ -98,3 +99,4 @@ def skinned_model(
         landmark_weights=numbers(np.stack(list(landmarks.values()))),
         pose_directions=None if pose_directions is None else numbers(pose_directions),
     )
+    return with_conventions(model)

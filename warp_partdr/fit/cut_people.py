@@ -16,7 +16,7 @@ from ..inputs.keypoints import Keypoints2D
 from ..inputs.observation import Observation
 from ..inputs.stacked import StackedObservations
 
-Kind = tuple[str | Skeleton, LabelSet | None, bool]
+Kind = tuple[str | Skeleton, LabelSet | None, bool, bool]
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,13 @@ class CutPerson:
 
     @property
     def kind(self) -> Kind:
-        """Format of the keypoints, label set, and if the camera is unknown: people who agree in it are alike."""
-        return self.evidence.keypoints.skeleton, self.observation.label_set, self.observation.lens is None
+        """Format of the keypoints, label set, and if the camera is unknown or assumed: people who agree are alike."""
+        return (
+            self.evidence.keypoints.skeleton,
+            self.observation.label_set,
+            self.observation.lens is None,
+            self.observation.lens_assumed,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +96,7 @@ class CutPeople(Sequence[CutPerson]):
     @property
     def kind(self) -> Kind:
         """As of ``CutPerson``."""
-        return self.skeleton, self.seen.label_set, self.seen.lens is None
+        return self.skeleton, self.seen.label_set, self.seen.lens is None, self.seen.lens_assumed
 
     def __len__(self) -> int:
         """N."""

@@ -19,7 +19,7 @@ from ..cameras import Crop, Perspective, check_square
 from ..errors import check_type
 from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.observation import Observation, crop_evidence, crop_lens
+from ..inputs.observation import Observation, crop_evidence, usual_lens
 from ..inputs.part_labels import PartLabels
 from ..interop.gradient_mode import with_gradients
 from ..interop.torch_threads import one_torch_thread
@@ -29,7 +29,6 @@ from ..network.predict import ask_network
 from ..network.predicted import Predicted
 from ..refinement.energy import Energy
 from ..refinement.refine import refine
-from .camera_guess import guess_camera
 from .depth_flips import repair_depth_order
 from .options import FitOptions, drawn_or_not, stages_of
 from .plausibility import choose_sides, complaints, poor_labels
@@ -68,8 +67,8 @@ def fit_body(
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
         camera: The picture's, such as ``Perspective.of_picture(size, focal=1500)``, with square pixels: the body then
-            stands where it is seen, in metres from the camera. None: weak perspective, or, of who is near, a guess
-            (``FitOptions.guess_camera``).
+            stands where it is seen, in metres from the camera. None: a usual lens (``FitOptions.guess_camera``). Where
+            neither labels nor ``keypoints.image_size`` tell the picture's size, that is weak perspective.
 
     Returns:
         The body, its camera, and how it went.
@@ -101,6 +100,8 @@ def fit_evidence(
     From ``body``, in the crop of ``crop_evidence``, instead of the network's, of which only its uncertainty is used.
     """
     _check_camera(camera)
+    if camera is None and options.guess_camera and body is None:
+        camera = usual_lens(readings[0])
     prior, parts = packaged_prior(str(device)), readings[0].picture
 
     def start(evidence: Evidence, options: FitOptions, progress: Progress | None = None) -> _Fit:
@@ -136,7 +137,6 @@ class _Fit:
     progress: Progress | None
     body: BodyParameters | None
     predicted: Predicted | None = None  # by the network, of ``looked_at``
-    camera_guessed: bool = False
     seconds: float = 0.0  # that the network took
 
     def search(self) -> FitResult:
@@ -159,22 +159,15 @@ class _Fit:
         return bodies if self.seen.lens is None else turn_to_rays(bodies, self.seen.lens)
 
     def looked_at(self) -> _Fit:
-        """The same with what the network says of the person, before a camera that is guessed of it if none is known."""
-        device = self.seen.points.device
-        network = known_network(self.options.network, str(device))
+        """Returns a copy with the network's prediction."""
+        network = known_network(self.options.network, str(self.seen.points.device))
         started = time.perf_counter()
-        predicted, camera, fit = self._ask(network), None, self
-        picture = self.evidence.picture
-        if self.options.guess_camera and self.seen.lens is None and self.body is None and picture is not None:
-            camera = guess_camera(predicted, self.crop, picture.groups.shape, self.options.guess_within)
-        if camera is not None:
-            lens = crop_lens(camera, self.crop).to(device)
-            fit = replace(self, seen=replace(self.seen, lens=lens), camera_guessed=True)
-            predicted = fit._ask(network)
-        return replace(fit, predicted=predicted, seconds=time.perf_counter() - started)
+        predicted = self._ask(network)
+        return replace(self, predicted=predicted, seconds=time.perf_counter() - started)
 
     def _ask(self, network: LabelNetwork) -> Predicted:
-        return self._sized(ask_network([self.seen], network, mirror=self.options.mirror, half=self.options.half))
+        told = replace(self.seen, stature=self.options.stature)
+        return self._sized(ask_network([told], network, mirror=self.options.mirror, half=self.options.half))
 
     def from_network(self) -> FitResult:
         """Fit from the body of ``looked_at``, whose sizes then are the expected ones."""
@@ -258,7 +251,7 @@ class _Fit:
             finalists=finalists,
             start=start,
             evidence=self.evidence,
-            camera_guessed=self.camera_guessed,
+            camera_guessed=self.seen.lens_assumed,
             before_outline=None if before_outline is None else self._sized(before_outline.select(chosen)),
             stature=self.options.stature,
         )

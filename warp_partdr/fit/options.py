@@ -33,9 +33,8 @@ class FitOptions:
         search: Stages of the search that is tried too where the network's body ends far from keypoints or labels; the
             lower energy wins. Empty: never.
         depth_flips: Try the network's body with limbs mirrored in depth, where parts overlap (``repair_depth_order``).
-        guess_camera: Where no camera is known and the network sees that it is near, take perspective of the distance
-            that it says, 10 m at most, the axis in the picture's middle. Needs labels, for the picture's size.
-        guess_within: Distance [m] that is near.
+        guess_camera: Where no camera is known, assume a usual lens (``UsualLens``), if labels or
+            ``Keypoints2D.image_size`` tell the picture's size. Otherwise the camera is one of weak perspective.
         stature: The person's height, standing [m], which the body then has; one picture does not tell sizes. None: the
             network's guess. Of one person (``fit_body``, ``fit_photo``).
         mirror: Ask the network about the mirror image, too; without, it is asked in half the time.
@@ -52,7 +51,6 @@ class FitOptions:
     search: tuple[Stage, ...] = STAGES["search"]["balanced"]
     depth_flips: bool = True
     guess_camera: bool = True
-    guess_within: float = 20.0
     stature: float | None = None
     mirror: bool = True
     half: bool = False
@@ -61,8 +59,6 @@ class FitOptions:
     def __post_init__(self) -> None:
         if self.start not in STAGES:
             raise ValueError(f"start: {self.start!r}; expected {', '.join(STAGES)}")
-        if not self.guess_within > 0:
-            raise ValueError(f"guess_within: {self.guess_within}; expected a positive distance [m]")
         check_stature(self.stature)
 
     @classmethod

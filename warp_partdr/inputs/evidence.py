@@ -56,6 +56,14 @@ class Evidence:
             raise ValueError("evidence: without part labels; expected some")
         return self.picture
 
+    @property
+    def image_size(self) -> tuple[int, int] | None:
+        """(H, W) of the picture [px]; None if neither labels nor keypoints tell it."""
+        if self.picture is None:
+            return self.keypoints.image_size
+        height, width = self.picture.groups.shape
+        return height, width
+
     def in_window(self) -> Keypoints2D:
         """Keypoints in pixels of the window."""
         return crop_keypoints(self.keypoints, _box_of(self.window), self.window.size)

@@ -29,6 +29,8 @@ class Keypoints2D:
         points: Positions [px], origin at the picture's top left corner, 0 where missing, shape (J, 2), float32.
         confidence: 0 (missing) to 1, shape (J,), float32.
         warnings: Sentences about what was odd in the file that they are from; fits pass them on.
+        image_size: (H, W) of their picture [px]; where it is known and no camera is given, fits assume a usual lens.
+            None: it is not known, or part labels tell it.
 
     Raises:
         InputError: If a shape is wrong, or a confidence is none.
@@ -38,6 +40,7 @@ class Keypoints2D:
     points: np.ndarray
     confidence: np.ndarray
     warnings: tuple[str, ...] = ()
+    image_size: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.format)
@@ -47,6 +50,8 @@ class Keypoints2D:
                 raise InputError(f"{name}: {np.shape(values)}; expected floats {shape}, as {self.format.name}")
         if not ((self.confidence >= 0) & (self.confidence <= 1)).all():
             raise InputError("confidence: holds numbers that are not from 0 to 1")
+        if self.image_size is not None and (len(self.image_size) != 2 or min(self.image_size) < 1):
+            raise InputError(f"image_size: {self.image_size}; expected (H, W) in pixels")
 
     @property
     def format(self) -> Skeleton:

@@ -13,7 +13,7 @@ import torch
 
 from ..body.labels import IGNORE, LabelSet
 from ..body.skeletons import Skeleton, skeleton
-from ..cameras import Crop, Perspective
+from ..cameras import Crop, Perspective, UsualLens
 from ..interop.movable import Movable
 from .evidence import Evidence, weigh_evidence
 from .ignored_labels import ignore_missing_limbs
@@ -83,13 +83,21 @@ def observe(
     others: Sequence[Keypoints2D] = (),
     trust_background: bool = False,
     device: torch.device | str = "cpu",
+    camera: Perspective | None = None,
 ) -> tuple[Observation, Crop]:
     """Cut one person out: a square crop, keypoints in it from -1 to 1; other people and missing limbs are ignored.
 
-    Where labels and keypoints disagree on left and right, the keypoints are believed (``fit_body`` tries both).
+    Where labels and keypoints disagree on left and right, the keypoints are believed (``fit_body`` tries both). If
+    ``camera`` is None, a usual lens is assumed where the picture's size is known.
     """
     evidence = weigh_evidence(keypoints, parts, others)[0]
-    return crop_evidence(evidence, trust_background=trust_background, device=device)
+    camera = camera or usual_lens(evidence)
+    return crop_evidence(evidence, trust_background=trust_background, device=device, camera=camera)
+
+
+def usual_lens(evidence: Evidence) -> UsualLens | None:
+    """Camera to assume for a picture of which none is known; None if its size is not known either."""
+    return None if evidence.image_size is None else UsualLens.of_size(evidence.image_size)
 
 
 def crop_evidence(
@@ -138,6 +146,7 @@ def crop_evidence(
             maps=maps,
             known=known,
             lens=None if camera is None else crop_lens(camera, crop).to(device),
+            lens_assumed=isinstance(camera, UsualLens),
         ),
         crop,
     )
@@ -193,7 +202,14 @@ def observe_together(
         names, marks = visible_names(person.keypoints.skeleton, person.keypoints.visible.tobytes())
         lens = None if person.camera is None else crop_lens(person.camera, crop).to(device)
         observation = Observation(
-            names, points[n], confidence[n], person.labels, person.label_set, marks=marks, lens=lens
+            names,
+            points[n],
+            confidence[n],
+            person.labels,
+            person.label_set,
+            marks=marks,
+            lens=lens,
+            lens_assumed=isinstance(person.camera, UsualLens),
         )
         evidence = Evidence(person.keypoints, None, person.window, None, person.warnings)
         found.append((evidence, observation, crop))

@@ -14,6 +14,7 @@ from ..errors import check_each, check_type
 from ..inputs.observation import Observation, resize_nearest
 from ..inputs.stacked import StackedObservations
 from ..interop.torch_threads import one_torch_thread
+from .conventions import keypoints_at_landmarks
 from .fused import ask_fused, ask_with
 from .label_network import (
     EVEN_CHANNELS,
@@ -169,9 +170,19 @@ def ask_network(
 ) -> Predicted:
     """Bodies as of ``predict_bodies``, and how sure they are: halfway between a picture's and its mirror image's.
 
-    Those who lean are turned upright before (``leans``). Without ``mirror``, of the picture alone, in half the time.
+    People whose keypoints lie elsewhere than a network knows (``CONVENTIONS``) are looked at twice. Those who lean are
+    turned upright before (``leans``). Without ``mirror``, of the picture alone, in half the time.
     With ``half``, features are made in bfloat16.
     """
+    predicted = _look(observations, network, mirror=mirror, half=half)
+    moved = keypoints_at_landmarks(observations, predicted)
+    return predicted if moved is None else _look(moved, network, mirror=mirror, half=half)
+
+
+def _look(
+    observations: Sequence[Observation] | StackedObservations, network: LabelNetwork, *, mirror: bool, half: bool
+) -> Predicted:
+    """Returns ``ask_network`` of keypoints that are taken for landmarks as they are."""
     *inputs, angles = upright_inputs(observations, network.config.size, half=half)
     shares, keypoints, conditions = inputs
     if mirror:

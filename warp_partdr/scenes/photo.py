@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from ..body.labels import BACKGROUND, IGNORE
-from ..cameras import Perspective, zoomed
+from ..cameras import Perspective, UsualLens, zoomed
 from ..clothing.model import DetailedModel
 from ..detection import MIN_SCORE
 from ..detection.crops import Pyramid
@@ -39,8 +39,6 @@ from .overlapping import refine_people
 
 PACKAGED = "packaged: BlazePose"  # name of the packaged network
 _COMPARED = 1024  # [px], longer side of the picture in which it is looked for who hides whom
-# [m], within which a distance is sure enough to say where people are, too; else they are where a usual lens sees them.
-_SURE_WITHIN = 5.0
 _HIDDEN = 0.02  # share of a body that shows somebody else, from which on that one hides it
 
 
@@ -98,8 +96,8 @@ def fit_photo(
         model: On the device, float32; default Anny.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
-        camera: The photo's; if None, of a file, as its EXIF data tell it, if they do, or else, if the largest person
-            is within 5 m, a guess for all (``FitOptions.guess_camera``).
+        camera: The photo's; if None, of a file, as its EXIF data tell it, if they do, or else a usual lens for all
+            (``FitOptions.guess_camera``).
 
     Raises:
         InputError: If the file can't be read, nobody is found, or not so many people, a network gives something else
@@ -120,13 +118,9 @@ def fit_photo(
     chosen = range(len(found)) if person is None else [person_place(person, len(found))]
     options = (options or FitOptions.at("balanced")).without_outline()
     check_whose(options.stature, len(chosen))
-    options = replace(options, guess_within=min(options.guess_within, _SURE_WITHIN))
+    if camera is None and options.guess_camera:
+        camera = UsualLens.of_size(pixels.shape[:2])  # of everybody, also of who has no mask
     evidence = _PeopleEvidence(found, owners, picture, parts_from, keypoints_from, len(chosen))
-    guessed = False
-    if person and camera is None and options.guess_camera and options.start == "network":
-        # Who is asked for stands before the same camera, too.
-        camera = _guessed_by(evidence.of(0)[0], options, device)
-        guessed, options = camera is not None, replace(options, guess_camera=False)
     results: list[FitResult] = []
     sources: dict[int, dict[str, str | None]] = {}
     for done, index in enumerate(chosen):
@@ -134,19 +128,9 @@ def fit_photo(
         readings, warnings, sources[index] = evidence.of(index)
         found[index] = replace(found[index], keypoints=readings[0].keypoints)
         result = fit_evidence(readings, options, device=device, camera=camera)
-        if not results:  # the largest; all stand before one camera
-            options = replace(options, guess_camera=False)
-            if result.camera_guessed:
-                guessed, camera = True, result.camera  # type: ignore[assignment]  # a guess is of perspective
-        results.append(replace(result, camera_guessed=guessed, warnings=(*warnings, *result.warnings)))
+        results.append(replace(result, warnings=(*warnings, *result.warnings)))
     fits = refine_people(results, model, options=options.mesh, progress=progress)
     return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners, sources)
-
-
-def _guessed_by(readings: list[Evidence], options: FitOptions, device: torch.device | str) -> Perspective | None:
-    """The camera that a fit of a person guesses; None: of none."""
-    seen = fit_evidence(readings, replace(options, stages=(), search=(), stature=None), device=device)
-    return seen.camera if seen.camera_guessed else None  # type: ignore[return-value]  # a guess is of perspective
 
 
 class _PeopleEvidence:

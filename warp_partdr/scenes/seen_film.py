@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -10,7 +9,7 @@ import numpy as np
 import torch
 
 from ..body.labels import IGNORE
-from ..cameras import Perspective, zoomed
+from ..cameras import Perspective, UsualLens, zoomed
 from ..detection.film_people import FilmPeople, kept_size, pack_owners, row_keypoints
 from ..errors import check_type
 from ..inputs.calibrated_camera import CalibratedCamera
@@ -45,7 +44,7 @@ class SeenFilm:
 
     @classmethod
     def of(cls, people: FilmPeople, camera: Perspective | None = None, *, given: FilmSights | None = None) -> SeenFilm:
-        """Film whose camera's frame is the world; default: a focal length as long as the picture's diagonal.
+        """Film whose camera's frame is the world; by default the camera has a usual lens.
 
         Raises:
             TypeError: If an argument is of another type.
@@ -54,7 +53,7 @@ class SeenFilm:
         check_type("camera", camera, Perspective | None, "such as Perspective.of_picture(size, focal=1500)")
         check_type("given", given, FilmSights | None, "of find_film_sights")
         size = people.image_size
-        return cls(people, View(camera or Perspective.of_picture(size, focal=math.hypot(*size))), given=given)
+        return cls(people, View(camera or UsualLens.of_size(size)), given=given)
 
     @classmethod
     def calibrated(cls, people: FilmPeople, camera: CalibratedCamera, *, given: FilmSights | None = None) -> SeenFilm:
