@@ -24,7 +24,7 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.body.template import MEAN_STATURE
 from warp_partdr.cameras import Perspective
-from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.measuring import statures
 from warp_partdr.clothing.pose import pose_from_ellipbody
 from warp_partdr.detection.masks import instance_map
@@ -80,7 +80,7 @@ class Photographer:
         vectors, ups = self.poses.draw(BATCH)
         level = torch.nn.functional.normalize(rng.normal(BATCH, 3) * torch.tensor([1.0, 0.2, 1.0]), dim=1)
         ups = torch.where(rng.chance(LYING, BATCH, 1), level, ups)
-        shape = anny_shape(self.maker.phenotypes(BATCH))
+        shape = self.maker.shapes(BATCH)
         orientation = self.maker.orientations(ups)
         posed = mean_body(rotation_from_axis_angle(vectors), orientation)
         stance = pose_from_ellipbody(model, posed, shape)

@@ -17,13 +17,13 @@ import torch
 import warp as wp
 
 from warp_partdr import FitOptions, fit_body, pose
-from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.measuring import BODY_MEASURES, measure_body, measure_ellipbody
 from warp_partdr.clothing.registration import register, ungrown
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.fit.mesh_stage import refine_mesh
 from warp_partdr.metrics import bootstrap_sum
-from warp_partdr.synthetic.partbench_people import draw_phenotypes
+from warp_partdr.synthetic.partbench_people import draw_shape
 
 
 def main(first: str = "300", last: str = "339") -> None:
@@ -33,7 +33,7 @@ def main(first: str = "300", last: str = "339") -> None:
     found: dict[str, list[np.ndarray]] = {"fitted": [], "fitted, known stature": [], "registered": []}
     truths: list[np.ndarray] = []
     for index in people:
-        shape = anny_shape(draw_phenotypes(index)[0][None])
+        shape = draw_shape(index)[0]
         truth = measure_body(model, model.rest(shape))[0].numpy()
         sample = make_sample(index, "realistic")
         fitted, known = (

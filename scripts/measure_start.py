@@ -22,7 +22,7 @@ from warp_partdr import FitOptions, fit_body
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import MPJPE_JOINTS
 from warp_partdr.cameras import Camera, Perspective
-from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.joint_turns import turn_joints
 from warp_partdr.clothing.pose import free_joints, pose_from_ellipbody
 from warp_partdr.clothing.registration import Registered, ungrown
@@ -31,7 +31,7 @@ from warp_partdr.fit.given_start import refine_given
 from warp_partdr.fit.mesh_stage import refine_mesh
 from warp_partdr.metrics import bootstrap_sum, pa_mpjpe
 from warp_partdr.synthetic import people
-from warp_partdr.synthetic.partbench_people import _PITCH, draw_phenotypes, make_person, pose_kind
+from warp_partdr.synthetic.partbench_people import _PITCH, draw_shape, make_person, pose_kind
 from warp_partdr.synthetic.pose_recipes import draw_pose
 from warp_partdr.synthetic.poses import mean_body
 
@@ -54,8 +54,7 @@ class Truth:
 def true_body(index: int) -> Truth:
     """Person ``index`` as ``make_person`` draws it."""
     person, model = make_person(index), anny()
-    phenotypes, rng = draw_phenotypes(index)
-    shape = anny_shape(phenotypes[None])
+    shape, rng = draw_shape(index)
     pose = draw_pose(pose_kind(index), rng)
     values = (pose.up, pose.yaw, np.radians(rng.uniform(*_PITCH)), 0.0)
     up, yaw, pitch, roll = (torch.tensor(value, dtype=torch.float64)[None] for value in values)

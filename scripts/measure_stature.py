@@ -18,7 +18,7 @@ import warp as wp
 from measure_camera import interval
 
 from warp_partdr import FitOptions, fit_body
-from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.measuring import statures
 from warp_partdr.evaluation.partbench.samples import CLIP, make_sample
 from warp_partdr.evaluation.partbench.scenes import partbench_scenes
@@ -27,7 +27,7 @@ from warp_partdr.evaluation.scoring import Score, score_fit
 from warp_partdr.fit.mesh_stage import refine_mesh
 from warp_partdr.scenes.fitting import fit_scene
 from warp_partdr.scenes.options import SceneOptions
-from warp_partdr.synthetic.partbench_people import draw_phenotypes
+from warp_partdr.synthetic.partbench_people import draw_shape
 
 _FIGURES = ("pa_mpjpe", "mpjpe", "pve", "world_mpjpe")
 Found = dict[tuple[str, bool], list[list[float]]]  # figures of each person, by what was fitted and if it was known
@@ -50,7 +50,7 @@ def figures_of(score: Score) -> list[float]:
 
 def true_stature(index: int) -> float:
     """A person's [m]."""
-    return float(statures(anny(), anny_shape(draw_phenotypes(index)[0][None])))
+    return float(statures(anny(), draw_shape(index)[0]))
 
 
 def of_clips(people: range, mocap: Path) -> Found:

@@ -22,7 +22,7 @@ from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.synthetic import training_people
 from warp_partdr.synthetic.cut_masks import cut_mask
 from warp_partdr.synthetic.label_noise import TRAINING_LABEL_SETS
-from warp_partdr.synthetic.people import PHENOTYPE_RANGES
+from warp_partdr.synthetic.population import QUANTILES
 from warp_partdr.synthetic.training_people import NUM_CELLS, PeopleBatch, PeopleMaker, cell_of, held_out_cells
 
 COUNT, SIZE, POOL = 48, 96, 256
@@ -41,24 +41,23 @@ def people(device: str) -> PeopleBatch:
 
 @pytest.mark.parametrize("held_out", [False, True])
 def test_bodies_are_of_their_side_of_the_split(held_out: bool, device: str) -> None:
-    values = maker(device, held_out=held_out).phenotypes(4000).cpu().double().numpy()
+    values = maker(device, held_out=held_out).quantiles(4000).cpu().numpy()
     assert (np.isin(cell_of(values), held_out_cells()) == held_out).all()
-    low, high = PHENOTYPE_RANGES.T
     if not held_out:
-        assert (values.min(0) < low + 0.01 * (high - low)).all()
-        assert (values.max(0) > high - 0.01 * (high - low)).all()
+        assert (values.min(0) < 0.01).all()
+        assert (values.max(0) > 0.99).all()
+        np.testing.assert_allclose(values.mean(0), 0.5, atol=0.03)
         assert len(np.unique(cell_of(values))) > 2000
 
 
-def test_cells_are_a_grid_and_the_outermost_reach_on() -> None:
-    low, high = PHENOTYPE_RANGES.T
-    assert cell_of(np.stack([low, high, low - 1])).tolist() == [0, NUM_CELLS - 1, 0]
-    steps = low + (high - low) * (np.arange(4)[:, None] + 0.5) / 4
-    corners = np.stack(np.meshgrid(*steps.T, indexing="ij"), axis=-1).reshape(-1, 6)
+def test_cells_are_a_grid() -> None:
+    assert cell_of(np.array([[0.0] * len(QUANTILES), [1.0] * len(QUANTILES)])).tolist() == [0, NUM_CELLS - 1]
+    corners = np.stack(np.meshgrid(*[(np.arange(4) + 0.5) / 4] * 6, indexing="ij"), axis=-1).reshape(-1, 6)
+    corners = np.pad(corners, ((0, 0), (0, len(QUANTILES) - 6)), constant_values=0.7)  # others make no cells
     assert np.array_equal(cell_of(corners), np.arange(NUM_CELLS))
     # Those held out are what the packaged network has not seen.
     cells = held_out_cells()
-    assert (len(cells), cells.sum(), cells @ np.arange(1, len(cells) + 1)) == (191, 384160, 49238332)
+    assert (len(cells), cells.sum(), cells @ np.arange(1, len(cells) + 1)) == (197, 386716, 51780208)
 
 
 def test_people_are_complete_and_finite(device: str) -> None:

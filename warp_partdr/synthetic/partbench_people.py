@@ -14,17 +14,18 @@ from ..body.rotations import rotation_from_axis_angle
 from ..body.skeletons import MPJPE_JOINTS, skeleton
 from ..body.template import MEAN_STATURE
 from ..cameras import Camera, Perspective, WeakPerspective
-from ..clothing.anny import anny, anny_shape
+from ..clothing.anny import anny
 from ..clothing.measuring import statures
 from ..interop.torch_threads import one_torch_thread
 from ..render.mesh import draw_mesh
 from . import people
 from .garments import draw_outfit, dress
+from .population import QUANTILES, population
 from .pose_recipes import POSES, TILTED_POSES, draw_pose
 from .poses import mean_body
 
 NUM_PEOPLE = 200
-SEED = 20_241
+SEED = 20_263
 
 SHORT_SIDE, LONG_SIDE = 320, 400  # [px], of the picture
 _FILL = (0.72, 0.9)  # share of the picture's height that the person takes, or of its width
@@ -69,10 +70,16 @@ def pose_kind(index: int, setting: Setting = "usual") -> str:
     return kinds[(index // 5 * 2 + index % 5 // 2) % len(kinds)]
 
 
-def draw_phenotypes(index: int) -> tuple[np.ndarray, np.random.Generator]:
-    """Phenotype values of a person, shape (6,), and the source of chance that goes on from there."""
+def draw_quantiles(index: int) -> tuple[np.ndarray, np.random.Generator]:
+    """A person's ``QUANTILES``, shape (15,), and the source of chance that goes on from there."""
     rng = np.random.default_rng([SEED, index])
-    return rng.uniform(*people.PHENOTYPE_RANGES.T), rng
+    return rng.random(len(QUANTILES)), rng
+
+
+def draw_shape(index: int) -> tuple[torch.Tensor, np.random.Generator]:
+    """A person's shape values, shape (1, 20), and the source of chance that goes on from there."""
+    quantiles, rng = draw_quantiles(index)
+    return population().shapes(torch.from_numpy(quantiles)[None].float()), rng
 
 
 @lru_cache(maxsize=NUM_PEOPLE)
@@ -86,8 +93,7 @@ def make_person(index: int, setting: Setting = "usual") -> Person:
     "clothed": as "usual" but for the labels, which show clothes. All else is of the body beneath.
     """
     beside, tilted = _BESIDE.get(setting), setting == "tilted"
-    phenotypes, rng = draw_phenotypes(index)
-    shape = anny_shape(phenotypes[None])
+    shape, rng = draw_shape(index)
     kind = pose_kind(index, setting)
     pose = draw_pose(kind, rng)
     degrees = rng.uniform(np.negative(_TILT), _TILT) if tilted else (rng.uniform(*_PITCH), 0.0)

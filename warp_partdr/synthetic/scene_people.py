@@ -15,7 +15,7 @@ from ..body.rotations import rotation_from_axis_angle
 from ..body.skeletons import MPJPE_JOINTS
 from ..body.template import MEAN_STATURE, NUM_PARTS
 from ..cameras import Perspective
-from ..clothing.anny import anny, anny_shape
+from ..clothing.anny import anny
 from ..clothing.measuring import statures
 from ..clothing.model import Detailed
 from ..inputs.keypoints import Keypoints2D
@@ -29,7 +29,7 @@ from ..scenes.start import time_shares
 from . import people
 from .mocap import Clip
 from .noise import LEVELS, Level, noisy_keypoints, noisy_labels
-from .partbench_people import COCO, NUM_PEOPLE, SEED, draw_phenotypes, pose_kind
+from .partbench_people import COCO, NUM_PEOPLE, SEED, draw_shape, pose_kind
 from .pose_recipes import draw_pose
 from .poses import mean_body
 
@@ -161,8 +161,7 @@ def make_clip(
 ) -> SceneSample:
     """Person of PartBench's shape ``index`` who moves as a clip says, before cameras; noise lasts some frames."""
     rng = np.random.default_rng([SEED, index, _CLIP])
-    phenotypes, _ = draw_phenotypes(index)
-    shape = anny_shape(phenotypes[None])
+    shape, _ = draw_shape(index)
     world = torch.from_numpy(clip.global_orient).float()
     zero = torch.zeros(1, dtype=world.dtype)
     posed = mean_body(torch.from_numpy(clip.rotations).float(), people.seen_by_camera(world, zero.expand(len(world))))
@@ -185,8 +184,7 @@ def make_clip(
 @one_torch_thread()
 def _draw_body(index: int) -> tuple[Detailed, float]:
     """A body in PartBench's shape and kind of pose, upright in a world with y down, and its stature [m]."""
-    phenotypes, rng = draw_phenotypes(index)
-    shape = anny_shape(phenotypes[None])
+    shape, rng = draw_shape(index)
     pose = draw_pose(pose_kind(index), rng)
     up, yaw, level = (torch.tensor(value, dtype=torch.float64)[None] for value in (pose.up, pose.yaw, 0.0))
     orientation = people.seen_by_camera(people.upright(up, yaw), level).float()

@@ -15,11 +15,12 @@ from ..body.landmarks import annotated
 from ..body.rotations import rotation_from_axis_angle
 from ..body.skeletons import MPJPE_JOINTS, skeleton
 from ..cameras import Perspective
-from ..clothing.anny import anny, anny_shape
+from ..clothing.anny import anny
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
 from ..inputs.sample import Sample
-from .people import PHENOTYPE_RANGES, anny_mesh, pose_anny, seen_by_camera
+from .people import anny_mesh, pose_anny, seen_by_camera
+from .population import QUANTILES, population
 from .pose_sampler import PoseBank, PoseSampler
 from .poses import mean_body
 from .rng import TorchRng
@@ -51,8 +52,7 @@ def _shade(rotations: torch.Tensor, ups: torch.Tensor, rng: TorchRng, first: int
     """People in these poses, counted from ``first``."""
     count, device = len(rotations), rotations.device
     model = anny(device)
-    low, high = torch.from_numpy(PHENOTYPE_RANGES).to(device, torch.float32).T
-    shape = anny_shape(low + (high - low) * rng.uniform(count, len(low)))
+    shape = population(device).shapes(rng.uniform(count, len(QUANTILES)))
     posed = mean_body(rotation_from_axis_angle(rotations), _views(ups, rng))
     body = pose_anny(model, shape, posed)
     away = torch.zeros(count, 1, 3, device=device)

@@ -16,7 +16,7 @@ from ..body.lens import rotations_to
 from ..body.rotations import rotation_from_axis_angle
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, SHAPE_INDICES
 from ..cameras import ScreenCamera
-from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
+from ..clothing.anny import anny
 from ..clothing.measuring import heights
 from ..clothing.model import Detailed
 from ..clothing.point_sums import sum_points
@@ -33,17 +33,17 @@ from .detector_errors import BEYOND, DetectorErrors, move_joints
 from .keypoint_noise import KeypointNoise
 from .label_noise import TRAINING_LABEL_SETS, LabelNoise, draw_absent, draw_strengths
 from .occluders import draw_occluders
-from .partbench_people import NUM_PEOPLE, draw_phenotypes
+from .partbench_people import NUM_PEOPLE, draw_quantiles
+from .population import QUANTILES, population
 from .pose_sampler import PoseBank, PoseSampler
 from .poses import mean_body
 from .rng import TorchRng, exact_float32
 from .wardrobe import wardrobe
 
-# Training leaves to PartBench the bodies in a cell with one of its people, of a grid over phenotypes.
-CELL_LEVELS = 4  # of each phenotype value
-NUM_CELLS = CELL_LEVELS ** len(people.PHENOTYPE_RANGES)
-_BEYOND = 0.25  # of a cell: how far the outermost ones reach beyond the ranges of PartBench's people
-_YOUNGER = 1.0  # of a cell: how far below their ages
+# Training leaves to PartBench the bodies in a cell with one of its people, of a grid over the first ``QUANTILES``: sex,
+# age, muscle, proportions, stature and waist.
+CELL_LEVELS, _CELL_QUANTILES = 4, 6
+NUM_CELLS = CELL_LEVELS**_CELL_QUANTILES
 _FAR = 0.15  # share of cameras so far away that 1/z is as good as linear: weak perspective
 _FAR_AWAY = 100.0  # [m]
 _DISTANCE = (1.4, 12.0)  # [m], of the other cameras; small ones as often as large ones, as logarithms
@@ -182,17 +182,16 @@ def _photos(count: int, dressed: int) -> tuple[slice, slice, slice]:
     return slice(first, first + round(_PHOTOS * count)), slice(first, cut), slice(cut, whole)
 
 
-def cell_of(phenotypes: np.ndarray) -> np.ndarray:
-    """Cells of phenotype values (..., 6), shape (...); those beyond ``PHENOTYPE_RANGES`` are in the outermost."""
-    low, high = people.PHENOTYPE_RANGES.T
-    levels = np.floor((phenotypes - low) / (high - low) * CELL_LEVELS).clip(0, CELL_LEVELS - 1).astype(np.int64)
-    return np.ravel_multi_index(np.moveaxis(levels, -1, 0), (CELL_LEVELS,) * len(people.PHENOTYPE_RANGES))
+def cell_of(quantiles: np.ndarray) -> np.ndarray:
+    """Cells of people with quantiles (..., 15), 0 to 1, shape (...)."""
+    levels = (quantiles[..., :_CELL_QUANTILES] * CELL_LEVELS).astype(np.int64).clip(0, CELL_LEVELS - 1)
+    return np.ravel_multi_index(np.moveaxis(levels, -1, 0), (CELL_LEVELS,) * _CELL_QUANTILES)
 
 
 @lru_cache(maxsize=1)
 def held_out_cells() -> np.ndarray:
     """Cells that training leaves to PartBench, ascending, int64."""
-    return np.unique(cell_of(np.array([draw_phenotypes(index)[0] for index in range(NUM_PEOPLE)])))
+    return np.unique(cell_of(np.array([draw_quantiles(index)[0] for index in range(NUM_PEOPLE)])))
 
 
 class PeopleMaker:
@@ -214,11 +213,8 @@ class PeopleMaker:
         self._labels, self._detectors = LabelNoise(self._rng), KeypointNoise(self._rng)
         self._errors = DetectorErrors(self._rng)
         cells = held_out_cells() if held_out else np.setdiff1d(np.arange(NUM_CELLS), held_out_cells())
-        levels = np.stack(np.unravel_index(cells, (CELL_LEVELS,) * len(people.PHENOTYPE_RANGES)), axis=1)
-        below = np.where(np.array(list(PHENOTYPE_ANCHORS)) == "age", _YOUNGER, _BEYOND)
-        low, high = levels - below * (levels == 0), levels + 1 + _BEYOND * (levels == CELL_LEVELS - 1)
-        self._cells = self._numbers(np.stack([low, high]))
-        self._ranges = self._numbers(people.PHENOTYPE_RANGES)
+        self._cells = self._numbers(np.stack(np.unravel_index(cells, (CELL_LEVELS,) * _CELL_QUANTILES), axis=1))
+        self._population = population(self.device)
         groups = (LANDMARKS, annotated(LANDMARKS, self.model.landmark_names), JOINT_NAMES)
         self._landmark_weights = self.model.weights_of([name for group in groups for name in group])
         self._landmark_counts = [len(group) for group in groups]
@@ -246,18 +242,22 @@ class PeopleMaker:
         with exact_float32(self.device):
             return self._make(count)
 
-    def phenotypes(self, count: int) -> torch.Tensor:
-        """Of random people, as ``anny_shape`` takes them, shape (count, 6)."""
-        low, high = self._cells[:, self._rng.integers(self._cells.shape[1], count)]
-        levels = low + (high - low) * self._rng.uniform(count, len(PHENOTYPE_ANCHORS))
-        least, most = self._ranges.unbind(1)
-        return least + (most - least) * levels / CELL_LEVELS
+    def quantiles(self, count: int) -> torch.Tensor:
+        """``QUANTILES`` of random people, shape (count, 15)."""
+        drawn = self._rng.uniform(count, len(QUANTILES))
+        cells = self._cells[self._rng.integers(len(self._cells), count)]
+        drawn[:, :_CELL_QUANTILES] = (cells + drawn[:, :_CELL_QUANTILES]) / CELL_LEVELS
+        return drawn
+
+    def shapes(self, count: int) -> torch.Tensor:
+        """Shape values of random people, as ``anny().pose`` takes them, shape (count, 20)."""
+        return self._population.shapes(self.quantiles(count))
 
     def _make(self, count: int) -> PeopleBatch:
         rng, size = self._rng, (self.size, self.size)
         vectors, ups = self._poses.draw(count)
         orientation = self.orientations(ups)
-        shape = anny_shape(self.phenotypes(count))
+        shape = self.shapes(count)
         posed = mean_body(rotation_from_axis_angle(vectors), orientation)
         rest, stance = self.model.rest(shape), pose_from_ellipbody(self.model, posed, shape)
         body, stature = self.model.carry(rest.vertices, rest.joints, *stance), heights(rest)
