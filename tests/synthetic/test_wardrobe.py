@@ -61,4 +61,5 @@ def test_labels_of_half_of_the_people_show_clothes_which_the_truth_does_not(devi
     groups = label_set("ellipbody20").num_groups
     seen, true = (((ids > 0) & (ids <= groups)).float().mean((1, 2)) for ids in (people.groups, people.parts))
     ratio = seen / true
-    assert ratio[: count // 2].median() > 1.1 * ratio[count // 2 :].median()
+    # Clothes add less to the bodies of a population, a quarter of whom are overweight, than to slim ones.
+    assert ratio[: count // 2].median() > 1.06 * ratio[count // 2 :].median()

@@ -48,7 +48,6 @@ _ADULT = 18.0  # [years]
 _CHILDLIKE = 10.0  # [years]: up to this age trunk, legs and girths are as Anny's children have them
 
 _GENDERS = 0.15  # how far Anny's men and women are from its extremes, at most
-_WEIGHTS = (0.0, 0.5, 1.0)
 # Muscle and children's weight as phenotype values: spread, and what a standard deviation of the waist's girth changes.
 _MUSCLE_SPREAD, _MUSCLE_LOSS, _WEIGHT_GAIN = 0.2, 0.12, 0.2
 # Longer arms are what tells Anny's men from women, too: how much more a move in that direction counts than in others.
@@ -123,10 +122,9 @@ class Population:
         phenotypes[:, _MUSCLE] = (0.5 + _MUSCLE_SPREAD * muscle - _MUSCLE_LOSS * scores[:, _WAIST]).clamp(0.05, 0.95)
         phenotypes[:, _WEIGHT] = 0.5
         phenotypes[:, _PROPORTIONS] = quantiles[:, 3]
-        self._solve_height(phenotypes, stature)
+        phenotypes[:, _HEIGHT] = self._height(phenotypes, stature)
         weight = self._weight(phenotypes, stature * ratios[:, _WAIST].exp())
         phenotypes[:, _WEIGHT] = torch.lerp((0.5 + _WEIGHT_GAIN * scores[:, _WAIST]).clamp(0.0, 1.0), weight, grown)
-        self._solve_height(phenotypes, stature)
 
         shape = anny_shape(phenotypes)
         measured = self._measured(shape)
@@ -163,22 +161,15 @@ class Population:
         """Measures of bodies of shape values (B, 20), shape (B, 11) [m]."""
         return torch.addmm(self.measure_model[:, -1], shape, self.measure_model[:, :-1].mT)
 
-    def _solve_height(self, phenotypes: torch.Tensor, wanted: torch.Tensor) -> None:
-        """Set the phenotype value with which people have statures (B,) [m], which are linear in it."""
-        ends = []
-        for height in (0.0, 1.0):
-            phenotypes[:, _HEIGHT] = height
-            ends.append(self.statures(anny_shape(phenotypes)))
-        phenotypes[:, _HEIGHT] = ((wanted - ends[0]) / (ends[1] - ends[0])).clamp(0.0, 1.0)
+    def _height(self, phenotypes: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+        """Phenotype value with which people have statures (B,) [m], which are linear in it, shape (B,)."""
+        low, high = (self.statures(shape) for shape in _varied(phenotypes, _HEIGHT, (0.0, 1.0)))
+        return ((wanted - low) / (high - low)).clamp(0.0, 1.0)
 
     def _weight(self, phenotypes: torch.Tensor, girth: torch.Tensor) -> torch.Tensor:
-        """Phenotype value with which waists have girths (B,) [m], shape (B,)."""
-        some = phenotypes.clone()
-        girths = []
-        for weight in _WEIGHTS:
-            some[:, _WEIGHT] = weight
-            girths.append(self._measured(anny_shape(some))[:, _WAIST])
-        light, usual, heavy = girths
+        """Phenotype value with which waists have girths (B,) [m], which are linear between anchors, shape (B,)."""
+        shapes = _varied(phenotypes, _WEIGHT, PHENOTYPE_ANCHORS["weight"])
+        light, usual, heavy = (self._measured(shape)[:, _WAIST] for shape in shapes)
         lower, upper = (girth - light) / (usual - light), (girth - usual) / (heavy - usual)
         return (lower.clamp(0.0, 1.0) + upper.clamp(0.0, 1.0)) / 2
 
@@ -193,6 +184,13 @@ class Population:
 def population(device: torch.device | str = "cpu") -> Population:
     """The population on a device, read once."""
     return Population(device)
+
+
+def _varied(phenotypes: torch.Tensor, index: int, values: tuple[float, ...]) -> tuple[torch.Tensor, ...]:
+    """Shape values (B, 20) of people with each of some values of one phenotype."""
+    some = phenotypes.repeat(len(values), 1, 1)
+    some[..., index] = some.new_tensor(values)[:, None]
+    return anny_shape(some.flatten(0, 1)).chunk(len(values))
 
 
 def _interpolate(values: torch.Tensor, knots: torch.Tensor, levels: torch.Tensor) -> torch.Tensor:
