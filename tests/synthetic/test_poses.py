@@ -11,13 +11,13 @@ from scenes.bodies import bank, clips
 
 from warp_partdr.body.landmarks import mirror_order
 from warp_partdr.body.pose_prior import PosePrior
-from warp_partdr.body.rotations import rotation_from_axis_angle
+from warp_partdr.body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
 from warp_partdr.body.template import JOINT_NAMES, LOCKED_PARTS, NUM_PARTS, PART_NAMES
 from warp_partdr.errors import InputError
 from warp_partdr.synthetic.mocap import is_held_out
-from warp_partdr.synthetic.pose_sampler import PoseBank, PoseSampler, pack_poses
-from warp_partdr.synthetic.poses import clear_poses, mean_body, mirrored_half
-from warp_partdr.synthetic.procedural_poses import draw_procedural
+from warp_partdr.synthetic.pose_sampler import POSE_KINDS, PoseBank, PoseSampler, _jitter, pack_poses
+from warp_partdr.synthetic.poses import Poses, clear_poses, mean_body, mirrored_half
+from warp_partdr.synthetic.procedural_poses import LIMBS, SEATED, SPORT, STANDING, draw_procedural
 from warp_partdr.synthetic.rng import TorchRng
 
 
@@ -63,12 +63,66 @@ def test_poses_keep_to_the_limits_and_pass_through_nothing(device: str) -> None:
     assert len(rotations.flatten(1).unique(dim=0)) == 600
 
 
-def test_each_kind_alone_makes_poses(device: str) -> None:
-    sampler = PoseSampler(bank(), device=device, pool=4)
-    for kind in (sampler._captured, sampler._prior.draw, sampler._mixed, draw_procedural):
-        rotations, _ = sampler._make(kind, 40, TorchRng(0, device))
-        assert len(rotations) == 40
-        assert rotations.std(0)[PART_NAMES.index("left_upper_arm")].max() > 0.2
+@pytest.mark.parametrize("kind", POSE_KINDS)
+def test_each_kind_alone_makes_poses(kind: str, device: str) -> None:
+    rotations, ups = PoseSampler(bank(), device=device, pool=4)._make(kind, 60, TorchRng(0, device))
+    assert rotations.shape == (60, NUM_PARTS, 3)
+    assert rotations.std(0)[PART_NAMES.index("left_upper_arm")].max() > 0.2
+    assert PosePrior().to(device).joint_limits(rotations).max() < 1e-9
+    assert clear_poses(rotations).all()
+    torch.testing.assert_close(ups.norm(dim=1), torch.ones(60, device=device))
+
+
+def test_kinds_have_their_shares_and_most_people_stand_upright() -> None:
+    assert sum(POSE_KINDS.values()) == pytest.approx(1.0)
+    asked: list[tuple[str, int]] = []
+
+    class Counting(PoseSampler):
+        def _make(self, kind: str, count: int, rng: TorchRng) -> Poses:
+            asked.append((kind, count))
+            return super()._make(kind, count, rng)
+
+    rotations, ups = Counting(bank(), pool=1000).draw(1000)
+    assert asked == [(kind, pytest.approx(1000 * share)) for kind, share in POSE_KINDS.items()]
+    thighs = rotation_from_axis_angle(
+        rotations[:, [PART_NAMES.index(f"{side}_upper_leg") for side in ("left", "right")]]
+    )
+    down = (-thighs[..., 1] * ups[:, None]).sum(-1)  # of thighs, 1 where they hang
+    assert 0.4 < ((down < -0.8).all(1) & (ups[:, 1] > 0.8)).float().mean() < 0.8
+    assert 0.08 < ((down > -0.6).all(1) & (ups[:, 1] > 0.6)).float().mean() < 0.4  # sit, squat and kneel
+    assert 0.01 < (ups[:, 1] < 0.3).float().mean() < 0.15  # lie, and worse
+
+
+def test_a_seed_says_what_comes(device: str) -> None:
+    first, again, other = (PoseSampler(bank(), device=device, pool=300, seed=seed).draw(350) for seed in (4, 4, 5))
+    assert torch.equal(first[0], again[0])
+    assert torch.equal(first[1], again[1])
+    assert not torch.equal(first[0], other[0])
+
+
+def test_varied_poses_are_near_captured_ones_but_none_of_them() -> None:
+    poses = bank()
+    sampler = PoseSampler(poses, pool=4)
+    rotations, ups = sampler._varied(400, TorchRng(1, "cpu"))
+    arm = PART_NAMES.index("left_upper_arm")
+    turned = rotation_from_axis_angle(rotations[:, arm])[:, None]
+    captured = rotation_from_axis_angle(poses.rotations[:, arm])
+    angles = rotation_to_axis_angle(turned.mT @ captured).norm(dim=-1).amin(1)
+    assert angles.min() > 1e-4
+    assert angles.quantile(0.9) < 0.6
+    mean = sampler._prior.mean[arm]
+    spread, theirs = ((each[:, arm] - mean).norm(dim=1) for each in (rotations, poses.rotations))
+    assert spread.max() > 1.05 * theirs.max()  # exaggerated
+    torch.testing.assert_close(ups.norm(dim=1), torch.ones(400))
+
+
+def test_one_limb_of_some_poses_is_loosened() -> None:
+    jitter = _jitter(3000, TorchRng(0, "cpu"))
+    assert (jitter[:, list(LOCKED_PARTS)] == 0).all()
+    loud = torch.stack([jitter[:, parts].square().mean((1, 2)).sqrt() > 0.1 for parts in LIMBS], dim=1)
+    assert 0.15 < loud.any(1).float().mean() < 0.35
+    assert (loud.sum(1) > 1).float().mean() < 0.02
+    assert jitter[~loud.any(1)].abs().max() < 0.5
 
 
 def test_a_hand_in_the_belly_is_not_clear(device: str) -> None:
@@ -101,3 +155,16 @@ def test_procedural_poses_are_broad(device: str) -> None:
     assert knee[:, 2].quantile(0.9) > 0.3
     assert 0.02 < (ups[:, 1] < 0.3).float().mean() < 0.25
     torch.testing.assert_close(ups.norm(dim=1), torch.ones_like(ups[:, 0]))
+
+
+def test_repertoires_differ(device: str) -> None:
+    thigh = PART_NAMES.index("left_upper_leg")
+    raised, high = {}, {}
+    for name, repertoire in (("standing", STANDING), ("seated", SEATED), ("sport", SPORT)):
+        rotations, ups = draw_procedural(1000, TorchRng(0, device), repertoire)
+        joints = mean_body(rotation_from_axis_angle(rotations)).joints
+        down = -rotation_from_axis_angle(rotations[:, thigh])[:, :, 1]
+        raised[name] = float(((down * ups).sum(1) > -0.5).float().mean())
+        high[name] = float((joints[:, JOINT_NAMES.index("left_wrist"), 1] > 0.6).float().mean())
+    assert raised["standing"] < 0.1 < 0.3 < raised["sport"] < raised["seated"]
+    assert high["standing"] < 0.15 < 0.2 < high["sport"]

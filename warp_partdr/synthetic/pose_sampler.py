@@ -2,24 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from ..body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
 from ..body.template import LOCKED_PARTS, NUM_PARTS
 from ..errors import InputError
 from ..files.array_files import read_npz
 from .mocap import is_held_out, without_errors
 from .mocap_files import load_clips
 from .poses import Poses, PriorSampler, clear_poses, draw_enough, join_poses, mirrored_half
-from .procedural_poses import LIMBS, draw_procedural
+from .procedural_poses import BROAD, LIMBS, SEATED, SPORT, STANDING, draw_procedural
 from .rng import TorchRng, exact_float32
+from .touching_poses import touching
 
 _STEP = np.radians(6.0)  # a joint turns so far, or it is the same pose
 _JITTER = 0.05  # [rad], of every joint
+_LOOSENED, _LOOSE_JITTER = 0.3, (0.1, 0.3)  # share of poses one limb of which is jittered more, and by how much [rad]
+_EXAGGERATION = (0.6, 1.4)  # of a limb's turns from the mean pose
+_BETWEEN = (-0.25, 1.0)  # how far from one captured pose to one like it
+_ALIKE = 16  # frames, of which the most alike one is taken
+# Shares. People in photos mostly stand, walk and sit: about half of all do as those captured did, or stand at ease.
+POSE_KINDS = {
+    "captured": 0.17,
+    "varied": 0.17,
+    "mixed": 0.14,
+    "prior": 0.15,
+    "standing": 0.08,
+    "seated": 0.08,
+    "broad": 0.07,
+    "sport": 0.03,
+    "touching": 0.11,
+}
+_MIXED = {"captured": 0.4, "varied": 0.25, "prior": 0.15, "standing": 0.1, "seated": 0.1}
+_REPERTOIRES = {"standing": STANDING, "seated": SEATED, "broad": BROAD, "sport": SPORT}
+_TOUCHING = {"captured": 0.12, "standing": 0.5, "seated": 0.23, "broad": 0.15}
 _AT_ONCE = 4096  # poses, of which a few arrays of 13 kB each are in memory
 
 
@@ -86,8 +106,8 @@ def _unpack(path: Path | str) -> dict[str, np.ndarray]:
 class PoseSampler:
     """Poses within the joint limits in which no limb is inside another part, either side's as often.
 
-    A quarter each is captured (``bank``), drawn from the prior, mixed of four captured ones and procedural. A ``pool``
-    of so many is filled now and then, in which each pose is used once, so that most draws wait for nothing.
+    Each of ``POSE_KINDS`` has its share. A ``pool`` of so many is filled now and then, in which each pose is used once,
+    so that most draws wait for nothing.
     """
 
     def __init__(self, bank: PoseBank, *, device: torch.device | str = "cpu", seed: int = 0, pool: int = 8192) -> None:
@@ -123,35 +143,88 @@ class PoseSampler:
         self._refills += 1
         self._used = 0
         rng = TorchRng(self._seed + self._refills, self._device)
-        kinds = (self._captured, self._prior.draw, self._mixed, draw_procedural)
-        counts = np.diff(np.rint(np.linspace(0, self._size, len(kinds) + 1)).astype(int)).tolist()
+        counts = _shared_out(POSE_KINDS, self._size)
         with torch.no_grad(), exact_float32(self._device):
-            made = [self._make(kind, count, rng) for kind, count in zip(kinds, counts, strict=True) if count]
+            made = [self._make(kind, count, rng) for kind, count in counts.items() if count]
         order = torch.randperm(self._size, generator=rng.generator, device=self._device)
         rotations, ups = join_poses(made)
         self._pool = rotations[order], ups[order]
 
-    def _make(self, kind: Callable[[int, TorchRng], Poses], count: int, rng: TorchRng) -> Poses:
+    def _make(self, kind: str, count: int, rng: TorchRng) -> Poses:
         """Poses of one kind: what is not clear is drawn again."""
 
         def draw(tries: int) -> Poses:
-            rotations, ups = mirrored_half(kind(min(tries, _AT_ONCE), rng), rng)
-            jitter = _JITTER * rng.normal(*rotations.shape)
-            jitter[:, list(LOCKED_PARTS)] = 0.0
-            rotations = torch.minimum(torch.maximum(rotations + jitter, self._prior.lower), self._prior.upper)
-            clear = clear_poses(rotations)
-            return rotations[clear], ups[clear]
+            tries = min(tries, _AT_ONCE)
+            rotations, ups = self._draw(kind, tries, rng)
+            rotations = self._prior.limits.clamp(rotations + _jitter(tries, rng))
+            fits = torch.ones_like(ups[:, 0], dtype=torch.bool)
+            if kind == "touching":  # after all else, for hands are to stay where they are put
+                (rotations, ups), gestures = touching((rotations, ups), self._prior.limits, rng)
+                fits = gestures >= 0
+            rotations, ups = mirrored_half((rotations, ups), rng)
+            fits &= clear_poses(rotations)
+            return rotations[fits], ups[fits]
 
         return draw_enough(count, draw)
+
+    def _draw(self, kind: str, count: int, rng: TorchRng) -> Poses:
+        """Poses of one of ``POSE_KINDS``, as they come: limits and self-penetration are not looked at."""
+        if kind in _REPERTOIRES:
+            return draw_procedural(count, rng, _REPERTOIRES[kind])
+        if kind == "touching":
+            return self._some_of(_TOUCHING, count, rng)
+        if kind == "prior":
+            return self._prior.draw(count, rng)
+        return {"captured": self._captured, "varied": self._varied, "mixed": self._mixed}[kind](count, rng)
 
     def _captured(self, count: int, rng: TorchRng) -> Poses:
         frames = rng.integers(len(self._bank[0]), count)
         return self._bank[0][frames], self._bank[1][frames]
 
-    def _mixed(self, count: int, rng: TorchRng) -> Poses:
-        """Trunk, left arm, right arm and legs of four frames; the legs' frame says which way is up."""
-        rotations = torch.zeros(count, NUM_PARTS, 3, device=self._device)
+    def _varied(self, count: int, rng: TorchRng) -> Poses:
+        """Poses between two frames that are alike, or beyond one, limbs of which differ more from the mean, or less."""
+        first, ups = self._captured(count, rng)
+        frames = rng.integers(len(self._bank[0]), count, _ALIKE)
+        like = (self._bank[0][frames] - first[:, None]).flatten(2).square().sum(2).argmin(1)
+        frames = frames[torch.arange(count, device=self._device), like]
+        share = rng.uniform(count, 1, low=_BETWEEN[0], high=_BETWEEN[1])
+        start, end = rotation_from_axis_angle(first), rotation_from_axis_angle(self._bank[0][frames])
+        turns = rotation_from_axis_angle(share[..., None] * rotation_to_axis_angle(start.mT @ end))
+        rotations = rotation_to_axis_angle(start @ turns)
+        mean = self._prior.mean
         for parts in LIMBS:
-            others, ups = mirrored_half(self._captured(count, rng), rng)
-            rotations[:, parts] = others[:, parts]
-        return rotations, ups
+            factor = rng.uniform(count, 1, 1, low=_EXAGGERATION[0], high=_EXAGGERATION[1])
+            rotations[:, parts] = mean[parts] + factor * (rotations[:, parts] - mean[parts])
+        return rotations, torch.nn.functional.normalize(ups.lerp(self._bank[1][frames], share), dim=1)
+
+    def _mixed(self, count: int, rng: TorchRng) -> Poses:
+        """Trunk, left arm, right arm and legs of four poses; the legs' pose says which way is up."""
+        others, their_ups = mirrored_half(self._some_of(_MIXED, count, rng), rng)
+        rotations = torch.zeros_like(others)
+        for parts in LIMBS:
+            frames = rng.integers(count, count)
+            rotations[:, parts] = others[frames][:, parts]
+        return rotations, their_ups[frames]
+
+    def _some_of(self, shares: dict[str, float], count: int, rng: TorchRng) -> Poses:
+        """Poses of several kinds, one kind after the other."""
+        counts = _shared_out(shares, count)
+        return join_poses([self._draw(kind, some, rng) for kind, some in counts.items() if some])
+
+
+def _shared_out(shares: dict[str, float], count: int) -> dict[str, int]:
+    """How many of each kind make ``count``."""
+    ends = np.rint(np.cumsum([0.0, *shares.values()]) * count).astype(int)
+    return dict(zip(shares, np.diff(ends).tolist(), strict=True))
+
+
+def _jitter(count: int, rng: TorchRng) -> torch.Tensor:
+    """Noise of all joints, and more of one limb of some poses [rad], shape (count, 20, 3)."""
+    widths = torch.full((count, NUM_PARTS, 1), _JITTER, device=rng.device)
+    limb, loosened = rng.integers(len(LIMBS), count), rng.chance(_LOOSENED, count)
+    more = rng.uniform(count, 1, low=_LOOSE_JITTER[0], high=_LOOSE_JITTER[1])
+    for index, parts in enumerate(LIMBS):
+        chosen = (loosened & (limb == index))[:, None, None]
+        widths[:, parts] = torch.where(chosen, more[..., None], widths[:, parts])
+    widths[:, list(LOCKED_PARTS)] = 0.0
+    return widths * rng.normal(count, NUM_PARTS, 3)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 
@@ -59,13 +60,19 @@ def clear_poses(rotations: torch.Tensor) -> torch.Tensor:
     return ~(inside & apart.T).flatten(1).any(1)
 
 
-def mirrored_half(poses: Poses, rng: TorchRng) -> Poses:
-    """The same poses, half of them with left and right exchanged."""
+def mirrored(poses: Poses) -> Poses:
+    """The same poses with left and right exchanged."""
     rotations, ups = poses
     order, sign = (torch.from_numpy(values).to(rotations.device) for values in mirror_features())
     features = torch.cat([rotations[:, list(FREE_PARTS)].flatten(1), ups], dim=1)
-    flip = rng.chance(0.5, len(ups), 1)
-    return _poses_of(torch.where(flip, features[:, order] * sign.to(features), features))
+    return _poses_of(features[:, order] * sign.to(features))
+
+
+def mirrored_half(poses: Poses, rng: TorchRng) -> Poses:
+    """The same poses, half of them with left and right exchanged."""
+    flip = rng.chance(0.5, len(poses[1]))
+    rotations, ups = mirrored(poses)
+    return torch.where(flip[:, None, None], rotations, poses[0]), torch.where(flip[:, None], ups, poses[1])
 
 
 def _poses_of(features: torch.Tensor) -> Poses:
@@ -98,13 +105,26 @@ def draw_from_prior(rng: np.random.Generator) -> Poses | None:
     return None if prior.joint_limits(poses[0]) > OVER_LIMITS or prior(*poses) > LIKELY else poses
 
 
+@dataclass(frozen=True)
+class JointLimits:
+    """Least and greatest components of rotation vectors [rad], shape (20, 3) each."""
+
+    lower: torch.Tensor
+    upper: torch.Tensor
+
+    def clamp(self, rotations: torch.Tensor, parts: Sequence[int] = range(NUM_PARTS)) -> torch.Tensor:
+        """Rotation vectors (..., P, 3) of P parts, within the limits."""
+        return torch.minimum(torch.maximum(rotations, self.lower[list(parts)]), self.upper[list(parts)])
+
+
 class PriorSampler:
-    """Draws of the packaged prior's mixture in batches; ``lower`` and ``upper`` are its joint limits (20, 3) [rad]."""
+    """Draws of the packaged prior's mixture in batches; ``limits`` are its joints' limits, ``mean`` its mean pose."""
 
     def __init__(self, device: torch.device) -> None:
         prior, mixture = _pose_mixture()
         self._prior = packaged_prior(str(device))
-        self.lower, self.upper = (limits.float().to(device) for limits in (prior.lower_limits, prior.upper_limits))
+        self.limits = JointLimits(*(each.float().to(device) for each in (prior.lower_limits, prior.upper_limits)))
+        self.mean = prior.mean_pose.float().to(device)
         self._weights, self._means, self._factors = (
             torch.from_numpy(values).float().to(device)
             for values in (mixture["weights"], mixture["means"], np.linalg.inv(mixture["whitening"]))
