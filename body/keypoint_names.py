@@ -25,6 +25,7 @@ from .landmarks import LANDMARKS, annotated, mirror_name, without_side
 from .skeletons import SKELETONS, Skeleton, known_edges
 
 _FEWEST = 2  # landmarks that tell anything
+_TWINS = ("shelf14",)  # formats with the names of another one, in the same order: they must be asked for
 _SURE = 8  # landmarks that make a person of a list of many other points, such as a face's and fingers'
 
 # Words for landmarks without a side, written together.
@@ -254,7 +255,7 @@ def _rows(names: Sequence[str]) -> dict[str, int]:
 def _known_format(rows: dict[str, int]) -> Skeleton | None:
     """Format with the same landmarks: of several, the one in this order, or else one that annotators marked."""
     order = tuple(sorted(rows, key=rows.__getitem__))
-    alike = [form for form in SKELETONS.values() if set(form.landmarks) == set(rows)]
+    alike = [form for form in SKELETONS.values() if set(form.landmarks) == set(rows) and form.name not in _TWINS]
     return min(alike, key=lambda form: (form.landmarks != order, form.marks == form.landmarks), default=None)
 
 

@@ -180,13 +180,6 @@ SKELETONS: dict[str, Skeleton] = {
             "right_elbow right_wrist right_hip right_knee right_ankle left_eye left_ear right_eye right_ear",
             f"mid_hip-neck-nose nose-*_eye-*_ear neck-*_shoulder mid_hip-*_hip {_ARMS_AND_LEGS}",
         ),
-        # Shelf's and Campus's, in the order of LSP's.
-        _skeleton(
-            "shelf14",
-            "right_ankle right_knee right_hip left_hip left_knee left_ankle right_wrist right_elbow right_shoulder "
-            "left_shoulder left_elbow left_wrist neck head_top",
-            f"neck-head_top neck-*_shoulder *_shoulder-*_hip left_hip-right_hip {_ARMS_AND_LEGS}",
-        ),
         _skeleton(
             "lsp14",
             "right_ankle right_knee right_hip left_hip left_knee left_ankle right_wrist right_elbow right_shoulder "
@@ -216,6 +209,13 @@ SKELETONS: dict[str, Skeleton] = {
             "nose neck head_top left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist "
             "right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle",
             f"neck-nose-head_top nose-*_ear neck-*_shoulder {_BOX} {_ARMS_AND_LEGS}",
+        ),
+        # Shelf's and Campus's, in the order of LSP's.
+        _skeleton(
+            "shelf14",
+            "right_ankle right_knee right_hip left_hip left_knee left_ankle right_wrist right_elbow right_shoulder "
+            "left_shoulder left_elbow left_wrist neck head_top",
+            f"neck-head_top neck-*_shoulder *_shoulder-*_hip left_hip-right_hip {_ARMS_AND_LEGS}",
         ),
     )
 }

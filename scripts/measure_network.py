@@ -16,6 +16,7 @@ import warp as wp
 
 from warp_partdr.metrics import mpjpe, pa_mpjpe
 from warp_partdr.network.checkpoint import load_label_network
+from warp_partdr.network.label_network import KNOWN_LENS, USUAL_LENS
 from warp_partdr.training.config import make_config
 from warp_partdr.training.label_task import LSP_JOINTS, LabelTask, errors_of, spreads_of
 
@@ -52,8 +53,10 @@ def main(poses: str, file: str | None = None) -> None:
             f"tilted by {low} to {high} degrees": (tilt >= low) & (tilt < high) for low, high in pairwise((0, *_TILTS))
         }
         found |= {
-            "camera known": people.lens_known,
-            "near camera, not known": near & ~people.lens_known,
+            "lens known": people.lens_certainty == KNOWN_LENS,
+            "usual lens assumed": people.lens_certainty == USUAL_LENS,
+            "no lens": people.lens_certainty == 0,
+            "stature known": people.statures > 0,
             "far camera": ~near,
             "without labels": (people.groups == 255).flatten(1).all(1),
             "without keypoints": (people.keypoints[..., 2] == 0).all(1),

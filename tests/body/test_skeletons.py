@@ -11,7 +11,16 @@ import numpy as np
 import pytest
 import torch
 
-from warp_partdr.body.landmarks import LANDMARKS, landmark_points, landmark_positions, mirror_name
+from warp_partdr.body.landmarks import (
+    CONVENTIONS,
+    LANDMARKS,
+    landmark_points,
+    landmark_positions,
+    mirror_name,
+    plain_landmark,
+    rest_offset,
+    without_side,
+)
 from warp_partdr.body.posing import LandmarkGather
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import MPJPE_SKELETON, SKELETONS, skeleton
@@ -171,12 +180,12 @@ def test_joint_order_and_sides(name: str, joints: dict[int, str], sides: str) ->
 
 def test_annotators_marks_are_points_of_their_own(at: dict[str, np.ndarray]) -> None:
     """COCO's, and those of OpenPose, which learned from it; inside the limb, up to 3 cm from the joint."""
-    for name in SKELETONS.keys() - {"blazepose33", "h36m17", "lsp14", "mpii16"}:
+    for name in SKELETONS.keys() - {"blazepose33", "h36m17", "lsp14", "mpii16", "shelf14"}:
         marks = dict(zip(SKELETONS[name].landmarks, SKELETONS[name].marks, strict=True))
         own = {mark.removeprefix("coco_") for mark in marks.values() if mark.startswith("coco_")}
         assert own == marks.keys() & {*JOINT_NAMES, "mid_hip"} - {"head", "head_top"}
         assert [mirror_name(mark) for mark in marks.values()] == [marks[mirror_name(joint)] for joint in marks]
-    for name in ("blazepose33", "h36m17", "lsp14", "mpii16"):
+    for name in ("blazepose33", "lsp14", "mpii16"):
         assert SKELETONS[name].marks == SKELETONS[name].landmarks
     for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle"):
         left, right = (at[f"coco_{side}_{joint}"] for side in ("left", "right"))
@@ -250,3 +259,33 @@ def test_faulty_skeletons_of_ones_own(data: Any, message: str, tmp_path: Path) -
     assert str(raised.value).startswith(f"{path}: {message}")
     with pytest.raises(InputError, match=r"none\.json: No such file or directory; expected a skeleton in JSON"):
         skeleton(tmp_path / "none.json")
+
+
+def test_joints_of_data_sets_lie_off_the_landmarks_as_the_table_says(at: dict[str, np.ndarray]) -> None:
+    for name, convention in (("h36m17", "h36m"), ("shelf14", "shelf")):
+        form = SKELETONS[name]
+        off = {mark for mark in form.marks if mark.startswith(f"{convention}_")}
+        assert {without_side(plain_landmark(mark)) for mark in off} == CONVENTIONS[convention].keys()
+        for mark, landmark in zip(form.marks, form.landmarks, strict=True):
+            assert plain_landmark(mark) == landmark
+            way = np.array(CONVENTIONS[convention].get(without_side(landmark), ("", (0, 0, 0)))[1]) / 1000
+            if landmark.startswith("right_"):
+                way[0] *= -1
+            np.testing.assert_allclose(at[mark] - at[landmark], way, atol=1e-9)
+            np.testing.assert_allclose(rest_offset(mark), way, atol=1e-9)
+
+
+def test_a_model_has_the_joints_of_data_sets_where_the_mean_body_has_them() -> None:
+    """On Anny of the mean shape they are as far off, as a share of its height, and move with the part."""
+    model = anny()
+    rest = model.rest(torch.zeros(1, model.num_shapes))
+    growth = float(statures(model, torch.zeros(1, model.num_shapes))) / MEAN_STATURE
+    for mark in (name for name in LANDMARKS if name.split("_")[0] in CONVENTIONS):
+        start, end = model.landmarks(rest, (plain_landmark(mark), mark))[0].numpy()
+        np.testing.assert_allclose(end - start, growth * rest_offset(mark), atol=2e-4)
+    turn = rotation_from_axis_angle(torch.tensor([[0.0, 0.7, 0.0]]))
+    rotations = torch.eye(3).repeat(1, model.num_joints, 1, 1)
+    rotations[0, 0] = turn[0]
+    turned = model.pose(torch.zeros(1, model.num_shapes), rotations, rest.joints[:, 0])
+    start, end = model.landmarks(turned, ("neck", "h36m_neck"))[0].numpy()
+    np.testing.assert_allclose(end - start, growth * turn[0].numpy() @ rest_offset("h36m_neck"), atol=2e-4)

@@ -12,7 +12,7 @@ from scenes.bodies import seen_by, walker
 from warp_partdr.inputs.observation import observe
 from warp_partdr.network.checkpoint import packaged_network
 from warp_partdr.network.fused import fused_network, fuses
-from warp_partdr.network.label_network import EVEN_CHANNELS, NUM_CHANNELS, LabelNetwork, lens_rays
+from warp_partdr.network.label_network import EVEN_CHANNELS, NUM_CHANNELS, LabelNetwork, network_conditions
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.network.predict import ask_network
 
@@ -25,8 +25,9 @@ def inputs(device: str) -> Inputs:
     groups = groups.repeat_interleave(16, dim=1).repeat_interleave(16, dim=2)
     shares = torch.nn.functional.one_hot(groups, NUM_CHANNELS).float().permute(0, 3, 1, 2)
     keypoints = torch.rand(3, len(LANDMARKS), 3, generator=generator) - torch.tensor([0.5, 0.5, 0.0])
-    rays = lens_rays(torch.tensor([[3.0, 0.1, 0.2]]).repeat(3, 1), torch.tensor([True, False, True]))
-    return shares.to(device), keypoints.to(device), rays.to(device)
+    certainty, statures = torch.tensor([1.0, 0.0, 0.5]), torch.tensor([1.6, 0.0, 0.0])
+    conditions = network_conditions(torch.tensor([[3.0, 0.1, 0.2]]).repeat(3, 1), certainty, statures)
+    return shares.to(device), keypoints.to(device), conditions.to(device)
 
 
 @torch.no_grad()

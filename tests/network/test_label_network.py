@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from importlib import resources
 
@@ -27,14 +28,16 @@ from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.interop.checks import rotation_error
 from warp_partdr.network.checkpoint import known_network, load_label_network, packaged_network, save_label_network
 from warp_partdr.network.label_network import (
+    KNOWN_LENS,
     NUM_CHANNELS,
+    USUAL_LENS,
     LabelNetwork,
     LabelNetworkConfig,
     draw_heatmaps,
     label_shares,
     label_table,
-    lens_rays,
     map_shares,
+    network_conditions,
 )
 from warp_partdr.network.landmarks import LANDMARKS, network_keypoints
 from warp_partdr.network.predict import ask_network, network_inputs, predict_bodies
@@ -144,9 +147,9 @@ def test_a_batch_says_what_its_members_say(network):
     alone = predict_bodies([without], network)
     assert torch.allclose(both.rotations[1], alone.rotations[0], atol=1e-5)
     assert not torch.allclose(both.rotations[0], both.rotations[1], atol=1e-5)
-    shares, _, rays = network_inputs([without], 64)
+    shares, _, conditions = network_inputs([without], 64)
     assert (shares[0, -1] == 1).all()
-    assert (rays == 0).all()
+    assert (conditions == 0).all()
 
 
 def test_inputs_of_many_are_those_of_each():
@@ -160,7 +163,7 @@ def test_inputs_of_many_are_those_of_each():
     small = replace(mask, labels=resize_nearest(mask.labels, 100), lens=torch.tensor([2.0, 0.5, -1.0]))
     several = [hard, soft, observe(keypoints, None)[0], mask, fewer, small, soft]
     together = network_inputs(several, 64)
-    assert [values.shape for values in together] == [(7, 22, 64, 64), (7, 24, 3), (7, 4)]
+    assert [values.shape for values in together] == [(7, 22, 64, 64), (7, 24, 3), (7, 6)]
     for row, seen in enumerate(several):
         for values, alone in zip(together, network_inputs([seen], 64), strict=True):
             torch.testing.assert_close(values[row], alone[0])
@@ -213,14 +216,27 @@ def test_of_a_mirror_image_the_mirrored_body_is_said():
 
 def test_a_camera_is_seen_by_its_rays_and_only_where_it_is_known(network):
     lenses = torch.tensor([[2.0, 0.5, -1.0], [2.0, 0.5, -1.0], [1e9, 0.0, 0.0]])
-    rays = lens_rays(lenses, torch.tensor([True, False, True]))
-    assert torch.allclose(rays, torch.tensor([[1.0, 0.5, 0.25, -0.5], [0.0] * 4, [1.0, 0.125, 0.0, 0.0]]))
+    statures = torch.tensor([1.7, 0.0, 1.7 * math.exp(0.1)])
+    conditions = network_conditions(lenses, torch.tensor([KNOWN_LENS, 0.0, USUAL_LENS]), statures)
+    expected = torch.tensor([[1.0, 0.5, 0.25, -0.5, 1.0, 0.0], [0.0] * 6, [0.5, 0.125, 0.0, 0.0, 1.0, 0.5]])
+    assert torch.allclose(conditions, expected, atol=1e-6)
     keypoints, parts = seen_by(walker())
-    seen, _ = observe(keypoints, parts)
-    known = replace(seen, lens=lenses[0])
-    assert torch.equal(network_inputs([known], 64)[2], rays[:1])
+    seen = replace(observe(keypoints, parts)[0], lens=None, lens_assumed=False)
+    known = replace(seen, lens=lenses[0], stature=1.7)
+    assert torch.equal(network_inputs([known], 64)[2], conditions[:1])
+    assumed = network_inputs([replace(known, lens_assumed=True, stature=None)], 64)[2]
+    assert torch.allclose(assumed, torch.tensor([[0.5, 0.5, 0.25, -0.5, 0.0, 0.0]]))
     bodies = predict_bodies([seen, known], network)
     assert not torch.allclose(bodies.rotations[0], bodies.rotations[1], atol=1e-5)
+
+
+def test_a_network_without_statures_does_not_look_at_them():
+    torch.manual_seed(0)
+    plain = LabelNetwork(LabelNetworkConfig(size=64)).eval()
+    seen = observe(*seen_by(walker()))[0]
+    tall = replace(seen, stature=1.9)
+    bodies = predict_bodies([seen, tall], plain)
+    assert torch.allclose(bodies.rotations[0], bodies.rotations[1], atol=1e-6)
 
 
 def test_the_packaged_network_knows_that_who_is_far_away_is_no_smaller():

@@ -34,15 +34,15 @@ def test_each_landmark_hears_of_the_others_and_of_the_picture(asked, device):
     torch.manual_seed(0)
     attention = LandmarkAttention([2, 3], 7, width=8, layers=1).to(device).eval()
     maps = [torch.rand(1, 2, 8, 8, device=device), torch.rand(1, 3, 4, 4, device=device)]
-    keypoints, rays = keypoints_at((0.1, 0.2, 1.0), (0.5, 0.5, 1.0)).to(device), torch.zeros(1, 4, device=device)
+    keypoints, conditions = keypoints_at((0.1, 0.2, 1.0), (0.5, 0.5, 1.0)).to(device), torch.zeros(1, 4, device=device)
     moved, other = keypoints.clone(), [each.clone() for each in maps]
     moved[0, 1, 0] -= 0.3
     other[1][0, :, 3, 2:] += 1.0  # about the second keypoint
-    before = attention(maps, keypoints, rays)
+    before = attention(maps, keypoints, conditions)
     assert before.shape == (1, NUM_SAID)
     for changed in (
-        attention(maps, moved, rays),
-        attention(other, keypoints, rays),
-        attention(maps, keypoints, rays + 1),
+        attention(maps, moved, conditions),
+        attention(other, keypoints, conditions),
+        attention(maps, keypoints, conditions + 1),
     ):
         assert ((changed - before).view(len(LANDMARKS), -1)[asked].abs() > 1e-5).any()

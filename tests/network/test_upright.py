@@ -47,16 +47,16 @@ def test_people_lean_as_the_line_from_feet_to_shoulders_does(points, degrees):
 
 def test_inputs_turn_together_and_those_of_others_stay():
     shares, keypoints = torch.rand(3, 22, 16, 16), torch.rand(3, len(LANDMARKS), 3)
-    rays = torch.tensor([[1.0, 0.5, 0.25, -0.5]]).repeat(3, 1)
-    turned = turn_inputs(shares, keypoints, rays, torch.tensor([0.0, QUARTER, math.pi]))
-    assert all(torch.equal(new[0], old[0]) for new, old in zip(turned, (shares, keypoints, rays), strict=True))
+    conditions = torch.tensor([[1.0, 0.5, 0.25, -0.5, 1.0, 0.3]]).repeat(3, 1)
+    turned = turn_inputs(shares, keypoints, conditions, torch.tensor([0.0, QUARTER, math.pi]))
+    assert all(torch.equal(new[0], old[0]) for new, old in zip(turned, (shares, keypoints, conditions), strict=True))
     assert torch.equal(turned[0][1], shares[1].rot90(-1, (1, 2)))  # clockwise
     assert torch.equal(turned[0][2], shares[2].rot90(2, (1, 2)))
     x, y = keypoints[1, :, :2].unbind(1)
     assert torch.allclose(turned[1][1, :, :2], torch.stack([-y, x], dim=1), atol=1e-6)
     assert torch.equal(turned[1][..., 2], keypoints[..., 2])
-    assert torch.allclose(turned[2][1], torch.tensor([1.0, 0.5, 0.5, 0.25]), atol=1e-6)
-    assert turn_inputs(shares, keypoints, rays, torch.zeros(3))[0] is shares
+    assert torch.allclose(turned[2][1], torch.tensor([1.0, 0.5, 0.5, 0.25, 1.0, 0.3]), atol=1e-6)
+    assert turn_inputs(shares, keypoints, conditions, torch.zeros(3))[0] is shares
 
 
 def test_a_body_is_the_same_however_its_picture_is_turned(monkeypatch):

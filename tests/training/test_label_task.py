@@ -13,6 +13,7 @@ from warp_partdr.body.lens import ray_rotations
 from warp_partdr.body.posing import LandmarkGather
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.errors import InputError
+from warp_partdr.network.label_network import KNOWN_LENS
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.network.predicted import Predicted
 from warp_partdr.network.regressor import RegressorConfig
@@ -82,7 +83,8 @@ def known(device: str) -> tuple[Predicted, PeopleBatch]:
         rotations=predicted.rotations,
         lengths=predicted.lengths,
         lenses=lenses,
-        lens_known=torch.tensor([True, False], device=device),
+        lens_certainty=torch.tensor([KNOWN_LENS, 0.0], device=device),
+        statures=torch.tensor([1.7, 0.0], device=device),
         turns=turns,
         distances=torch.full((2,), DISTANCE, device=device),
     )

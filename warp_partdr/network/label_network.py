@@ -143,7 +143,7 @@ def network_conditions(
     Args:
         lenses: Focal length and principal point in crop coordinates, shape (B, 3).
         certainty: Certainty of each lens: ``KNOWN_LENS``, ``USUAL_LENS``, or 0 where nothing is known, shape (B,).
-        statures: Known statures [m], NaN where unknown, shape (B,); None: none is known.
+        statures: Known statures [m], 0 where unknown, shape (B,); None: none is known.
 
     Returns:
         Shape (B, 6): the certainty; the tangents of the crop's half side, as from ``_FARTHEST`` at most, and of its
@@ -155,7 +155,7 @@ def network_conditions(
     rays = torch.where(certainty[:, None] > 0, rays, 0.0)
     tall = rays.new_zeros(len(rays), 2)
     if statures is not None:
-        known = ~statures.isnan()
+        known = statures > 0
         logarithms = _STATURE_SCALE * (statures / _STATURE).log()
         tall = torch.stack([known.to(rays), torch.where(known, logarithms, 0.0)], dim=1)
     return torch.cat([certainty[:, None].to(rays), rays, tall], dim=1)

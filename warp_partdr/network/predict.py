@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import replace
 
@@ -48,7 +47,7 @@ def network_inputs(
     unknown = keypoints.new_ones(3)
     lenses = torch.stack([unknown if each.lens is None else each.lens for each in seen])
     certainty = torch.tensor([_certainty(each) for each in seen]).to(lenses.device)
-    statures = torch.tensor([math.nan if each.stature is None else each.stature for each in seen]).to(lenses.device)
+    statures = torch.tensor([each.stature or 0.0 for each in seen]).to(lenses.device)
     return _network_pictures(seen, size), keypoints, network_conditions(lenses, certainty, statures)
 
 

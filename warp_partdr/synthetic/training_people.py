@@ -92,7 +92,7 @@ class PeopleBatch:
     lengths: torch.Tensor  # ``LENGTH_NAMES`` between Anny's joints, both sides' mean [m], shape (B, 12)
     lenses: torch.Tensor  # focal length and principal point that the network is told, shape (B, 3)
     lens_certainty: torch.Tensor  # of these: ``KNOWN_LENS`` for the true ones, ``USUAL_LENS``, or 0, shape (B,)
-    statures: torch.Tensor  # that the network is told [m], NaN where it is not, shape (B,)
+    statures: torch.Tensor  # that the network is told [m], 0 where it is not, shape (B,)
     turns: torch.Tensor  # from the frame along the ray to the camera's, shape (B, 3, 3)
     distances: torch.Tensor  # of the pelvis from the camera, along its axis [m], shape (B,)
 
@@ -325,9 +325,7 @@ class PeopleMaker:
             lengths=lengths @ self._length_weights.T,
             lenses=view.lenses(crop, factors),
             lens_certainty=certainty[:, 0],
-            statures=torch.where(
-                rng.chance(_STATURE_KNOWN, count), stature + _STATURE_OFF * rng.normal(count), torch.nan
-            ),
+            statures=torch.where(rng.chance(_STATURE_KNOWN, count), stature + _STATURE_OFF * rng.normal(count), 0.0),
             turns=along.mT,
             distances=view.distance[:, 0],
         )

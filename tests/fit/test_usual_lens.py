@@ -1,0 +1,73 @@
+"""A usual lens is assumed where no camera is known and the picture's size is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from warp_partdr import FitOptions, fit_body
+from warp_partdr.cameras import USUAL_FOCAL, Perspective, UsualLens
+from warp_partdr.errors import InputError
+from warp_partdr.evaluation.partbench.samples import make_sample
+from warp_partdr.inputs.keypoints import Keypoints2D
+from warp_partdr.inputs.observation import observe
+from warp_partdr.inputs.sample import Sample
+from warp_partdr.results.save import describe_body
+
+FAST = FitOptions.at("fast")
+
+
+def fitted(sample: Sample, **changes):
+    camera = changes.pop("camera", None)
+    options = replace(FAST, **changes)
+    return fit_body(sample.keypoints, sample.parts, others=sample.others, options=options, camera=camera)
+
+
+def test_a_usual_lens_is_as_long_as_the_longer_side_and_looks_through_the_middle():
+    for size in ((300, 400), (400, 300)):
+        camera = UsualLens.of_size(size)
+        assert camera.intrinsics.tolist() == [[400.0 * USUAL_FOCAL] * 2 + [size[1] / 2, size[0] / 2]]
+
+
+@pytest.mark.parametrize("start", ["network", "search"])
+def test_a_body_stands_before_a_usual_lens_where_no_camera_is_known(start):
+    sample = make_sample(2, "realistic")
+    options = {"start": start, "stages": FAST.search[:1]} if start == "search" else {}
+    found = fitted(sample, **options)
+    assert found.camera_guessed
+    assert found.observation.lens_assumed
+    expected = UsualLens.of_size(sample.parts.groups.shape)
+    assert torch.allclose(found.camera.intrinsics, expected.intrinsics, atol=1e-3)
+    assert 0.5 < found.posed.joints[0, 0, 2] < 30
+    assert describe_body(found)["camera"]["guessed"] is True
+
+
+def test_no_lens_is_assumed_where_one_is_known_or_none_is_asked_for():
+    sample = make_sample(2, "realistic")
+    known = Perspective.of_picture(sample.parts.groups.shape, focal=900.0)
+    given, weak = fitted(sample, camera=known), fitted(sample, guess_camera=False)
+    assert not given.camera_guessed
+    assert torch.allclose(given.camera.intrinsics, known.intrinsics, atol=1e-3)
+    assert not weak.camera_guessed
+    assert not weak.camera.perspective
+    assert "guessed" not in describe_body(weak)["camera"]
+
+
+def test_keypoints_alone_need_the_pictures_size():
+    sample = replace(make_sample(2, "realistic"), parts=None)
+    size = (480, 640)
+    sized = replace(sample, keypoints=replace(sample.keypoints, image_size=size))
+    assert not fitted(sample).camera.perspective
+    found = fitted(sized)
+    assert torch.allclose(found.camera.intrinsics, UsualLens.of_size(size).intrinsics, atol=1e-3)
+    assert observe(sample.keypoints, None)[0].lens is None
+    assert observe(sized.keypoints, None)[0].lens_assumed
+
+
+@pytest.mark.parametrize("size", [(0, 10), (3,), (5, -1)])
+def test_sizes_that_no_picture_has(size):
+    with pytest.raises(InputError, match="image_size"):
+        Keypoints2D("coco17", np.zeros((17, 2), np.float32), np.ones(17, np.float32), image_size=size)

@@ -1,0 +1,63 @@
+"""Keypoints at the joints of data sets that lie elsewhere are moved to where networks expect them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from scenes.bodies import seen_by, walker
+
+from warp_partdr.body.landmarks import CONVENTIONS
+from warp_partdr.body.lens import place_bodies, turn_to_rays
+from warp_partdr.body.skeletons import SKELETONS
+from warp_partdr.inputs.observation import Observation, observe
+from warp_partdr.network.checkpoint import load_label_network
+from warp_partdr.network.conventions import keypoints_at_landmarks, lies_elsewhere
+from warp_partdr.network.predict import ask_network
+from warp_partdr.network.predicted import posed_landmarks
+
+
+def test_points_of_which_conventions_lie_elsewhere():
+    assert lies_elsewhere(("left_hip", "h36m_neck"))
+    assert not lies_elsewhere(("left_hip", "coco_left_hip", "neck"))
+    assert {name for name, form in SKELETONS.items() if lies_elsewhere(form.marks)} == {"h36m17", "shelf14"}
+    assert set(CONVENTIONS) == {"h36m", "shelf"}
+
+
+@pytest.mark.parametrize("lens", [None, (2.5, 0.3, -0.2)])
+def test_keypoints_move_by_what_lies_between_both_points_of_the_first_body(lens):
+    network = load_label_network()
+    seen = replace(observe(*seen_by(walker()))[0], lens=None if lens is None else torch.tensor(lens))
+    plain = _joints(seen)
+    assert keypoints_at_landmarks([plain], ask_network([plain], network)) is None
+
+    first = ask_network([plain], network)
+    bodies = first.parameters() if lens is None else turn_to_rays(first.parameters(), seen.lens)
+    posed, camera = place_bodies(bodies, bodies.posed(), seen.lens, 2)
+    form = SKELETONS["h36m17"]
+    ends, starts = (camera.project(posed_landmarks(posed, names))[0, :, :2] for names in (form.marks, form.landmarks))
+    seen = replace(plain, landmarks=form.landmarks, marks=form.marks, points=ends)
+    seen = replace(seen, confidence=torch.ones(len(form)))
+    (moved,) = keypoints_at_landmarks([seen], first)
+    assert torch.allclose(moved.points, starts, atol=1e-5)
+    assert (ends - starts).norm(dim=1).max() > 0.03
+
+
+def test_what_a_network_says_of_joints_that_lie_elsewhere_is_nearer_to_the_body():
+    """The keypoints are those of a body; told where the joints lie, the network says a body that is more like it."""
+    network = load_label_network()
+    seen = _joints(observe(*seen_by(walker()))[0])
+    truth = ask_network([seen], network)
+    posed, camera = truth.posed(), truth.camera(2)
+    form = SKELETONS["h36m17"]
+    points = camera.project(posed_landmarks(posed, form.marks))[0, :, :2]
+    seen = replace(seen, landmarks=form.landmarks, points=points, confidence=torch.ones(len(form)))
+    told, untold = (ask_network([replace(seen, marks=marks)], network) for marks in (form.marks, None))
+    off = [(each.posed().joints - posed.joints).norm(dim=-1).mean() for each in (told, untold)]
+    assert off[0] < 0.7 * off[1]
+
+
+def _joints(seen: Observation) -> Observation:
+    """Keypoints without labels, before no lens."""
+    return replace(seen, labels=None, label_set=None, marks=None)
