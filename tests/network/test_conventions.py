@@ -44,20 +44,6 @@ def test_keypoints_move_by_what_lies_between_both_points_of_the_first_body(lens)
     assert (ends - starts).norm(dim=1).max() > 0.03
 
 
-def test_what_a_network_says_of_joints_that_lie_elsewhere_is_nearer_to_the_body():
-    """The keypoints are those of a body; told where the joints lie, the network says a body that is more like it."""
-    network = load_label_network()
-    seen = _joints(observe(*seen_by(walker()))[0])
-    truth = ask_network([seen], network)
-    posed, camera = truth.posed(), truth.camera(2)
-    form = SKELETONS["h36m17"]
-    points = camera.project(posed_landmarks(posed, form.marks))[0, :, :2]
-    seen = replace(seen, landmarks=form.landmarks, points=points, confidence=torch.ones(len(form)))
-    told, untold = (ask_network([replace(seen, marks=marks)], network) for marks in (form.marks, None))
-    off = [(each.posed().joints - posed.joints).norm(dim=-1).mean() for each in (told, untold)]
-    assert off[0] < 0.7 * off[1]
-
-
 def _joints(seen: Observation) -> Observation:
     """Keypoints without labels, before no lens."""
     return replace(seen, labels=None, label_set=None, marks=None)
