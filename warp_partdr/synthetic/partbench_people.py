@@ -27,17 +27,26 @@ from .poses import mean_body
 NUM_PEOPLE = 200
 SEED = 20_263
 
-SHORT_SIDE, LONG_SIDE = 320, 400  # [px], of the picture
+# Pictures of phones and cameras: the focal length in longer sides of the picture, as most lenses have it and as others
+# do; the principal point is the middle.
+_LENSES, _OTHER_LENSES, _OTHERS = (0.7, 1.2), (0.65, 1.6), 0.2
+_DISTANCE = (1.5, 10.0)  # [m]; small ones as often as large ones, as logarithms, if the person fits into the picture
+_MOST = 0.94  # share of a side of the picture that the person takes, at most
+_ASPECT = 0.75  # shorter side of the longer one
+_EXTENT = 320  # [px], of the person's longer extent, unless the picture would be larger than:
+_LARGEST = 1024  # [px]
+_WEAK = 0.05  # share of weak-perspective cameras, as of crops of pictures from far away
+# Pictures of these, and of people seen beside the axis, are cut out about the person.
+SHORT_SIDE, LONG_SIDE = 320, 400  # [px]
 _FILL = (0.72, 0.9)  # share of the picture's height that the person takes, or of its width
-_DISTANCE = (2.5, 6.0)  # [m], of perspective cameras
 _BESIDE = {"near": (1.5, 3.0), "far": (9.0, 40.0)}  # [m], of perspective cameras that look beside people
 _ASIDE = (20.0, 10.0)  # [degrees], how far these are beside the camera's axis, across and up or down, at most
-_WEAK = 0.5  # share of weak-perspective cameras
 _PITCH = (-10.0, 25.0)  # [degrees], how far the camera looks down
 _TILT = (45.0, 20.0)  # [degrees], how far a tilted camera looks up or down, and is turned about its axis, at most
 _OFFSET = 0.03  # of the picture's size: how far the person is off its middle, at most
 _CUT = 0.15  # share of people of whom the border cuts off
 _CUT_SHARE = (0.05, 0.2)  # of their height or width
+_PLACINGS = 4  # steps: who stands aside is seen from aside
 _CLOTHES = 18  # of the seed of a person's clothes, whose draws leave all others as they are
 
 COCO = skeleton("coco17")
@@ -107,13 +116,14 @@ def make_person(index: int, setting: Setting = "usual") -> Person:
     vertices = body.vertices[0].numpy()
     weak = rng.random() < _WEAK and beside is None
     offset = np.zeros(3, dtype=np.float32)
-    if not weak:
-        distance = rng.uniform(*(beside or _DISTANCE))
+    if beside is not None:
+        distance, aside = rng.uniform(*beside), np.radians(_ASIDE)
         offset[2] = distance - vertices[:, 2].mean()
-        if beside is not None:
-            aside = np.radians(_ASIDE)
-            offset[:2] = distance * np.tan(rng.uniform(-aside, aside))
-    camera, size = _place_camera(vertices + offset, weak, rng)
+        offset[:2] = distance * np.tan(rng.uniform(-aside, aside))
+    if weak or beside is not None:
+        camera, size = _cut_out(vertices + offset, weak, rng)
+    else:
+        offset, camera, size = _photograph(vertices, rng)
     shown = drawn = draw_mesh(torch.from_numpy(vertices + offset)[None], people.anny_mesh(), camera, size)
     if setting == "clothed":
         clothes, mesh = dress(body, shape, draw_outfit(np.random.default_rng([SEED, index, _CLOTHES])))
@@ -139,8 +149,44 @@ def make_person(index: int, setting: Setting = "usual") -> Person:
     )
 
 
-def _place_camera(vertices: np.ndarray, weak: bool, rng: np.random.Generator) -> tuple[Camera, tuple[int, int]]:
-    """A camera that sees the person, or all but what the border cuts off, and the picture's size (H, W)."""
+def _photograph(vertices: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, Camera, tuple[int, int]]:
+    """Move [m], (3,), that takes a person (V, 3) before a phone's or a camera's lens, and its picture's size (H, W)."""
+    lens = rng.uniform(*(_OTHER_LENSES if rng.random() < _OTHERS else _LENSES))
+    sides = np.array([_ASPECT, 1.0] if rng.random() < 0.5 else [1.0, _ASPECT])  # (W, H), of the longer side
+    middle, extent = (vertices.min(0) + vertices.max(0)) / 2, np.ptp(vertices, axis=0)
+    nearest = (lens * extent[:2] / (_MOST * sides)).max() + extent[2] / 2
+    distance = max(float(np.exp(rng.uniform(*np.log(_DISTANCE)))), nearest)
+    longer = min(_EXTENT * distance / (lens * extent[:2].max()), _LARGEST)
+    size = np.rint(longer * sides)  # (W, H)
+    focal = lens * size.max()
+    share = rng.random((2, 2)).mean(0)  # of the free room, on the person's left and above; the middle more often
+    cut, axis, far, beyond = rng.random() < _CUT, *_draw_cut(rng)
+    offset = np.append(-middle[:2], distance - middle[2])
+    for _ in range(_PLACINGS):
+        low, high = _outline(vertices + offset, focal, size)
+        start = share * (size - (high - low))
+        if cut:
+            start[axis] = size[axis] - (1 - beyond) * (high - low)[axis] if far else -beyond * (high - low)[axis]
+        offset[:2] += (start - low) * distance / focal
+    offset = offset.astype(np.float32)
+    centre = torch.from_numpy(size / 2).float()[None]
+    return offset, Perspective(torch.full((1, 2), focal), centre), (int(size[1]), int(size[0]))
+
+
+def _outline(vertices: np.ndarray, focal: float, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest coordinates [px] of vertices (V, 3) in a picture of size (W, H), (2,) each."""
+    pixels = focal * vertices[:, :2] / vertices[:, 2:] + size / 2
+    return pixels.min(0), pixels.max(0)
+
+
+def _draw_cut(rng: np.random.Generator) -> tuple[int, bool, float]:
+    """Axis of the border that cuts a person, whether it is the far one, and the share beyond it."""
+    # The bottom or the right side more often than the others.
+    return int(rng.integers(2)), bool(rng.random() < 0.7), float(rng.uniform(*_CUT_SHARE))
+
+
+def _cut_out(vertices: np.ndarray, weak: bool, rng: np.random.Generator) -> tuple[Camera, tuple[int, int]]:
+    """A picture about the person, or all but what its border cuts off: its camera and size (H, W)."""
     flat = vertices[:, :2] if weak else vertices[:, :2] / vertices[:, 2:]
     low, high = flat.min(0), flat.max(0)
     extent = high - low
@@ -148,8 +194,8 @@ def _place_camera(vertices: np.ndarray, weak: bool, rng: np.random.Generator) ->
     scale = (size * rng.uniform(*_FILL) / extent).min()
     centre = size * (0.5 + rng.uniform(-_OFFSET, _OFFSET, 2)) - scale * (low + high) / 2
     if rng.random() < _CUT:
-        axis, far = rng.integers(2), rng.random() < 0.7  # the bottom or the right side more often than the others
-        beyond = rng.uniform(*_CUT_SHARE) * extent[axis] * scale
+        axis, far, share = _draw_cut(rng)
+        beyond = share * extent[axis] * scale
         edge = scale * (high if far else low)[axis] + centre[axis]
         centre[axis] += size[axis] + beyond - edge if far else -beyond - edge
     zoom, shift = (torch.tensor(values, dtype=torch.float32)[None] for values in (float(scale), centre))

@@ -148,19 +148,24 @@ def _keypoints(values: np.ndarray) -> Keypoints2D:
 def _add_stranger(
     person: Person, truth: np.ndarray, stranger: Person, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Group ids with somebody before the person's one side, keypoints that are hidden now, and the other's, (17, 3)."""
+    """Group ids with somebody before the person's one side, keypoints that are hidden now, and the other's, (17, 3).
+
+    Their lowest points are at the same height in the picture.
+    """
     rows, columns = np.nonzero(stranger.parts)
     mine = np.nonzero(truth.any(0))[0]
+    lower = int(np.nonzero(truth.any(1))[0][-1] - rows.max())
+    rows = rows + lower
     overlap = rng.uniform(*_OVERLAP) * np.ptp(mine)
     shift = round(mine[0] + overlap - columns.max() if rng.random() < 0.5 else mine[-1] - overlap - columns.min())
     height, width = truth.shape
-    inside = (rows < height) & (columns + shift >= 0) & (columns + shift < width)
+    inside = (rows >= 0) & (rows < height) & (columns + shift >= 0) & (columns + shift < width)
     rows, columns = rows[inside], columns[inside]
     seen, before = truth.copy(), np.zeros(truth.shape, dtype=bool)
-    seen[rows, columns + shift] = LABELS.from_parts(stranger.parts)[rows, columns]
+    seen[rows, columns + shift] = LABELS.from_parts(stranger.parts)[rows - lower, columns]
     before[rows, columns + shift] = True
     u, v = np.clip(person.keypoints.astype(int), 0, [width - 1, height - 1]).T
-    points = stranger.keypoints + np.array([shift, 0.0])
+    points = stranger.keypoints + np.array([shift, lower])
     found = ((points >= 0) & (points <= [width, height])).all(axis=1, keepdims=True)
     values = np.column_stack([points, np.where(stranger.hidden, HIDDEN_CONFIDENCE, 1.0)])
     return seen, person.hidden | before[v, u], np.where(found, values, 0.0)
