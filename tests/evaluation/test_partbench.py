@@ -156,7 +156,7 @@ def test_the_command_writes_table_and_figures(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "PartBench 3, mild: 2 people" in result.output
     figures = json.loads((tmp_path / "out" / "partbench.json").read_text())
-    row = figures["pooled"]["PartBench 2, mild"]["keypoints only"]
+    row = figures["pooled"]["PartBench 3, mild"]["keypoints only"]
     assert row["people"] == 2
     assert {"foreground_f1", "part_f1", "mpjpe_mm", "pa_mpjpe_mm", "pve_mm", "seconds"} <= row.keys()
     assert (tmp_path / "out" / "partbench.html").stat().st_size > 10_000
