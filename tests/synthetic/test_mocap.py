@@ -94,6 +94,22 @@ def test_held_out_frames_come_from_held_out_clips_of_every_kind(shared: Path) ->
         assert np.abs(pool - rotations).max(1).min() == 0.0
 
 
+def test_hands_that_are_turned_around_are_put_straight() -> None:
+    rotations = np.tile(np.eye(3), (4, NUM_PARTS, 1, 1))
+    hand, arm = PART_NAMES.index("right_hand"), PART_NAMES.index("right_upper_arm")
+    half_turn, bend = np.diag([1.0, -1.0, -1.0]), mocap.rotation_matrices(np.array([0.0, 0.0, 1.2]))
+    rotations[:, arm] = bend
+    rotations[1, hand], rotations[2, hand], rotations[3, arm] = half_turn, bend, half_turn
+    clip = mocap.Clip("clip", np.tile(np.eye(3), (4, 1, 1)), rotations, np.full((4, NUM_PARTS, 3), np.nan))
+    assert len(mocap.without_errors(clip)) == 2
+    sound = mocap.straightened(clip)
+    assert (sound.rotations[1, hand] == np.eye(3)).all()
+    assert (sound.rotations[2, hand] == bend).all()
+    assert (sound.rotations[:, arm] == clip.rotations[:, arm]).all()
+    assert len(mocap.without_errors(sound)) == 3  # an arm that is turned around is an error still
+    assert (clip.rotations[1, hand] == half_turn).all()
+
+
 def test_windows_leave_out_limbs_that_turn_around() -> None:
     rotations = np.tile(np.eye(3), (60, 20, 1, 1))
     still = mocap.Clip("still", rotations[:, 0], rotations, np.zeros((60, 20, 3)), np.zeros((60, 3)))

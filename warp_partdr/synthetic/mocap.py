@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ HELD_OUT = "asf.01_05 asf.01_14 asf.02_07 asf.02_10 asf.03_03 deepmimic.dance_a 
 
 _LARGEST_TURN = {"foot": 1.3, "hand": 2.5}  # [rad], of a joint; others:
 _LARGEST_TURN_ELSEWHERE = 2.9
+_ENDS = np.array([name.endswith(("hand", "foot")) for name in PART_NAMES])
 _MEAN_ACCELERATION, _MOST_ACCELERATION = 0.02, 0.1  # [m/frame²], over the joints
 
 
@@ -69,9 +70,20 @@ def is_held_out(clip: Clip) -> bool:
 
 def without_errors(clip: Clip) -> Clip:
     """The frames in which no ankle or wrist is turned around, as markers that were swapped do."""
-    angles = np.linalg.norm(clip.rotation_vectors(), axis=-1)
+    return clip[~_turned_around(clip).any(axis=1)]
+
+
+def straightened(clip: Clip) -> Clip:
+    """The clip with hands and feet that are turned around put straight: all else of such frames is sound."""
+    rotations = clip.rotations.copy()
+    rotations[_turned_around(clip) & _ENDS] = np.eye(3)
+    return replace(clip, rotations=rotations)
+
+
+def _turned_around(clip: Clip) -> np.ndarray:
+    """True for joints that are turned farther than any joint turns, shape (F, 20), bool."""
     allowed = [_LARGEST_TURN.get(name.partition("_")[2], _LARGEST_TURN_ELSEWHERE) for name in PART_NAMES]
-    return clip[(angles < allowed).all(axis=1)]
+    return np.linalg.norm(clip.rotation_vectors(), axis=-1) >= allowed
 
 
 def smooth_windows(clip: Clip, frames: int) -> list[Clip]:

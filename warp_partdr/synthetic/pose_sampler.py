@@ -12,7 +12,7 @@ from ..body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
 from ..body.template import LOCKED_PARTS, NUM_PARTS
 from ..errors import InputError
 from ..files.array_files import read_npz
-from .mocap import is_held_out, without_errors
+from .mocap import is_held_out, straightened, without_errors
 from .mocap_files import load_clips
 from .poses import Poses, PriorSampler, clear_poses, draw_enough, join_poses, mirrored_half
 from .procedural_poses import BROAD, LIMBS, SEATED, SPORT, STANDING, draw_procedural
@@ -81,7 +81,7 @@ def pack_poses(folder: Path | str, path: Path | str) -> None:
 def _frames(folder: Path | str) -> dict[str, np.ndarray]:
     """Poses of all clips that differ from the one before, and which are held out."""
     parts: dict[str, list[np.ndarray]] = {"rotations": [], "ups": [], "held_out": []}
-    for clip in map(without_errors, load_clips(folder)):
+    for clip in map(without_errors, map(straightened, load_clips(folder))):
         vectors = clip.rotation_vectors()
         kept: list[int] = []
         for frame, vector in enumerate(vectors):
