@@ -7,12 +7,14 @@ import pytest
 import torch
 
 from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import MPJPE_JOINTS
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cameras import Perspective
 from warp_partdr.synthetic.partbench_people import COCO, NUM_PEOPLE, Setting, make_person, pose_kind
 from warp_partdr.synthetic.people import draw_anny
 from warp_partdr.synthetic.pose_recipes import POSES, TILTED_POSES, draw_pose
+from warp_partdr.synthetic.poses import clear_poses, mean_body
 
 
 @pytest.mark.parametrize("index", [0, 1, 7])
@@ -41,7 +43,7 @@ def test_a_person_is_the_same_every_time_and_drawn_by_the_camera_with_sides_kept
 
 def test_any_first_people_have_all_kinds_of_poses() -> None:
     kinds = [pose_kind(index) for index in range(NUM_PEOPLE)]
-    assert set(kinds[:15]) == {"prior", *POSES}
+    assert set(kinds[:40]) == {"prior", *POSES}
     assert abs(kinds.count("prior") / NUM_PEOPLE - 0.6) < 0.01
     counts = [kinds.count(kind) for kind in POSES]
     assert max(counts) - min(counts) <= 1
@@ -53,6 +55,45 @@ def test_poses_of_the_prior_keep_to_the_joint_limits() -> None:
         pose = draw_pose("prior", rng)
         assert prior.joint_limits(torch.from_numpy(pose.rotations)[None]) < 0.021
         np.testing.assert_allclose(np.linalg.norm(pose.up), 1.0)
+
+
+@pytest.mark.parametrize("kind", POSES)
+def test_poses_put_together_keep_to_the_joint_limits_and_are_clear(kind: str) -> None:
+    rng = np.random.default_rng(3)
+    poses = [draw_pose(kind, rng) for _ in range(8)]
+    rotations = torch.from_numpy(np.stack([pose.rotations for pose in poses])).float()
+    assert PosePrior().joint_limits(rotations).max() < 1e-9
+    assert clear_poses(rotations).all()
+    np.testing.assert_allclose([np.linalg.norm(pose.up) for pose in poses], 1.0)
+    again = draw_pose(kind, np.random.default_rng(3))
+    np.testing.assert_array_equal(again.rotations, poses[0].rotations)
+    assert not np.array_equal(poses[1].rotations, poses[0].rotations)
+
+
+def _hands(kind: str) -> tuple[torch.Tensor, torch.Tensor]:
+    """Middles of left and right hands of a kind of pose, and of its heads, seen from the pelvis [m]."""
+    rng = np.random.default_rng(4)
+    rotations = torch.from_numpy(np.stack([draw_pose(kind, rng).rotations for _ in range(12)])).float()
+    centres = mean_body(rotation_from_axis_angle(rotations)).centres
+    return centres[:, [PART_NAMES.index(f"{side}_hand") for side in ("left", "right")]], centres[
+        :, [PART_NAMES.index("head")]
+    ]
+
+
+def test_hands_of_poses_put_together_are_where_they_should_be() -> None:
+    hips, _ = _hands("hands on hips")
+    assert (hips[..., 0].abs() > 0.15).all()
+    assert ((hips[..., 1] > -0.15) & (hips[..., 1] < 0.25) & (hips[..., 0].abs() < 0.32)).all()
+    ear, heads = _hands("phone at ear")
+    assert ((ear - heads).norm(dim=-1).amin(1) < 0.2).all()
+    assert ((ear - heads).norm(dim=-1).amax(1) > 0.3).all()  # the other hand hangs
+    clasped, _ = _hands("hands clasped")
+    assert ((clasped[:, 0] - clasped[:, 1]).norm(dim=-1) < 0.16).all()
+    assert (clasped[..., 2] > 0.1).all()
+    behind, _ = _hands("hands behind back")
+    assert (behind[..., 2] < -0.1).all()
+    served, heads = _hands("serving")
+    assert (served[..., 1].amax(1) > heads[:, 0, 1]).all()
 
 
 @pytest.mark.parametrize(("setting", "least", "most"), [("near", 1.5, 3.0), ("far", 9.0, 40.0)])

@@ -8,7 +8,7 @@ import torch
 from warp_partdr.body.landmarks import mirror_order
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.template import PART_NAMES
-from warp_partdr.synthetic.poses import Poses, PriorSampler, clear_poses, mean_body, mirrored
+from warp_partdr.synthetic.poses import Poses, clear_poses, joint_limits, mean_body, mirrored
 from warp_partdr.synthetic.procedural_poses import SEATED, STANDING, draw_procedural
 from warp_partdr.synthetic.rng import TorchRng
 from warp_partdr.synthetic.touching_poses import GESTURES, touching
@@ -22,13 +22,13 @@ BOTH_ARMS = ARMS + [part + 1 for part in ARMS]
 def untouched(count: int, device: str) -> Poses:
     rng, half = TorchRng(2, device), count // 2
     standing, seated = draw_procedural(half, rng, STANDING), draw_procedural(count - half, rng, SEATED)
-    limits = PriorSampler(torch.device(device)).limits
+    limits = joint_limits(torch.device(device))
     return limits.clamp(torch.cat([standing[0], seated[0]])), torch.cat([standing[1], seated[1]])
 
 
 def touched(count: int, device: str) -> tuple[torch.Tensor, torch.Tensor]:
     """Rotation vectors of poses that are clear, and their gestures."""
-    limits = PriorSampler(torch.device(device)).limits
+    limits = joint_limits(torch.device(device))
     (rotations, _), which = touching(untouched(count, device), limits, TorchRng(3, device))
     good = (which >= 0) & clear_poses(rotations)
     return rotations[good], which[good]
@@ -75,8 +75,8 @@ def test_hands_behind_the_back_are_behind_it(device: str) -> None:
 
 
 def test_only_arms_move_and_they_keep_to_the_limits(device: str) -> None:
-    poses, sampler = untouched(500, device), PriorSampler(torch.device(device))
-    (rotations, ups), which = touching(poses, sampler.limits, TorchRng(0, device))
+    poses, limits = untouched(500, device), joint_limits(torch.device(device))
+    (rotations, ups), which = touching(poses, limits, TorchRng(0, device))
     others = [part for part in range(len(PART_NAMES)) if part not in BOTH_ARMS]
     assert torch.equal(ups, poses[1])
     assert torch.equal(rotations[:, others], poses[0][:, others])
@@ -86,7 +86,7 @@ def test_only_arms_move_and_they_keep_to_the_limits(device: str) -> None:
     )
     assert one.any()
     assert torch.equal(rotations[one][:, right], poses[0][one][:, right])
-    assert (rotations == sampler.limits.clamp(rotations)).all()
+    assert (rotations == limits.clamp(rotations)).all()
     assert 0.2 < (which >= 0).float().mean() < 0.9
 
 

@@ -15,9 +15,10 @@ import torch
 
 from ..body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
 from ..body.template import LOCKED_PARTS, NUM_PARTS, PART_NAMES
-from .poses import clear_poses, draw_from_prior
+from .poses import clear_poses, draw_from_prior, joint_limits
 
 _JITTER = 0.12  # [rad], of every joint of a pose put together
+_TOUCHING_JITTER = 0.03  # [rad], where hands are to stay on the body
 _LEAN = 0.08  # [rad], of its pelvis
 
 Bends = dict[str, tuple[float, float, float]]
@@ -55,6 +56,7 @@ class _Recipe:
     trunk: float = 0.0  # bend forward of abdomen and chest each
     lean: float = 0.0  # of the pelvis, forward
     yaw: tuple[float, float] = (-180.0, 180.0)
+    jitter: float = _JITTER  # [rad], of every joint
 
 
 def _crossed_arms(rng: np.random.Generator) -> _Recipe:
@@ -94,6 +96,72 @@ def _bending_down(rng: np.random.Generator) -> _Recipe:
     return _Recipe(arms[0] | legs[0], arms[1] | legs[1], trunk=rng.uniform(12, 22), lean=rng.uniform(35, 55))
 
 
+def _hanging(rng: np.random.Generator) -> Bends:
+    return _arm(rng.uniform(70, 82), rng.uniform(-15, 20), rng.uniform(0, 30), rng.uniform(5, 35))
+
+
+def _at_ease(rng: np.random.Generator) -> tuple[Bends, Bends]:
+    """Legs of somebody who stands on one of them more than on the other."""
+    eased = _leg(rng.uniform(4, 20), rng.uniform(2, 10), rng.uniform(12, 38), rng.uniform(-5, 10))
+    return _leg(rng.uniform(-3, 3), rng.uniform(1, 6), rng.uniform(0, 6)), eased
+
+
+def _standing(rng: np.random.Generator) -> _Recipe:
+    first, second = _at_ease(rng)
+    return _Recipe(_hanging(rng) | first, _hanging(rng) | second, trunk=rng.uniform(-2, 6))
+
+
+def _hands_on_hips(rng: np.random.Generator) -> _Recipe:
+    first, second = _at_ease(rng)
+    arms = [_arm(rng.uniform(50, 66), rng.uniform(-55, -47), 7, rng.uniform(103, 114)) for _ in range(2)]
+    return _Recipe(arms[0] | first, arms[1] | second, jitter=_TOUCHING_JITTER)
+
+
+def _phone_at_ear(rng: np.random.Generator) -> _Recipe:
+    first, second = _at_ease(rng)
+    raised = _arm(rng.uniform(52, 60), rng.uniform(100, 110), rng.uniform(40, 52), rng.uniform(119, 123))
+    return _Recipe(raised | first, _hanging(rng) | second, jitter=_TOUCHING_JITTER)
+
+
+def _hands_clasped(rng: np.random.Generator) -> _Recipe:
+    first, second = _at_ease(rng)
+    down, more = rng.uniform(64, 68), rng.uniform(-2, 2)
+    arms = [_arm(down, forward, 90, bend + more) for forward, bend in ((24, 85), (34, 79))]
+    return _Recipe(arms[0] | first, arms[1] | second, jitter=_TOUCHING_JITTER)
+
+
+def _hands_behind_back(rng: np.random.Generator) -> _Recipe:
+    first, second = _at_ease(rng)
+    arms = [_arm(86, rng.uniform(-62, -50), rng.uniform(30, 50), bend) for bend in (68, 80)]
+    return _Recipe(arms[0] | first, arms[1] | second, trunk=rng.uniform(-4, 4), jitter=_TOUCHING_JITTER)
+
+
+def _legs_crossed(rng: np.random.Generator) -> _Recipe:
+    over = _leg(rng.uniform(92, 104), rng.uniform(-18, -10), rng.uniform(60, 85), 10)
+    under = _leg(rng.uniform(74, 84), rng.uniform(-2, 5), rng.uniform(80, 98))
+    arms = [_arm(72, rng.uniform(5, 30), rng.uniform(0, 30), rng.uniform(30, 70)) for _ in range(2)]
+    return _Recipe(arms[0] | over, arms[1] | under, trunk=rng.uniform(0, 12), lean=rng.uniform(-12, 5))
+
+
+def _kneeling(rng: np.random.Generator) -> _Recipe:
+    down = _leg(rng.uniform(-5, 20), rng.uniform(2, 12), rng.uniform(95, 120), 20)
+    up = _leg(rng.uniform(75, 92), rng.uniform(2, 15), rng.uniform(75, 95))
+    return _Recipe(_hanging(rng) | down, _hanging(rng) | up, trunk=rng.uniform(0, 15), lean=rng.uniform(-5, 15))
+
+
+def _kicking(rng: np.random.Generator) -> _Recipe:
+    leg = _leg(rng.uniform(60, 92), rng.uniform(0, 20), rng.uniform(5, 40), 25)
+    arms = [_arm(rng.uniform(15, 55), rng.uniform(-15, 50), 0, rng.uniform(15, 65)) for _ in range(2)]
+    return _Recipe(arms[0] | leg, arms[1] | _leg(rng.uniform(-6, 6), 3, 10), lean=rng.uniform(-15, 0))
+
+
+def _serving(rng: np.random.Generator) -> _Recipe:
+    first, second = _at_ease(rng)
+    high = _arm(rng.uniform(-84, -65), rng.uniform(-15, 10), rng.uniform(-100, -80), rng.uniform(8, 35))
+    back = _arm(rng.uniform(-25, 10), rng.uniform(-20, 10), rng.uniform(-70, -30), rng.uniform(80, 115))
+    return _Recipe(high | first, back | second, trunk=rng.uniform(-9, 0), lean=rng.uniform(-8, 8))
+
+
 POSES: dict[str, Callable[[np.random.Generator], _Recipe]] = {
     "crossed arms": _crossed_arms,
     "sitting": _sitting,
@@ -101,6 +169,15 @@ POSES: dict[str, Callable[[np.random.Generator], _Recipe]] = {
     "arm before torso": _arm_before_torso,
     "walking away": _walking_away,
     "bending down": _bending_down,
+    "standing at ease": _standing,
+    "hands on hips": _hands_on_hips,
+    "phone at ear": _phone_at_ear,
+    "hands clasped": _hands_clasped,
+    "hands behind back": _hands_behind_back,
+    "legs crossed": _legs_crossed,
+    "kneeling": _kneeling,
+    "kicking": _kicking,
+    "serving": _serving,
 }
 
 
@@ -146,8 +223,9 @@ def _from_recipe(kind: str, rng: np.random.Generator) -> Pose:
             rotations[PART_NAMES.index(f"{side}_{part}")] = np.radians(bend) * mirror
     for part in ("abdomen", "chest"):
         rotations[PART_NAMES.index(part), 0] = np.radians(recipe.trunk)
-    jitter = _JITTER * rng.standard_normal((NUM_PARTS, 3))
+    jitter = recipe.jitter * rng.standard_normal((NUM_PARTS, 3))
     jitter[list(LOCKED_PARTS)] = 0.0
     lean = np.array([np.radians(recipe.lean), 0.0, 0.0]) + _LEAN * rng.standard_normal(3) * [1.0, 0.0, 1.0]
     up = rotation_from_axis_angle(torch.from_numpy(lean)).numpy()[1]  # R^T (0, 1, 0)
-    return Pose(rotations + jitter, up, np.radians(rng.uniform(*recipe.yaw)))
+    held = joint_limits(torch.device("cpu"), torch.float64).clamp(torch.from_numpy(rotations + jitter)).numpy()
+    return Pose(held, up, np.radians(rng.uniform(*recipe.yaw)))

@@ -117,13 +117,19 @@ class JointLimits:
         return torch.minimum(torch.maximum(rotations, self.lower[list(parts)]), self.upper[list(parts)])
 
 
+def joint_limits(device: torch.device, dtype: torch.dtype = torch.float32) -> JointLimits:
+    """Limits of the packaged prior."""
+    prior, _ = _pose_mixture()
+    return JointLimits(*(limits.to(device, dtype) for limits in (prior.lower_limits, prior.upper_limits)))
+
+
 class PriorSampler:
     """Draws of the packaged prior's mixture in batches; ``limits`` are its joints' limits, ``mean`` its mean pose."""
 
     def __init__(self, device: torch.device) -> None:
         prior, mixture = _pose_mixture()
         self._prior = packaged_prior(str(device))
-        self.limits = JointLimits(*(each.float().to(device) for each in (prior.lower_limits, prior.upper_limits)))
+        self.limits = joint_limits(device)
         self.mean = prior.mean_pose.float().to(device)
         self._weights, self._means, self._factors = (
             torch.from_numpy(values).float().to(device)
