@@ -106,7 +106,7 @@ def _at_ease(rng: np.random.Generator) -> tuple[Bends, Bends]:
     return _leg(rng.uniform(-3, 3), rng.uniform(1, 6), rng.uniform(0, 6)), eased
 
 
-def _standing(rng: np.random.Generator) -> _Recipe:
+def _standing_at_ease(rng: np.random.Generator) -> _Recipe:
     first, second = _at_ease(rng)
     return _Recipe(_hanging(rng) | first, _hanging(rng) | second, trunk=rng.uniform(-2, 6))
 
@@ -169,7 +169,7 @@ POSES: dict[str, Callable[[np.random.Generator], _Recipe]] = {
     "arm before torso": _arm_before_torso,
     "walking away": _walking_away,
     "bending down": _bending_down,
-    "standing at ease": _standing,
+    "standing at ease": _standing_at_ease,
     "hands on hips": _hands_on_hips,
     "phone at ear": _phone_at_ear,
     "hands clasped": _hands_clasped,

@@ -115,16 +115,16 @@ def touching(poses: Poses, limits: JointLimits, rng: TorchRng) -> tuple[Poses, t
     rotations, ups = poses
     gestures = tuple(GESTURES.values())
     which = rng.choice([gesture.weight for gesture in gestures], len(ups))
-    rotations, reached = _reach(rotations, [gesture.first for gesture in gestures], which, limits, rng)
+    rotations, reached = _reach_places(rotations, [gesture.first for gesture in gestures], which, limits, rng)
     turned, _ = mirrored((rotations, ups))
     seconds = [gesture.second or gesture.first for gesture in gestures]
-    turned, also = _reach(turned, seconds, which, limits, rng)
+    turned, also = _reach_places(turned, seconds, which, limits, rng)
     both = torch.tensor([gesture.second is not None for gesture in gestures], device=rng.device)[which]
     rotations = torch.where(both[:, None, None], mirrored((turned, ups))[0], rotations)
     return (rotations, ups), torch.where(reached & (also | ~both), which, -1)
 
 
-def _reach(
+def _reach_places(
     rotations: torch.Tensor, places: list[Place], which: torch.Tensor, limits: JointLimits, rng: TorchRng
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Rotation vectors (N, 20, 3) with left hands at those of ``places`` that ``which`` (N,) says, and where so."""
@@ -136,7 +136,7 @@ def _reach(
     goal, normal = _over_skin(posed, places, which, rng)
     arm = _two_bones(posed, goal, normal, rng.uniform(*tries, low=-torch.pi, high=torch.pi))
     palm = torch.where(rng.chance(0.5, *tries), 1.0, -1.0)
-    vectors = _vectors(posed, arm, normal, rng.uniform(*tries, low=_HINGE[0], high=_HINGE[1]), palm)
+    vectors = _arm_vectors(posed, arm, normal, rng.uniform(*tries, low=_HINGE[0], high=_HINGE[1]), palm)
 
     held = limits.clamp(vectors, [_UPPER, _FOREARM, _HAND])
     over = (vectors - held)[:, :, :2].abs().flatten(2).amax(-1)  # a hand may turn less than asked for
@@ -150,7 +150,7 @@ def _reach(
     return rotations, good.any(1) & ((hand - goal).norm(dim=-1) < _MISSED)
 
 
-class _Arm(NamedTuple):
+class _ReachingArm(NamedTuple):
     """Arms that reach, several tries for each of N bodies."""
 
     elbow: torch.Tensor  # shape (N, tries, 3) [m]
@@ -181,7 +181,7 @@ def _over_skin(
     return points[row, free.int().argmax(1)], normal
 
 
-def _two_bones(posed: Posed, goal: torch.Tensor, normal: torch.Tensor, swivel: torch.Tensor) -> _Arm:
+def _two_bones(posed: Posed, goal: torch.Tensor, normal: torch.Tensor, swivel: torch.Tensor) -> _ReachingArm:
     """Arms whose hands' middles are at ``goal`` (N, 3), along the skin, with elbows turned by ``swivel`` (N, tries)."""
     shoulder, goal, normal = posed.joints[:, _JOINT, None], goal[:, None], normal[:, None]
     upper, lower, half_hand = (
@@ -203,10 +203,12 @@ def _two_bones(posed: Posed, goal: torch.Tensor, normal: torch.Tensor, swivel: t
         elbow = shoulder + inside[..., None] * towards + radius[..., None] * out
         last, forearm = hand, _unit(wrist - elbow)
         hand = _unit(forearm - _ALONG_SKIN * (forearm * normal).sum(-1, keepdim=True) * normal)
-    return _Arm(elbow, wrist, last, inside.abs() < _STRETCHED * upper)
+    return _ReachingArm(elbow, wrist, last, inside.abs() < _STRETCHED * upper)
 
 
-def _vectors(posed: Posed, arm: _Arm, normal: torch.Tensor, tilt: torch.Tensor, palm: torch.Tensor) -> torch.Tensor:
+def _arm_vectors(
+    posed: Posed, arm: _ReachingArm, normal: torch.Tensor, tilt: torch.Tensor, palm: torch.Tensor
+) -> torch.Tensor:
     """Rotation vectors of upper arms, forearms and hands, shape (N, tries, 3, 3).
 
     Of elbows whose axis is tilted by ``tilt`` (N, tries) [rad], and hands with the palm on the skin where ``palm``
