@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
 
 from ..errors import InputError
+from .evaluate_fits import RunOptions, check_counts, choose_methods, fit_samples, one_thread_device
+from .evaluate_views import real
 from .options import DeviceOption, LabelsOption, grouped
 
 if TYPE_CHECKING:
     from ..body.labels import LabelSet
-    from ..evaluation.evaluate import Evaluated, Fitting, Report
+    from ..evaluation.evaluate import Evaluated, Fitting
     from ..inputs.sample import Sample
 
 QUICK_LEVELS = ("clean", "realistic")
@@ -27,24 +28,6 @@ evaluate = typer.Typer(
     help="How good fits are on a data set: parts, keypoints, 3D joints, with 95 % intervals; see docs/evaluation.md.",
     no_args_is_help=True,
 )
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """Options of every data set."""
-
-    limit: Annotated[int | None, Option(help="Only the first N people.", metavar="N")] = None
-    jobs: Annotated[int, Option(help="Fits at a time, a process each; they make one another slower.", metavar="N")] = 1
-    methods: Annotated[
-        list[str] | None,
-        Option(
-            "--method",
-            help="What to fit to: keypoints only, full silhouette or parts; may be given again; default: all.",
-            metavar="NAME",
-        ),
-    ] = None
-    device: DeviceOption = "auto"
-    out: Annotated[Path | None, Option(help="Write all figures, also of each fit.", metavar="FILE.json")] = None
 
 
 PicturesOption = Annotated[Path | None, Option(help="The data set's pictures; not needed to fit.", metavar="FOLDER")]
@@ -66,7 +49,7 @@ def folder(
     from ..evaluation.datasets import read_folder
     from ..inputs.photo_files import LeftOut
 
-    _check_counts(limit=options.limit, jobs=options.jobs)
+    check_counts(limit=options.limit, jobs=options.jobs)
     left_out = LeftOut()
     people = list(islice(read_folder(path, _label_set(labels), left_out), options.limit))
     if left_out:
@@ -150,7 +133,7 @@ def partbench(
 
     Ten minutes on two cores; --quick one.
     """
-    _check_counts(jobs=jobs, people=people)
+    check_counts(jobs=jobs, people=people)
     from ..bench.report import save_figures
     from ..evaluation.partbench.crossed import CASES, CROSSED_METHODS, crossed_samples
     from ..evaluation.partbench.methods import METHODS, QUICK
@@ -163,11 +146,11 @@ def partbench(
     if out is not None:
         check_folder(out)
     every: dict[str, Fitting] = {**METHODS, **CROSSED_METHODS, **SCENE_METHODS}
-    methods = _choose(every, method or ([*QUICK, *CROSSED_METHODS, *SCENE_METHODS] if quick else every))
+    methods = choose_methods(every, method or ([*QUICK, *CROSSED_METHODS, *SCENE_METHODS] if quick else every))
     levels = level or (QUICK_LEVELS if quick else tuple(LEVELS))
     if mocap is not None and CLIP not in levels:
         raise InputError(f"--mocap: {mocap}, without --level {CLIP}; expected both")
-    where = _one_thread(device)
+    where = one_thread_device(device)
     processes = jobs or ((os.cpu_count() or 1) if where == "cpu" else 1)
     count = people or (QUICK_PEOPLE if quick else PEOPLE)
     scenes = [each for each in levels if each in SCENES]
@@ -175,7 +158,7 @@ def partbench(
     samples: list[Evaluated] = [*partbench_samples(count, singles), *partbench_scenes(range(count), scenes, mocap)]
     if CROSSED in levels:
         samples += crossed_samples(people or (QUICK_PEOPLE if quick else CASES))
-    report, figures = _fit(samples, methods, processes, where)
+    report, figures = fit_samples(samples, methods, processes, where)
     for finding in compare_methods(report):
         typer.echo(finding)
     if out is not None:
@@ -186,6 +169,7 @@ def partbench(
 
 
 evaluate.command("folder")(grouped(folder))
+evaluate.command("real")(grouped(real))
 evaluate.command("h36m")(grouped(h36m))
 evaluate.command("lsp")(grouped(lsp))
 evaluate.command("3dpw")(grouped(pw3d))
@@ -193,73 +177,23 @@ evaluate.command("partbench")(partbench)
 
 
 def _evaluate(samples: Iterable[Sample], options: RunOptions) -> None:
-    _check_counts(limit=options.limit, jobs=options.jobs)
+    check_counts(limit=options.limit, jobs=options.jobs)
     people = list(islice(samples, options.limit))
     if not people:
         raise InputError("the data set: nobody in it; expected at least one person")
 
-    from ..bench.report import save_figures
     from ..evaluation.evaluate import METHODS
-    from ..results.result_sets import check_folder
 
     labelled = any(sample.parts is not None for sample in people)
-    methods = _choose(METHODS, options.methods or (METHODS if labelled else ["keypoints only"]))
-    if options.out is not None:
-        if options.out.is_dir():
-            raise InputError(f"--out: {options.out}: a folder; expected a file")
-        check_folder(options.out.parent)
-    figures = _fit(people, methods, options.jobs, _one_thread(options.device))[1]
+    methods = choose_methods(METHODS, options.methods or (METHODS if labelled else ["keypoints only"]))
+    options.check_out()
+    figures = fit_samples(people, methods, options.jobs, one_thread_device(options.device))[1]
     if all(sample.joints is None and sample.target is None for sample in people):
         typer.echo("Neither labels nor 3D joints are known: only keypoints are compared.", err=True)
-    if options.out is not None:
-        save_figures(figures, options.out)
-        typer.echo(f"{options.out} holds the same figures, and each fit's")
+    options.save(figures)
 
 
 def _label_set(name: str | None) -> LabelSet | None:
     from ..body.labels import label_set
 
     return None if name is None else label_set(name)
-
-
-def _check_counts(**options: int | None) -> None:
-    for name, number in options.items():
-        if number is not None and number < 1:
-            raise InputError(f"--{name}: {number}; expected 1 or more")
-
-
-def _choose(methods: Mapping[str, Fitting], names: Collection[str]) -> dict[str, Fitting]:
-    """Some of the methods, in their order."""
-    if unknown := sorted(set(names) - methods.keys()):
-        raise InputError(f"--method: {', '.join(unknown)}; expected {'; '.join(methods)}")
-    return {name: method for name, method in methods.items() if name in names}
-
-
-def _one_thread(device: str) -> str:
-    """Keep this process and those to come to one core each; returns the device to fit on."""
-    from ..evaluation.evaluate import one_thread
-    from ..interop.devices import choose_device
-
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    one_thread()
-    return choose_device(device)
-
-
-def _fit(
-    people: Sequence[Evaluated], methods: Mapping[str, Fitting], jobs: int, device: str
-) -> tuple[Report, dict[str, Any]]:
-    """Fit everybody and print what came of it; returns all figures for a file, too."""
-    from ..bench.machine import about
-    from ..bench.report import wide_console
-    from ..evaluation.evaluate import evaluate, tables
-    from .progress import FitProgress
-
-    with FitProgress() as progress:
-        report = evaluate(people, methods, jobs=jobs, device=device, progress=progress)
-    console = wide_console()
-    for table in tables(report):
-        console.print(table)
-    for failure in report.failures:
-        who = f"{failure.source}: {failure.sample}"
-        typer.echo(f"not fitted: {who}, {failure.method}: {failure.reason}", err=True)
-    return report, {"about": {**about(device), "jobs": jobs}, **report.to_json()}

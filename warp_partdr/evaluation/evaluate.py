@@ -10,7 +10,7 @@ import multiprocessing
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import starmap
 from typing import Any, Protocol
 
@@ -83,13 +83,15 @@ class Method:
     options: FitOptions = field(default_factory=FitOptions)
     fit: Callable[..., Any] = fit_body
     camera: bool = False  # a sample's is given to the fit, where it is known
+    stature: bool = False  # likewise
     vertices: Callable[[Any], np.ndarray] | None = None  # of a result's mesh, as ``Sample.vertices``, camera frame [m]
 
     def fit_sample(self, sample: Sample, device: str) -> Any:
         """Fit one person; returns what ``fit`` does."""
         parts = None if sample.parts is None else self.see(sample.parts)
         given = {"camera": sample.camera} if self.camera else {}
-        return self.fit(sample.keypoints, parts, others=sample.others, options=self.options, device=device, **given)
+        options = replace(self.options, stature=sample.stature) if self.stature else self.options
+        return self.fit(sample.keypoints, parts, others=sample.others, options=options, device=device, **given)
 
     def serves(self, sample: object) -> bool:
         """True for single people."""
@@ -108,6 +110,9 @@ METHODS: dict[str, Method] = {
 }
 
 
+ALL = "all"  # name of all sources together
+
+
 @dataclass(frozen=True)
 class Failure:
     """A sample that could not be fitted, and why."""
@@ -120,19 +125,37 @@ class Failure:
 
 @dataclass(frozen=True)
 class Report:
-    """All scores, in the order of samples and, for each, of methods; and what could not be fitted."""
+    """All scores, in the order of samples and, for each, of methods; and what could not be fitted.
+
+    Attributes:
+        scores: Of each sample and method.
+        failures: Samples that a method could not fit.
+        clusters: Name of the scores' clusters, for tables.
+        together: Pool all sources, too, as the source ``ALL``, if there are several.
+    """
 
     scores: tuple[Score, ...]
     failures: tuple[Failure, ...] = ()
+    clusters: str = "people"
+    together: bool = False
+
+    def by_source(self) -> dict[str, list[Score]]:
+        """Scores of each source."""
+        groups: dict[str, list[Score]] = {}
+        for each in self.scores:
+            groups.setdefault(each.source, []).append(each)
+        if self.together and len(groups) > 1:
+            groups[ALL] = list(self.scores)
+        return groups
 
     def pooled(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Figures (``summarise``) by source and method."""
-        groups: dict[str, dict[str, list[Score]]] = {}
-        for each in self.scores:
-            groups.setdefault(each.source, {}).setdefault(each.method, []).append(each)
         return {
-            source: {method: summarise(scores) for method, scores in methods.items()}
-            for source, methods in groups.items()
+            source: {
+                method: summarise([each for each in scores if each.method == method])
+                for method in dict.fromkeys(each.method for each in scores)
+            }
+            for source, scores in self.by_source().items()
         }
 
     def to_json(self) -> dict[str, Any]:
@@ -233,6 +256,8 @@ _COLUMNS = {  # figure: its heading, a factor, and digits
     "mpjpe_mm": ("MPJPE\n[mm]", 1, 1),
     "pa_mpjpe_mm": ("PA-MPJPE\n[mm]", 1, 1),
     "pve_mm": ("PVE\n[mm]", 1, 1),
+    "size_share": ("bones\n[% of true]", 100, 1),
+    "stature_share": ("stature\n[% of true]", 100, 1),
     "world_mpjpe_mm": ("world\nMPJPE [mm]", 1, 1),
     "depth_between_mm": ("depth between\noff [mm]", 1, 0),
     "stature_off_mm": ("stature\noff [mm]", 1, 0),
@@ -240,6 +265,7 @@ _COLUMNS = {  # figure: its heading, a factor, and digits
     "sliding_mm_s": ("feet slide\n[mm/s]", 1, 0),
     "order_right": ("depth\norder [%]", 100, 0),
     "depth_within_spread": ("depth in\n68 % [%]", 100, 0),
+    "depth_within_two_spreads": ("in twice\nthat [%]", 100, 0),
     "shared_volume_cm3": ("shared\n[cm³]", 1, 0),
     "seconds": ("time\n[s]", 1, 2),
 }
@@ -248,9 +274,12 @@ _COLUMNS = {  # figure: its heading, a factor, and digits
 def tables(report: Report) -> Iterator[Table]:
     """One table a source: a row a method, with 95 % intervals below the figures."""
     for source, rows in report.pooled().items():
-        people = max(row["people"] for row in rows.values())
+        people, views = (max(row[name] for row in rows.values()) for name in ("people", "views"))
         what = ("scene", "scenes") if any("world_mpjpe_mm" in row for row in rows.values()) else ("person", "people")
-        title = Text(f"{source}: {people} {what[people != 1]}", style="bold")
+        count = f"{people} {what[people != 1]}"
+        if views != people:
+            count = f"{views} views, intervals over {people} {report.clusters}" if people > 1 else f"{views} views"
+        title = Text(f"{source}: {count}", style="bold")
         table = Table(title=title, title_justify="left")
         table.add_column("fitted to", no_wrap=True)
         shown = [name for name in _COLUMNS if any(name in row for row in rows.values())]

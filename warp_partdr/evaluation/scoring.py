@@ -15,11 +15,13 @@ import torch
 
 from .. import metrics
 from ..body.labels import BACKGROUND, LabelSet, label_set, regroup
+from ..body.stature import bone_statures
 from ..body.template import JOINT_NAMES
 from ..fit.result import FitResult
 from ..inputs.ignored_labels import ignore_missing_limbs
 from ..inputs.keypoints import person_height
 from ..inputs.sample import Sample
+from .sizes import trunk_and_legs
 
 _GROUPS = "lsp6"
 _HIPS = ("left_hip", "right_hip")
@@ -27,6 +29,8 @@ _MEANS = (  # figure, field of ``Score``, and digits
     ("mpjpe_mm", "mpjpe", 1),
     ("pa_mpjpe_mm", "pa_mpjpe", 1),
     ("pve_mm", "pve", 1),
+    ("size_share", "size_share", 4),
+    ("stature_share", "stature_share", 4),
     ("world_mpjpe_mm", "world_mpjpe", 1),
     ("depth_between_mm", "depth_between", 1),
     ("stature_off_mm", "stature", 1),
@@ -34,6 +38,7 @@ _MEANS = (  # figure, field of ``Score``, and digits
     ("sliding_mm_s", "sliding", 1),
     ("order_right", "order", 3),
     ("depth_within_spread", "depth_within", 3),
+    ("depth_within_two_spreads", "depth_within_two", 3),
     ("shared_volume_cm3", "shared_volume", 1),
     ("seconds", "seconds", 2),
 )
@@ -70,7 +75,11 @@ class Score:
     sliding: float = math.nan  # [mm/s], speed of ankles while the true ones stand; NaN but for motion where some do
     order: float = math.nan  # share of pairs of people, or of a limb (``Sample.mirrored``), in the right order in depth
     depth_within: float = math.nan  # share of joints whose depth lies in the interval of 68 % that the network stated
+    depth_within_two: float = math.nan  # the same of twice that interval
     shared_volume: float = math.nan  # [cm³], of people who stand in one another, a frame; NaN but for several people
+    size_share: float = math.nan  # length of legs and trunk (``trunk_and_legs``) over the true one
+    stature_share: float = math.nan  # height standing over the true one
+    cluster: str | None = None  # scores of one, such as of a person's views, are not independent; None: alone
 
 
 def score_fit(
@@ -96,7 +105,9 @@ def score_fit(
         keypoints=distances / max(person_height(sample.keypoints), 1.0),
         seconds=seconds,
         pixels=_pixels(sample, result),
+        cluster=sample.cluster,
         **_joint_errors(sample, result, vertices),
+        **_sizes(sample, result),
         **_depth_figures(sample, result),
     )
 
@@ -107,7 +118,7 @@ def _joint_errors(sample: Sample, result: FitResult, vertices: np.ndarray | None
         return {}
     names = sample.joint_names
     hips = [names.index(name) for name in _HIPS]
-    joints, known = result.landmarks(names), np.isfinite(sample.joints).all(axis=1)
+    joints, known = result.landmarks(sample.body_points), np.isfinite(sample.joints).all(axis=1)
     errors = {"pa_mpjpe": metrics.pa_mpjpe(joints, sample.joints, valid=known)}
     if known[hips].all():
         errors["mpjpe"] = metrics.mpjpe(joints, sample.joints, centre_on=hips, valid=known)
@@ -117,13 +128,25 @@ def _joint_errors(sample: Sample, result: FitResult, vertices: np.ndarray | None
     return {name: 1000 * float(error) for name, error in errors.items()}
 
 
+def _sizes(sample: Sample, result: FitResult) -> dict[str, float]:
+    """Sizes over the true ones, as far as these are known, by their names in ``Score``."""
+    figures = {}
+    if sample.joints is not None:
+        found = trunk_and_legs(result.landmarks(sample.body_points), sample.joint_names)
+        figures["size_share"] = found / trunk_and_legs(sample.joints, sample.joint_names)
+    if sample.stature is not None:
+        body = result if isinstance(result, FitResult) else result.ellipbody
+        figures["stature_share"] = float(bone_statures(body.parameters.lengths)[0]) / sample.stature
+    return figures
+
+
 def _depth_figures(sample: Sample, result: FitResult) -> dict[str, float]:
     """Depths, from the hips' middle, as far as something is to be told of them: shares by their names in ``Score``."""
     if sample.joints is None:
         return {}
     names, figures = sample.joint_names, {}
     hips = [names.index(name) for name in _HIPS]
-    found, true = (each[:, 2] - each[hips, 2].mean() for each in (result.landmarks(names), sample.joints))
+    found, true = (each[:, 2] - each[hips, 2].mean() for each in (result.landmarks(sample.body_points), sample.joints))
     if sample.mirrored is not None:
         wrong = sample.mirrored[:, 2] - sample.mirrored[hips, 2].mean()
         most = int(np.abs(wrong - true).argmax())
@@ -134,8 +157,9 @@ def _depth_figures(sample: Sample, result: FitResult) -> dict[str, float]:
         off = np.abs(found - true)[rows]
         known = np.isfinite(off)
         if known.any():
-            within = off < result.uncertainty.depths[0, columns].cpu().numpy()
-            figures["depth_within"] = float(within[known].mean())
+            spreads = result.uncertainty.depths[0, columns].cpu().numpy()
+            figures["depth_within"] = float((off < spreads)[known].mean())
+            figures["depth_within_two"] = float((off < 2 * spreads)[known].mean())
     return figures
 
 
@@ -175,28 +199,44 @@ def _pixels(sample: Sample, result: FitResult) -> Pixels | None:
     )
 
 
+def sum_clusters(values: np.ndarray, clusters: Sequence[str]) -> np.ndarray:
+    """Sums of values (N, ...) over each cluster, in the order of their first: shape (C, ...)."""
+    names = list(dict.fromkeys(clusters))
+    sums = np.zeros((len(names), *values.shape[1:]), dtype=values.dtype)
+    np.add.at(sums, [names.index(cluster) for cluster in clusters], values)
+    return sums
+
+
 def summarise(scores: Sequence[Score]) -> dict[str, Any]:
     """Figures of one or more fits by one method: pixels and keypoints pooled, the rest averaged over people.
 
     Returns:
         Figures by name, those that are known of somebody, and ``interval_95`` of most of them if there are several
-        people: bootstrapped over people, which takes them for independent.
+        people: bootstrapped over people, which takes them for independent. Scores with a ``cluster`` are bootstrapped
+        over clusters, such as people of whom there are several views.
 
     Raises:
         ValueError: If pixels were counted in different classes.
     """
-    figures: dict[str, Any] = {"people": len(scores)}
+    clusters = [str(row) if score.cluster is None else score.cluster for row, score in enumerate(scores)]
+    figures: dict[str, Any] = {"people": len(set(clusters)), "views": len(scores)}
     intervals: dict[str, list[float]] = {}
 
-    def put(name: str, values: np.ndarray, of_sum: Callable[[np.ndarray], Any], digits: int) -> None:
+    def put(
+        name: str, values: np.ndarray, of_sum: Callable[[np.ndarray], Any], digits: int, rows: Sequence[int]
+    ) -> None:
+        """Put down the figure that ``of_sum`` makes of values, one a score of these ``rows``, and its interval."""
         figures[name] = round(float(of_sum(values.sum(0)[None])[0]), digits)
-        if len(values) > 1:
-            intervals[name] = [round(limit, digits) for limit in metrics.bootstrap_sum(values, of_sum)]
+        sums = sum_clusters(values, [clusters[row] for row in rows])
+        if len(sums) > 1:
+            intervals[name] = [round(limit, digits) for limit in metrics.bootstrap_sum(sums, of_sum)]
 
     def ratio(sums: np.ndarray) -> np.ndarray:
         return sums[..., 0] / sums[..., 1]
 
+    everyone = range(len(scores))
     if pixels := [score.pixels for score in scores if score.pixels is not None]:
+        labelled = [row for row in everyone if scores[row].pixels is not None]
         if len(classes := {picture.classes for picture in pixels}) > 1:
             found = " and ".join(map(", ".join, sorted(classes)))
             raise ValueError(f"scores: parts of {found}; expected one label set")
@@ -204,23 +244,23 @@ def summarise(scores: Sequence[Score]) -> dict[str, Any]:
             np.stack([getattr(picture, name) for picture in pixels])
             for name in ("foreground", "parts", "filled", "undisputed")
         )
-        put("foreground_accuracy", foreground, metrics.accuracy, 4)
-        put("foreground_f1", foreground, metrics.part_f1, 4)
-        put("part_accuracy", filled, metrics.accuracy, 4)
-        put("part_f1", parts, metrics.part_f1, 4)
-        put("undisputed_foreground_f1", metrics.foreground_counts(undisputed), metrics.part_f1, 4)
-        put("undisputed_part_f1", undisputed, metrics.part_f1, 4)
+        put("foreground_accuracy", foreground, metrics.accuracy, 4, labelled)
+        put("foreground_f1", foreground, metrics.part_f1, 4, labelled)
+        put("part_accuracy", filled, metrics.accuracy, 4, labelled)
+        put("part_f1", parts, metrics.part_f1, 4, labelled)
+        put("undisputed_foreground_f1", metrics.foreground_counts(undisputed), metrics.part_f1, 4, labelled)
+        put("undisputed_part_f1", undisputed, metrics.part_f1, 4, labelled)
         figures["f1"] = {
             name: None if np.isnan(value) else round(float(value), 4)
             for name, value in zip(pixels[0].classes, metrics.f1_scores(parts.sum(0)), strict=True)
         }
     keypoints = np.array([[score.keypoints.sum(), len(score.keypoints)] for score in scores])
-    put("keypoint_distance", keypoints, ratio, 5)
+    put("keypoint_distance", keypoints, ratio, 5, everyone)
     for name, column, digits in _MEANS:
         values = np.array([getattr(score, column) for score in scores], dtype=np.float64)
-        known = values[np.isfinite(values)]
+        known = np.flatnonzero(np.isfinite(values))
         if len(known):
-            put(name, np.stack([known, np.ones_like(known)], axis=1), ratio, digits)
+            put(name, np.stack([values[known], np.ones(len(known))], axis=1), ratio, digits, known.tolist())
     if intervals:
         figures["interval_95"] = intervals
     return figures

@@ -28,11 +28,16 @@ class Sample:
         mask: The person's silhouette, where it is annotated apart from the parts, shape (H, W), bool.
         joints: True 3D joints, camera frame [m], shape (J, 3); NaN where unknown. Where the origin is does not matter.
         joint_names: Their landmarks; both hips, which are the pelvis, must be among them.
+        joint_marks: Points of the body (``LANDMARKS``) that the data set's joints mark; None: ``joint_names``.
         vertices: True vertices of a mesh, in the frame of ``joints`` [m], shape (V, 3).
         mirrored: Joints with a limb mirrored in depth, which keypoints don't tell from the true ones, as ``joints``.
         picture: File of the picture, or the picture, shape (H, W, 3), uint8.
         camera: The picture's, where it is known, B = 1.
         label_set: Of ``target``; None: that of ``parts``.
+        picture_size: (H, W) of the picture [px], where neither labels nor a picture tell it.
+        stature: The person's height, standing [m].
+        cluster: Name of the samples that are not independent of this one, such as the person's whom several views show;
+            None: there are none.
     """
 
     source: str
@@ -44,11 +49,20 @@ class Sample:
     mask: np.ndarray | None = None
     joints: np.ndarray | None = None
     joint_names: tuple[str, ...] = MPJPE_JOINTS
+    joint_marks: tuple[str, ...] | None = None
     vertices: np.ndarray | None = None
     mirrored: np.ndarray | None = None
     picture: Path | np.ndarray | None = None
     camera: Perspective | None = None
     label_set: LabelSet | None = None
+    picture_size: tuple[int, int] | None = None
+    stature: float | None = None
+    cluster: str | None = None
+
+    @property
+    def body_points(self) -> tuple[str, ...]:
+        """Landmark of the body that each joint marks."""
+        return self.joint_names if self.joint_marks is None else self.joint_marks
 
     @property
     def target_set(self) -> LabelSet | None:

@@ -9,5 +9,17 @@ from ...inputs.sample import Sample
 from .folder import read_folder
 from .lsp import read_lsp
 from .spin import read_human36m, read_pw3d, read_spin
+from .views import Views, ViewSelection, read_views, view_samples
 
-__all__ = ["Sample", "read_folder", "read_human36m", "read_lsp", "read_pw3d", "read_spin"]
+__all__ = [
+    "Sample",
+    "ViewSelection",
+    "Views",
+    "read_folder",
+    "read_human36m",
+    "read_lsp",
+    "read_pw3d",
+    "read_spin",
+    "read_views",
+    "view_samples",
+]

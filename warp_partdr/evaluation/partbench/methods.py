@@ -9,6 +9,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from ...cameras import Perspective
 from ...clothing.anny import anny
 from ...clothing.registration import RegistrationOptions, RegistrationWeights, register
 from ...fit.fitting import fit_body
@@ -34,15 +35,16 @@ def registered_vertices(result: FitResult) -> np.ndarray:
 
 def fit_anny(
     keypoints: Keypoints2D,
-    parts: PartLabels,
+    parts: PartLabels | None,
     *,
     others: Sequence[Keypoints2D] = (),
     options: FitOptions,
     mesh: MeshOptions | None = None,
     device: str = "cpu",
+    camera: Perspective | None = None,
 ) -> MeshFit:
     """Fit EllipBody as ``fit_body`` does, but for its outline stage, and from there Anny (``refine_mesh``)."""
-    first = fit_body(keypoints, parts, others=others, options=options.without_outline(), device=device)
+    first = fit_body(keypoints, parts, others=others, options=options.without_outline(), device=device, camera=camera)
     return refine_mesh(first, options=mesh)
 
 

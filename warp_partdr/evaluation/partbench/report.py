@@ -6,7 +6,6 @@ import base64
 import html
 import io
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 from rich.console import Console
 
-from ... import metrics
 from ...body.skeletons import MPJPE_SKELETON, skeleton
 from ...fit.result import FitResult
 from ...inputs.sample import Sample
@@ -22,6 +20,7 @@ from ...results.palette import group_colours
 from ...results.pictures import draw_keypoints
 from ...synthetic.scene_people import SceneSample
 from ..evaluate import Evaluated, Fitting, Report, tables
+from ..pairs import compare_pairs
 from ..scoring import Score
 from . import VERSION
 from .crossed import CROSSED_METHODS, MIRRORED
@@ -51,44 +50,14 @@ ORDER = (
     *(("scene", name) for name in (*SMOOTHED, *SMOOTHED_APART)),
     ("scene", "first camera alone"),
 )
-_GAINS = (  # figure, field of ``Score``, factor, unit
-    ("PA-MPJPE", "pa_mpjpe", 1, "mm"),
-    ("world MPJPE", "world_mpjpe", 1, "mm"),
-    ("acceleration", "acceleration", 1, "mm/frame²"),
-    ("feet slide", "sliding", 1, "mm/s"),
-    ("depth order right", "order", 100, "%"),
-    ("depth between people", "depth_between", 1, "mm"),
-    ("stature", "stature", 1, "mm"),
-)
 _TRUE, _FITTED = (20, 70, 140), (200, 60, 20)
 _STYLE = "body{font:15px sans-serif;margin:2em;max-width:1500px}pre{font-size:12px;line-height:1.15}img{display:block}"
 
 
 def compare_methods(report: Report) -> Iterator[str]:
     """Differences between methods on the same people, with 95 % intervals: a sentence for each level and pair."""
-    scores = {(each.source, each.method, each.sample): each for each in report.scores}
-    people = sorted({each.sample for each in report.scores})
-    for source, pair in product(dict.fromkeys(each.source for each in report.scores), ORDER):
-        keys = ([(source, method, person) for method in pair] for person in people)
-        matched = [[scores[key] for key in both] for both in keys if scores.keys() >= set(both)]
-        if matched:
-            yield f"{source.removeprefix(source_name(''))}: {pair[0]} minus {pair[1]}: {_compare(matched)}"
-
-
-def _compare(pairs: list[list[Score]]) -> str:
-    """Errors and part F1 of the first score of each pair minus those of the second."""
-    parts = []
-    for name, field, factor, unit in _GAINS:
-        gains = factor * np.array([getattr(better, field) - getattr(worse, field) for better, worse in pairs])
-        if np.isfinite(gains).all():
-            low, high = metrics.bootstrap_sum(gains, lambda sums: sums / len(pairs))
-            parts.append(f"{name} {gains.mean():+.1f} ({low:+.1f} to {high:+.1f}) {unit}")
-    counts = np.array([[score.pixels.parts for score in pair if score.pixels is not None] for pair in pairs])
-    if counts.ndim == 4:
-        gain = lambda sums: metrics.part_f1(sums[..., 0, :, :]) - metrics.part_f1(sums[..., 1, :, :])  # noqa: E731
-        low, high = metrics.bootstrap_sum(counts, gain)
-        parts.append(f"part F1 {float(gain(counts.sum(0))):+.4f} ({low:+.4f} to {high:+.4f})")
-    return ", ".join(parts)
+    for source, told in compare_pairs(report, ORDER):
+        yield f"{source.removeprefix(source_name(''))}: {told}"
 
 
 def write_report(

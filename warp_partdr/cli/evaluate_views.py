@@ -1,0 +1,135 @@
+"""Commands of ``partdr evaluate`` for views of real people with 3D truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer import Argument, Option
+
+from ..errors import InputError
+from .evaluate_fits import RunOptions, check_counts, choose_methods, fit_samples, one_thread_device
+
+if TYPE_CHECKING:
+    from ..evaluation.datasets import Views
+    from ..inputs.sample import Sample
+
+_NONE, _TRUE, _OWN = "none", "true", "own"
+_SET, _PERSON = "set", "person"
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """Options of views of real people: whom, what fits are told, and tables."""
+
+    rows: Annotated[
+        str, Option(help="inside: all joints are in the picture; baseline: marked so; every.", metavar="ROWS")
+    ] = "inside"
+    people: Annotated[
+        list[str] | None, Option(help="Only this person, SET/PERSON, or set; may be given again.", metavar="NAME")
+    ] = None
+    leave_out: Annotated[
+        list[str] | None, Option(help="Not this person or set; may be given again.", metavar="NAME")
+    ] = None
+    step: Annotated[int, Option(help="Only one of N rows.", metavar="N")] = 1
+    camera: Annotated[
+        str, Option(help="Given to fits: none, true, or a focal length in longer sides of the picture.", metavar="LENS")
+    ] = _NONE
+    stature: Annotated[str, Option(help="Given to fits: none, true, or metres for all.", metavar="HEIGHT")] = _NONE
+    convention: Annotated[
+        str | None, Option(help="Whose joints these are, such as coco; own: the body's.", metavar="NAME")
+    ] = None
+    keypoints: Annotated[
+        str | None, Option(help="Give fits those of this format alone, such as coco17, where known.", metavar="FORMAT")
+    ] = None
+    network: Annotated[Path | None, Option(help="Label network of partdr train.", metavar="FILE")] = None
+    by: Annotated[str, Option(help="A table for each set, or for each person.", metavar="set|person")] = _SET
+    intervals: Annotated[
+        str, Option(help="Intervals are over people, or over their moments.", metavar="people|moments")
+    ] = "people"
+
+
+def real(
+    path: Annotated[Path, Argument(help="Folder with views.npz or sights.npz, or such a file.", metavar="FOLDER")],
+    *,
+    views: ViewOptions,
+    options: RunOptions,
+) -> None:
+    """Real people with 3D truth: joints, sizes and stated depths, with intervals over people."""
+    from ..evaluation.datasets import read_views
+
+    _evaluate_views(read_views(path), views, options)
+
+
+def _evaluate_views(views: Views, chosen: ViewOptions, options: RunOptions) -> None:
+    from ..evaluation.datasets.views import ViewSelection, view_samples
+    from ..evaluation.pairs import compare_pairs
+    from ..evaluation.real import PAIRS, real_methods
+
+    check_counts(limit=options.limit, jobs=options.jobs, step=chosen.step)
+    _check_word("by", chosen.by, (_SET, _PERSON))
+    _check_word("intervals", chosen.intervals, ("people", "moments"))
+    rows = ViewSelection(chosen.rows, tuple(chosen.people or ()), tuple(chosen.leave_out or ()), chosen.step).of(views)
+    convention = "" if chosen.convention == _OWN else chosen.convention
+    samples = view_samples(
+        views,
+        rows[: options.limit],
+        convention=convention,
+        keypoints=chosen.keypoints,
+        clusters=chosen.intervals,
+    )
+    if chosen.by == _PERSON:
+        samples = [replace(sample, source=sample.name.rsplit("/", 2)[0]) for sample in samples]
+    camera = _number("camera", chosen.camera)
+    if isinstance(camera, float):
+        samples = _with_lens(samples, camera)
+    elif camera and any(sample.camera is None for sample in samples):
+        raise InputError(
+            "--camera: true, but the file has no focal and centre; expected these arrays, or another camera"
+        )
+    methods = real_methods(
+        camera=camera is not False,
+        stature=_number("stature", chosen.stature),
+        network=None if chosen.network is None else str(chosen.network),
+    )
+    some = choose_methods(methods, options.methods or methods)
+    options.check_out()
+    device = one_thread_device(options.device)
+    report, figures = fit_samples(samples, some, options.jobs, device, clusters=chosen.intervals, together=True)
+    for source, told in compare_pairs(report, PAIRS):
+        typer.echo(f"{source}: {told}")
+    options.save(figures)
+
+
+def _check_word(name: str, given: str, known: Sequence[str]) -> None:
+    if given not in known:
+        raise InputError(f"--{name}: {given}; expected {' or '.join(known)}")
+
+
+def _number(name: str, given: str) -> bool | float:
+    """False for "none", True for "true", or a positive number."""
+    if given in (_NONE, _TRUE):
+        return given == _TRUE
+    try:
+        number = float(given)
+    except ValueError:
+        number = 0.0
+    if not 0 < number < 100:
+        raise InputError(f"--{name}: {given}; expected none, true, or a number above 0")
+    return number
+
+
+def _with_lens(samples: Sequence[Sample], share: float) -> list[Sample]:
+    """Samples before a camera whose focal length is so many longer sides of the picture."""
+    from ..cameras import Perspective
+
+    found = []
+    for sample in samples:
+        size = sample.picture_size
+        if size is None:
+            raise InputError(f"--camera: {share:g}, but the file has no picture_size; expected this array, or none")
+        found.append(replace(sample, camera=Perspective.of_picture(size, focal=share * max(size))))
+    return found

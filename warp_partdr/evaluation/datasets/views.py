@@ -1,0 +1,361 @@
+"""Views of real people with 3D truth: one layout of arrays, in an ``.npz`` file.
+
+A row is a person, a moment and a camera. ``Views`` says what each array holds; readers of data sets make them, and
+``view_samples`` makes samples of their rows. docs/evaluation.md says how to bring a data set of one's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from ...body.keypoint_names import skeleton_of_names
+from ...body.landmarks import LANDMARKS, mirror_name
+from ...body.skeletons import MPJPE_JOINTS, Skeleton, known_edges, skeleton
+from ...cameras import Perspective
+from ...errors import InputError, shown
+from ...files.array_files import read_npz
+from ...inputs.keypoints import Keypoints2D
+from ...inputs.sample import Sample
+from ..sizes import trunk_and_legs
+
+Clusters = Literal["people", "moments"]
+Rows = Literal["inside", "baseline", "every"]
+ROWS: tuple[Rows, ...] = ("inside", "baseline", "every")
+FILE_NAMES = ("views.npz", "sights.npz")
+
+_MAX_BYTES = 4 << 30  # of a file's arrays when unpacked
+_NUMBERS, _WHOLE, _TEXT, _FLAGS, _NAMES = "fiu", "iu", "US", "b", "USiu"  # kinds of dtypes
+# Kinds and shape of each array: N rows, J joints, K keypoints.
+_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "joint_names": (_TEXT, ("J",)),
+    "joints_camera": (_NUMBERS, ("N", "J", 3)),
+    "keypoints": (_NUMBERS, ("N", "K", 2)),
+    "person": (_NAMES, ("N",)),
+    "keypoint_names": (_TEXT, ("K",)),
+    "confidence": (_NUMBERS, ("N", "K")),
+    "set": (_TEXT, ("N",)),
+    "frame": (_NAMES, ("N",)),
+    "camera": (_NAMES, ("N",)),
+    "convention": (_TEXT, ("N",)),
+    "focal": (_NUMBERS, ("N", 2)),
+    "centre": (_NUMBERS, ("N", 2)),
+    "picture_size": (_WHOLE, ("N", 2)),
+    "stature": (_NUMBERS, ("N",)),
+    "baseline": (_FLAGS, ("N",)),
+}
+_MAY_BE_NAN = ("joints_camera", "keypoints", "stature")
+_REQUIRED = ("joint_names", "joints_camera", "keypoints", "person")
+_EXPECTED = "views of people with 3D truth: views.npz or sights.npz with the arrays of docs/evaluation.md"
+# Share of the stature from ankles by knees to hips, and from there up to the shoulders: Drillis and Contini (1966).
+_STANDING_SHARE = 0.779
+
+
+@dataclass(frozen=True)
+class Views:
+    """N views of people with 3D truth, as arrays of the names that they have in a file.
+
+    Attributes:
+        joint_names: Landmarks of the J joints, text.
+        joints_camera: True joints in the camera frame [m], shape (N, J, 3); NaN where unknown.
+        keypoints: Keypoints in the picture without lens distortion, the middle of the first pixel at (0.5, 0.5) [px],
+            shape (N, K, 2); NaN where missing.
+        person: Name or number of the person within the set, shape (N,).
+        keypoint_names: Names of the K keypoints, as a detector's; None: those of the joints, at the same points.
+        confidence: Of keypoints, 0 to 1, shape (N, K); None: 1.
+        set: Name of the data set, shape (N,), text; None: that of the folder.
+        frame: Name or number of the moment, shape (N,).
+        camera: Name or number of the camera, shape (N,).
+        convention: Whose points of the body joints mark, such as "panoptic", shape (N,); "" where they are the body's
+            own. None: the set's name up to its first "_".
+        focal: Focal lengths (f_x, f_y) [px], shape (N, 2), and
+        centre: principal points [px], shape (N, 2); None: unknown.
+        picture_size: (H, W) of the pictures [px], shape (N, 2), whole numbers; None: unknown.
+        stature: Height of the person standing [m], shape (N,), NaN where unknown; None: told by the bones.
+        baseline: Rows of a selection that is always the same, shape (N,), bool.
+
+    Raises:
+        InputError: If an array has another shape or kind, holds NaN where it must not, or a name is no landmark.
+    """
+
+    joint_names: np.ndarray
+    joints_camera: np.ndarray
+    keypoints: np.ndarray
+    person: np.ndarray
+    keypoint_names: np.ndarray | None = None
+    confidence: np.ndarray | None = None
+    set: np.ndarray | None = None
+    frame: np.ndarray | None = None
+    camera: np.ndarray | None = None
+    convention: np.ndarray | None = None
+    focal: np.ndarray | None = None
+    centre: np.ndarray | None = None
+    picture_size: np.ndarray | None = None
+    stature: np.ndarray | None = None
+    baseline: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        sizes = {"N": len(np.atleast_1d(self.person)), "J": len(np.atleast_1d(self.joint_names))}
+        names = self.joint_names if self.keypoint_names is None else self.keypoint_names
+        sizes["K"] = len(np.atleast_1d(names))
+        for name, values in self.arrays().items():
+            _check_array(name, values, sizes)
+        if (self.focal is None) != (self.centre is None):
+            raise InputError("focal, centre: one without the other; expected both, or neither")
+        _check_landmarks(self.joint_names)
+
+    def __len__(self) -> int:
+        """N, the number of views."""
+        return len(self.person)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays that are there, by name."""
+        every = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {name: values for name, values in every.items() if values is not None}
+
+    def inside(self) -> np.ndarray:
+        """Keypoints that are known and in the picture, shape (N, K), bool."""
+        there = np.isfinite(self.keypoints).all(axis=-1)
+        if self.picture_size is not None:
+            with np.errstate(invalid="ignore"):
+                there &= ((self.keypoints >= 0) & (self.keypoints < self.picture_size[:, None, ::-1])).all(axis=-1)
+        return there
+
+    def people(self) -> np.ndarray:
+        """Name of each row's person, with the set's, such as "shelf/0", shape (N,)."""
+        person = self.person.astype(str)
+        return person if self.set is None else np.char.add(np.char.add(self.set.astype(str), "/"), person)
+
+
+def read_views(path: str | Path) -> Views:
+    """Read views of people.
+
+    Args:
+        path: An ``.npz`` file, or a folder with ``views.npz`` or ``sights.npz``. Other arrays may be in the file.
+
+    Raises:
+        InputError: If there is no such file, or an array is missing or wrong.
+    """
+    file = path = Path(path)
+    if path.is_dir():
+        file = next((path / name for name in FILE_NAMES if (path / name).is_file()), path / FILE_NAMES[0])
+    optional = tuple(name for name in _ARRAYS if name not in _REQUIRED)
+    arrays = read_npz(file, _REQUIRED, optional, expected=_EXPECTED, most=_MAX_BYTES)
+    try:
+        views = Views(**arrays)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
+    if views.set is None:
+        name = path.resolve().name if path.is_dir() else path.stem
+        views = Views(**arrays, set=np.full(len(views), name))
+    return views
+
+
+@dataclass(frozen=True)
+class ViewSelection:
+    """Choice of rows.
+
+    Attributes:
+        rows: "inside": those with all known keypoints in the picture; "baseline": those marked so; or "every" one.
+        people: Names of people or sets, such as "shelf/0" or "shelf"; empty: all.
+        leave_out: Names of people or sets that are left out.
+        step: Take the first of so many rows, each.
+    """
+
+    rows: Rows = "inside"
+    people: tuple[str, ...] = ()
+    leave_out: tuple[str, ...] = ()
+    step: int = 1
+
+    def of(self, views: Views) -> np.ndarray:
+        """Numbers of the rows, in order.
+
+        Raises:
+            InputError: If a person is unknown, the file marks no baseline, or no row is left.
+        """
+        if self.rows not in ROWS:
+            raise InputError(f"rows: {shown(self.rows)}; expected {', '.join(ROWS)}")
+        known = np.isfinite(views.keypoints).all(axis=-1)
+        kept = (views.inside() | ~known).all(axis=1) if self.rows == "inside" else np.ones(len(views), dtype=bool)
+        if self.rows == "baseline":
+            if views.baseline is None:
+                raise InputError("rows: baseline, but there is no array baseline; expected it, or rows inside or every")
+            kept = views.baseline.copy()
+        kept &= views.inside().any(axis=1)
+        if self.people:
+            kept &= _named(views, self.people)
+        if self.leave_out:
+            kept &= ~_named(views, self.leave_out)
+        found = np.flatnonzero(kept)[:: self.step]
+        if not len(found):
+            raise InputError(f"rows: none of {len(views)} left; expected at least one (rows inside, baseline or every)")
+        return found
+
+
+def view_samples(
+    views: Views,
+    rows: np.ndarray,
+    *,
+    convention: str | None = None,
+    keypoints: str | None = None,
+    clusters: Clusters = "people",
+) -> list[Sample]:
+    """Make samples of some rows; keypoints that are out of the picture are missing, as no detector sees them.
+
+    Args:
+        views: Of ``read_views``, or of a data set's reader.
+        rows: Their numbers.
+        convention: Instead of that of the rows; "": joints mark the body's own.
+        keypoints: Format, such as "coco17". Views that know all of its keypoints give these alone, at its own marks;
+            others, or all for None, give what they know.
+        clusters: Samples of one of these are not independent: "people", or people's "moments".
+    """
+    inside, statures, people = views.inside(), _statures(views), views.people()
+    frames = np.full(len(views), "0") if views.frame is None else views.frame.astype(str)
+    cameras = np.arange(len(views)).astype(str) if views.camera is None else views.camera.astype(str)
+    samples = []
+    for row in rows.tolist():
+        told = _convention(views, row) if convention is None else convention
+        person, moment = str(people[row]), f"{people[row]}/{frames[row]}"
+        samples.append(
+            Sample(
+                source="people" if views.set is None else str(views.set[row]),
+                name=f"{moment}/{cameras[row]}",
+                keypoints=_keypoints(views, row, inside[row], told, keypoints),
+                joints=_take(views.joints_camera[row], _landmarks(views.joint_names), MPJPE_JOINTS),
+                joint_marks=conventional(MPJPE_JOINTS, told),
+                camera=_camera(views, row),
+                picture_size=_picture_size(views, row),
+                stature=None if np.isnan(statures[row]) else float(statures[row]),
+                cluster=person if clusters == "people" else moment,
+            )
+        )
+    return samples
+
+
+def conventional(names: Sequence[str], convention: str) -> tuple[str, ...]:
+    """Points of the body that a data set means by these names, such as "coco_left_hip"; else the body's own."""
+    return tuple(f"{convention}_{name}" if f"{convention}_{name}" in LANDMARKS else name for name in names)
+
+
+def _check_array(name: str, values: object, sizes: dict[str, int]) -> None:
+    kinds, shape = _ARRAYS[name]
+    expected = tuple(sizes[each] if isinstance(each, str) else each for each in shape)
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in kinds:
+        told = {_TEXT: "text", _FLAGS: "true or false", _NAMES: "text or whole numbers", _WHOLE: "whole numbers"}
+        raise InputError(
+            f"{name}: {getattr(values, 'dtype', type(values).__name__)}; expected {told.get(kinds, 'numbers')}"
+        )
+    if values.shape != expected:
+        raise InputError(f"{name}: shape {values.shape}; expected {expected}, ({', '.join(map(str, shape))})")
+    if kinds == _NUMBERS:
+        wrong = np.isinf(values) if name in _MAY_BE_NAN else ~np.isfinite(values)
+        if wrong.any():
+            also = ", or NaN" if name in _MAY_BE_NAN else ""
+            raise InputError(f"{name}: {values[wrong][0]} in it; expected finite numbers{also}")
+
+
+def _check_landmarks(names: np.ndarray) -> None:
+    listed = names.tolist()
+    for name in listed:
+        if name not in LANDMARKS:
+            raise InputError(f"joint_names: {shown(name)}; expected landmarks such as left_hip (docs/conventions.md)")
+        if listed.count(name) > 1 or mirror_name(name) not in listed:
+            raise InputError(f"joint_names: {name} twice, or without {mirror_name(name)}; expected both sides, once")
+
+
+def _named(views: Views, names: Sequence[str]) -> np.ndarray:
+    """Rows of these people or sets, shape (N,), bool."""
+    people = views.people()
+    sets = np.full(len(views), "") if views.set is None else views.set.astype(str)
+    found = np.zeros(len(views), dtype=bool)
+    for name in names:
+        own = (people == name) | (sets == name)
+        if not own.any():
+            raise InputError(
+                f"people: {shown(name)}; expected of {', '.join(dict.fromkeys(people.tolist()))}, or a set"
+            )
+        found |= own
+    return found
+
+
+def _convention(views: Views, row: int) -> str:
+    if views.convention is not None:
+        return str(views.convention[row])
+    return "" if views.set is None else str(views.set[row]).lower().partition("_")[0]
+
+
+def _keypoints(views: Views, row: int, there: np.ndarray, convention: str, wanted: str | None) -> Keypoints2D:
+    """Keypoints of a view that are ``there``, in a format that is wanted, or else in the file's own."""
+    confidence = there.astype(np.float32)
+    if views.confidence is not None:
+        confidence *= np.clip(views.confidence[row], 0.0, 1.0).astype(np.float32)
+    if views.keypoint_names is None:
+        form = _skeleton(_landmarks(views.joint_names), convention)
+    else:
+        form = _detected_skeleton(_landmarks(views.keypoint_names))
+    names, places = form.landmarks, np.array(form.places)
+    known = np.where(places >= 0, confidence[places], 0.0)
+    points = np.where(known[:, None] > 0, views.keypoints[row][places], 0.0)
+    truly = set(np.array(names)[np.isfinite(views.keypoints[row][places]).all(axis=1)].tolist())
+    if wanted is not None and truly >= set(skeleton(wanted).landmarks):
+        form = skeleton(wanted)
+        known, points = (_take(each, names, form.landmarks) for each in (known, points))
+    return Keypoints2D(form, points.astype(np.float32), known.astype(np.float32))
+
+
+def _take(values: np.ndarray, names: Sequence[str], wanted: Sequence[str]) -> np.ndarray:
+    """Rows of the landmarks that are wanted; NaN for those that are not among the names."""
+    unknown = np.full(values.shape[1:], np.nan)
+    return np.stack([values[names.index(name)] if name in names else unknown for name in wanted])
+
+
+def _landmarks(names: np.ndarray) -> tuple[str, ...]:
+    return tuple(map(str, names))
+
+
+@lru_cache(maxsize=64)
+def _skeleton(names: tuple[str, ...], convention: str) -> Skeleton:
+    marks = conventional(names, convention)
+    return Skeleton(convention or "named", names, marks, known_edges(names), tuple(range(len(names))), len(names))
+
+
+@lru_cache(maxsize=8)
+def _detected_skeleton(names: tuple[str, ...]) -> Skeleton:
+    found = skeleton_of_names(names, "keypoint_names")
+    if found is None:
+        raise InputError(f"keypoint_names: {shown(names[0])} and others; expected names such as left_shoulder")
+    return found
+
+
+def _picture_size(views: Views, row: int) -> tuple[int, int] | None:
+    if views.picture_size is None:
+        return None
+    height, width = views.picture_size[row].tolist()
+    return height, width
+
+
+def _camera(views: Views, row: int) -> Perspective | None:
+    """Camera of a view; of two focal lengths the geometric mean, as fits need square pixels."""
+    if views.focal is None or views.centre is None:
+        return None
+    focal = float(np.sqrt(views.focal[row].prod()))
+    u, v = views.centre[row].tolist()
+    return Perspective.of_picture(_picture_size(views, row) or (1, 1), focal=focal, principal=(u, v))
+
+
+def _statures(views: Views) -> np.ndarray:
+    """Height of each row's person [m]: as given, or as the person's bones tell it in the mean; NaN: unknown."""
+    told = np.full(len(views), np.nan) if views.stature is None else views.stature.astype(np.float64)
+    names, people = _landmarks(views.joint_names), views.people()
+    bones = np.array([trunk_and_legs(joints, names) for joints in views.joints_camera]) / _STANDING_SHARE
+    for person in dict.fromkeys(people.tolist()):
+        own = people == person
+        if np.isfinite(bones[own]).any():
+            told[own & np.isnan(told)] = np.nanmean(bones[own])
+    return told
