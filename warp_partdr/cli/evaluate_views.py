@@ -14,7 +14,9 @@ from ..errors import InputError
 from .evaluate_fits import RunOptions, check_counts, choose_methods, fit_samples, one_thread_device
 
 if TYPE_CHECKING:
-    from ..evaluation.datasets import Views
+    import numpy as np
+
+    from ..evaluation.datasets import Views, ViewSelection
     from ..inputs.sample import Sample
 
 _NONE, _TRUE, _OWN = "none", "true", "own"
@@ -34,7 +36,10 @@ class ViewOptions:
     leave_out: Annotated[
         list[str] | None, Option(help="Not this person or set; may be given again.", metavar="NAME")
     ] = None
-    step: Annotated[int, Option(help="Only one of N rows.", metavar="N")] = 1
+    frames: Annotated[
+        list[str] | None, Option("--frame", help="Only this moment; may be given again.", metavar="NAME")
+    ] = None
+    step: Annotated[int, Option(help="Only one of N of these rows.", metavar="N")] = 1
     camera: Annotated[
         str, Option(help="Given to fits: none, true, or a focal length in longer sides of the picture.", metavar="LENS")
     ] = _NONE
@@ -51,32 +56,61 @@ class ViewOptions:
         str, Option(help="Intervals are over people, or over their moments.", metavar="people|moments")
     ] = "people"
 
+    def select(self) -> ViewSelection:
+        """Choice of rows."""
+        from ..evaluation.datasets import ViewSelection
+
+        people, leave_out, frames = (tuple(each or ()) for each in (self.people, self.leave_out, self.frames))
+        return ViewSelection(self.rows, people, leave_out, frames, self.step)
+
+
+@dataclass(frozen=True)
+class JointFileOptions:
+    """Options of joints over time that calibrated cameras see."""
+
+    cameras: Annotated[
+        Path | None, Option(help="Calibrated cameras of a .trc file or joints over time.", metavar="FILE")
+    ] = None
+    films: Annotated[Path | None, Option(help="Films of these cameras, for photo alone.", metavar="FOLDER")] = None
+    axes: Annotated[
+        str | None, Option(help="The file's axes that are x, y and z of the cameras' world.", metavar='"x -z y"')
+    ] = None
+
 
 def real(
-    path: Annotated[Path, Argument(help="Folder with views.npz or sights.npz, or such a file.", metavar="FOLDER")],
+    path: Annotated[Path, Argument(help="Views of people, or a data set's own files.", metavar="FOLDER|FILE")],
+    save: Annotated[Path | None, Option(help="Write the views that were fitted.", metavar="FILE.npz")] = None,
     *,
     views: ViewOptions,
+    joints: JointFileOptions,
     options: RunOptions,
 ) -> None:
-    """Real people with 3D truth: joints, sizes and stated depths, with intervals over people."""
-    from ..evaluation.datasets import read_views
+    """Real people with 3D truth: joints, sizes and stated depths, with intervals over people.
 
-    _evaluate_views(read_views(path), views, options)
+    Reads views.npz of docs/evaluation.md, SPIN's .npz, MPI-INF-3DHP's annot.mat, Human3.6M's annot.h5, and .trc.
+    """
+    from ..evaluation.datasets import read_real, write_views
+
+    check_counts(limit=options.limit, jobs=options.jobs, step=views.step)
+    found = read_real(path, cameras=joints.cameras, films=joints.films, axes=joints.axes)
+    rows = views.select().of(found)[: options.limit]
+    if save is not None:
+        write_views(save, found.rows(rows))
+        typer.echo(f"{save} holds these views")
+    _evaluate_views(found, rows, views, options)
 
 
-def _evaluate_views(views: Views, chosen: ViewOptions, options: RunOptions) -> None:
-    from ..evaluation.datasets.views import ViewSelection, view_samples
+def _evaluate_views(views: Views, rows: np.ndarray, chosen: ViewOptions, options: RunOptions) -> None:
+    from ..evaluation.datasets import view_samples
     from ..evaluation.pairs import compare_pairs
     from ..evaluation.real import PAIRS, real_methods
 
-    check_counts(limit=options.limit, jobs=options.jobs, step=chosen.step)
     _check_word("by", chosen.by, (_SET, _PERSON))
     _check_word("intervals", chosen.intervals, ("people", "moments"))
-    rows = ViewSelection(chosen.rows, tuple(chosen.people or ()), tuple(chosen.leave_out or ()), chosen.step).of(views)
     convention = "" if chosen.convention == _OWN else chosen.convention
     samples = view_samples(
         views,
-        rows[: options.limit],
+        rows,
         convention=convention,
         keypoints=chosen.keypoints,
         clusters=chosen.intervals,
@@ -95,7 +129,8 @@ def _evaluate_views(views: Views, chosen: ViewOptions, options: RunOptions) -> N
         stature=_number("stature", chosen.stature),
         network=None if chosen.network is None else str(chosen.network),
     )
-    some = choose_methods(methods, options.methods or methods)
+    served = [name for name, method in methods.items() if any(map(method.serves, samples))]
+    some = choose_methods(methods, options.methods or served)
     options.check_out()
     device = one_thread_device(options.device)
     report, figures = fit_samples(samples, some, options.jobs, device, clusters=chosen.intervals, together=True)

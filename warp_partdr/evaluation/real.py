@@ -1,40 +1,83 @@
-"""Methods that are compared on views of real people, whose keypoints alone are known."""
+"""Methods that are compared on views of real people: fits of keypoints alone, and of the photo alone."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
+import numpy as np
+
+from ..errors import InputError
+from ..fit.mesh_stage import MeshFit
 from ..fit.options import FitOptions
-from .evaluate import Method, no_labels
+from ..inputs.keypoints import person_height
+from ..inputs.sample import Sample
+from ..scenes.photo import fit_photo
+from .evaluate import Fitting, Method, no_labels
 from .partbench.methods import fit_anny
+from .scoring import Score, score_fit
 
-NETWORK, ELLIPSOIDS, MESH = "network", "ellipsoids", "mesh"
-METHODS: Mapping[str, Method] = {
-    NETWORK: Method(no_labels, FitOptions(stages=(), search=())),
-    ELLIPSOIDS: Method(no_labels),
-    MESH: Method(no_labels, fit=fit_anny),
-}
-PAIRS = ((MESH, NETWORK), (ELLIPSOIDS, NETWORK))
+NETWORK, ELLIPSOIDS, MESH, PHOTO = "network", "ellipsoids", "mesh", "photo alone"
+PAIRS = ((MESH, NETWORK), (ELLIPSOIDS, NETWORK), (PHOTO, MESH))
+_NOBODY = 0.25  # mean distance of keypoints, as a share of the person's height, from which on somebody else was found
+
+
+@dataclass(frozen=True)
+class PhotoMethod:
+    """Fit of the photo alone: of everybody in it, the person whose keypoints are nearest to the true ones counts."""
+
+    options: FitOptions = field(default_factory=FitOptions)
+    camera: bool = False  # a sample's is given to the fit, where it is known
+    stature: bool = False  # likewise
+
+    def serves(self, sample: Any) -> bool:
+        """True for people of whom there is a picture."""
+        return isinstance(sample, Sample) and sample.picture is not None
+
+    def fit_sample(self, sample: Sample, device: str) -> MeshFit:
+        """Fit everybody in the photo, and return the person's body.
+
+        Raises:
+            InputError: If the picture can't be read, or the person is not found.
+        """
+        options = replace(self.options, stature=sample.stature) if self.stature else self.options
+        camera = sample.camera if self.camera else None
+        found = fit_photo(sample.read_picture(), options=options, device=device, camera=camera)
+        names = sample.keypoints.format.landmarks
+        apart = {}
+        for place, person in enumerate(found.people):
+            theirs = person.keypoints.format.landmarks
+            both = [(names.index(name), theirs.index(name)) for name in names if name in theirs]
+            own, other = (list(places) for places in zip(*both, strict=True))
+            seen = sample.keypoints.visible[own]
+            off = np.linalg.norm(sample.keypoints.points[own] - person.keypoints.points[other], axis=1)
+            apart[place] = float(off[seen].mean())
+        nearest = min(apart, key=apart.__getitem__)
+        share = apart[nearest] / max(person_height(sample.keypoints), 1.0)
+        if not share < _NOBODY:
+            raise InputError(f"photo: nobody found there, {share:.2f} heights off; expected the person")
+        return found.fits[nearest]
+
+    def score(self, sample: Sample, name: str, result: MeshFit, seconds: float) -> Score:
+        """Compare the result with what is known of the sample."""
+        return score_fit(sample, name, result, seconds)
 
 
 def real_methods(
     *, camera: bool = False, stature: bool | float = False, network: str | None = None
-) -> dict[str, Method]:
-    """The methods, which are told more than keypoints.
+) -> dict[str, Fitting]:
+    """The methods by name.
 
     Args:
         camera: A sample's is given.
         stature: A sample's is given, or one for all [m].
         network: File of a label network of `partdr train`; None: the packaged one.
     """
-    height = None if isinstance(stature, bool) else stature
+    options = FitOptions(network=network, stature=None if isinstance(stature, bool) else stature)
+    told = stature is True
     return {
-        name: replace(
-            method,
-            camera=camera,
-            stature=stature is True,
-            options=replace(method.options, network=network, stature=height),
-        )
-        for name, method in METHODS.items()
+        NETWORK: Method(no_labels, replace(options, stages=(), search=()), camera=camera, stature=told),
+        ELLIPSOIDS: Method(no_labels, options, camera=camera, stature=told),
+        MESH: Method(no_labels, options, fit_anny, camera=camera, stature=told),
+        PHOTO: PhotoMethod(options, camera=camera, stature=told),
     }

@@ -44,6 +44,16 @@ def read_npz(
     return _guarded(path, lambda file: _members(file, str(path), required, optional, expected, most), expected)
 
 
+def array_names(path: str | Path) -> set[str]:
+    """Names of the arrays of an ``.npz`` file; empty if it can't be read as one."""
+    try:
+        check_regular(path)
+        with zipfile.ZipFile(path) as archive:
+            return {name.removesuffix(".npy") for name in archive.namelist()}
+    except (OSError, zipfile.BadZipFile):
+        return set()
+
+
 def read_npy(path: str | Path, *, expected: str, check: Callable[[Header], None]) -> np.ndarray:
     """Read the array of an ``.npy`` file.
 

@@ -52,6 +52,18 @@ class Frame:
 
 
 @dataclass(frozen=True)
+class FilmPicture:
+    """Picture of a film, by its number, 0 for the first."""
+
+    film: Path
+    index: int
+
+    def read(self) -> np.ndarray:
+        """RGB, shape (H, W, 3), uint8; InputError if it can't be read."""
+        return FilmFrames(self.film).read(self.index)
+
+
+@dataclass(frozen=True)
 class FilmFacts:
     """Facts that a film's file states about itself.
 

@@ -10,8 +10,10 @@ import numpy as np
 from ..body.labels import LabelSet
 from ..body.skeletons import MPJPE_JOINTS
 from ..cameras import Perspective
+from ..errors import InputError
+from .films import FilmPicture
 from .keypoints import Keypoints2D
-from .part_labels import PartLabels
+from .part_labels import PartLabels, read_photo
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Sample:
         joint_marks: Points of the body (``LANDMARKS``) that the data set's joints mark; None: ``joint_names``.
         vertices: True vertices of a mesh, in the frame of ``joints`` [m], shape (V, 3).
         mirrored: Joints with a limb mirrored in depth, which keypoints don't tell from the true ones, as ``joints``.
-        picture: File of the picture, or the picture, shape (H, W, 3), uint8.
+        picture: File of the picture, its place in a film, or the picture, shape (H, W, 3), uint8.
         camera: The picture's, where it is known, B = 1.
         label_set: Of ``target``; None: that of ``parts``.
         picture_size: (H, W) of the picture [px], where neither labels nor a picture tell it.
@@ -52,12 +54,24 @@ class Sample:
     joint_marks: tuple[str, ...] | None = None
     vertices: np.ndarray | None = None
     mirrored: np.ndarray | None = None
-    picture: Path | np.ndarray | None = None
+    picture: Path | FilmPicture | np.ndarray | None = None
     camera: Perspective | None = None
     label_set: LabelSet | None = None
     picture_size: tuple[int, int] | None = None
     stature: float | None = None
     cluster: str | None = None
+
+    def read_picture(self) -> np.ndarray:
+        """The picture, RGB, shape (H, W, 3), uint8.
+
+        Raises:
+            InputError: If there is none, or its file can't be read.
+        """
+        if self.picture is None:
+            raise InputError(f"{self.name}: no picture; expected one")
+        if isinstance(self.picture, FilmPicture):
+            return self.picture.read()
+        return read_photo(self.picture) if isinstance(self.picture, Path) else self.picture
 
     @property
     def body_points(self) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..evaluation.datasets import read_folder, read_human36m, read_lsp, read_pw3d
 from ..inputs.keypoints import LARGEST_PLACE
 from ..inputs.observation import CROP_MARGIN
-from ..inputs.part_labels import check_sizes, read_photo
+from ..inputs.part_labels import check_sizes
 from ..inputs.person import Box, person_crop
 from ..inputs.sample import Sample
 from ..network.landmarks import LANDMARKS, network_keypoints
@@ -106,7 +106,7 @@ def make_example(
     """
     if sample.picture is None:
         raise InputError(f"{sample.name}: no picture; expected the file that the annotations name")
-    picture = sample.picture if isinstance(sample.picture, np.ndarray) else read_photo(sample.picture)
+    picture = sample.read_picture()
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
         raise InputError(f"{sample.name}: picture: {picture.dtype} {picture.shape}; expected uint8 (H, W, 3)")
     check_sizes(picture=picture.shape[:2], labels=None if sample.target is None else sample.target.shape)

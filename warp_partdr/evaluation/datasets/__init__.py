@@ -8,8 +8,9 @@ from __future__ import annotations
 from ...inputs.sample import Sample
 from .folder import read_folder
 from .lsp import read_lsp
+from .real import read_real
 from .spin import read_human36m, read_pw3d, read_spin
-from .views import Views, ViewSelection, read_views, view_samples
+from .views import Views, ViewSelection, read_views, view_samples, write_views
 
 __all__ = [
     "Sample",
@@ -19,7 +20,9 @@ __all__ = [
     "read_human36m",
     "read_lsp",
     "read_pw3d",
+    "read_real",
     "read_spin",
     "read_views",
     "view_samples",
+    "write_views",
 ]

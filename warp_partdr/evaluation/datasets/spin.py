@@ -102,10 +102,7 @@ def read_spin(
     Raises:
         InputError: If a file or an array that is needed is missing or wrong.
     """
-    optional = tuple(_SHAPES.keys() - set(_REQUIRED))
-    arrays = read_npz(path, _REQUIRED, optional, expected=expected, most=MAX_BYTES)
-    for name in arrays:
-        _check_array(arrays, name, path)
+    arrays = read_spin_arrays(path, expected=expected)
     if keypoints is None and not arrays.keys() & {"part", "openpose"}:
         raise InputError(
             f"{path}: no array part or openpose, so no 2D keypoints; expected them, or a folder of a detector's JSON "
@@ -141,6 +138,15 @@ def read_spin(
         )
 
 
+def read_spin_arrays(path: str | Path, *, expected: str) -> dict[str, np.ndarray]:
+    """Arrays of an annotation file by name; InputError if one is missing or wrong."""
+    optional = tuple(_SHAPES.keys() - set(_REQUIRED))
+    arrays = read_npz(path, _REQUIRED, optional, expected=expected, most=MAX_BYTES)
+    for name in arrays:
+        _check_array(arrays, name, path)
+    return arrays
+
+
 def _check_array(arrays: Mapping[str, np.ndarray], name: str, where: str | Path) -> None:
     """Raise unless an array has the shape of ``_SHAPES``, as many rows as imgname, and finite numbers or text."""
     values, shape = arrays[name], _SHAPES[name]
@@ -160,7 +166,7 @@ def _own_keypoints(person: Mapping[str, np.ndarray]) -> Keypoints2D:
     """The annotators' keypoints, in the format that holds most of them; a detector's where there are none."""
     found = {"body25": person["openpose"]} if "openpose" in person else {}
     if "part" in person and (not found or (person["part"][:, 2] > 0).any()):
-        found = {name: _select(person["part"], skeleton(name).landmarks) for name in _FORMATS}
+        found = {name: select_joints(person["part"], skeleton(name).landmarks) for name in _FORMATS}
     name, values = max(found.items(), key=lambda item: np.count_nonzero(item[1][:, 2] > 0))
     points, confidence = values[:, :2], values[:, 2]
     points = np.where(confidence[:, None] > 0, points, 0.0)
@@ -183,7 +189,7 @@ def _detected(folder: Path, picture: str, middle: np.ndarray) -> tuple[Keypoints
     return chosen, tuple(person for person in people if person is not chosen)
 
 
-def _select(values: np.ndarray, landmarks: tuple[str, ...]) -> np.ndarray:
+def select_joints(values: np.ndarray, landmarks: tuple[str, ...]) -> np.ndarray:
     """Rows of landmarks among the 24 joints; of two that are one, the one that is known."""
     confidence = values[:, -1]
     joints = [
@@ -194,5 +200,5 @@ def _select(values: np.ndarray, landmarks: tuple[str, ...]) -> np.ndarray:
 
 
 def _joints(values: np.ndarray) -> np.ndarray:
-    selected = _select(values, MPJPE_JOINTS)
+    selected = select_joints(values, MPJPE_JOINTS)
     return np.where(selected[:, 3:] > 0, selected[:, :3], np.nan)

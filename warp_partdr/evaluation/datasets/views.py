@@ -7,7 +7,7 @@ A row is a person, a moment and a camera. ``Views`` says what each array holds; 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
@@ -18,8 +18,9 @@ from ...body.keypoint_names import skeleton_of_names
 from ...body.landmarks import LANDMARKS, mirror_name
 from ...body.skeletons import MPJPE_JOINTS, Skeleton, known_edges, skeleton
 from ...cameras import Perspective
-from ...errors import InputError, shown
+from ...errors import InputError, cause, shown
 from ...files.array_files import read_npz
+from ...inputs.films import FilmPicture
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.sample import Sample
 from ..sizes import trunk_and_legs
@@ -48,6 +49,9 @@ _ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "picture_size": (_WHOLE, ("N", 2)),
     "stature": (_NUMBERS, ("N",)),
     "baseline": (_FLAGS, ("N",)),
+    "picture": (_TEXT, ("N",)),
+    "film": (_TEXT, ("N",)),
+    "film_frame": (_WHOLE, ("N",)),
 }
 _MAY_BE_NAN = ("joints_camera", "keypoints", "stature")
 _REQUIRED = ("joint_names", "joints_camera", "keypoints", "person")
@@ -78,6 +82,10 @@ class Views:
         picture_size: (H, W) of the pictures [px], shape (N, 2), whole numbers; None: unknown.
         stature: Height of the person standing [m], shape (N,), NaN where unknown; None: told by the bones.
         baseline: Rows of a selection that is always the same, shape (N,), bool.
+        picture: File of the picture, shape (N,), text; "" where there is none.
+        film: File of the film that the picture is from, shape (N,), text, "" where there is none; and
+        film_frame: its number in the film, 0 for the first, shape (N,).
+        folder: Folder that files are relative to.
 
     Raises:
         InputError: If an array has another shape or kind, holds NaN where it must not, or a name is no landmark.
@@ -98,6 +106,10 @@ class Views:
     picture_size: np.ndarray | None = None
     stature: np.ndarray | None = None
     baseline: np.ndarray | None = None
+    picture: np.ndarray | None = None
+    film: np.ndarray | None = None
+    film_frame: np.ndarray | None = None
+    folder: Path = Path()
 
     def __post_init__(self) -> None:
         sizes = {"N": len(np.atleast_1d(self.person)), "J": len(np.atleast_1d(self.joint_names))}
@@ -105,8 +117,9 @@ class Views:
         sizes["K"] = len(np.atleast_1d(names))
         for name, values in self.arrays().items():
             _check_array(name, values, sizes)
-        if (self.focal is None) != (self.centre is None):
-            raise InputError("focal, centre: one without the other; expected both, or neither")
+        for one, other in (("focal", "centre"), ("film", "film_frame")):
+            if (getattr(self, one) is None) != (getattr(self, other) is None):
+                raise InputError(f"{one}, {other}: one without the other; expected both, or neither")
         _check_landmarks(self.joint_names)
 
     def __len__(self) -> int:
@@ -115,8 +128,13 @@ class Views:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays that are there, by name."""
-        every = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {name: values for name, values in every.items() if values is not None}
+        return {name: values for name in _ARRAYS if (values := getattr(self, name)) is not None}
+
+    def rows(self, chosen: np.ndarray) -> Views:
+        """Views of some rows, by their numbers."""
+        whole = ("joint_names", "keypoint_names")
+        kept = {name: values if name in whole else values[chosen] for name, values in self.arrays().items()}
+        return Views(**kept, folder=self.folder)
 
     def inside(self) -> np.ndarray:
         """Keypoints that are known and in the picture, shape (N, K), bool."""
@@ -147,13 +165,41 @@ def read_views(path: str | Path) -> Views:
     optional = tuple(name for name in _ARRAYS if name not in _REQUIRED)
     arrays = read_npz(file, _REQUIRED, optional, expected=_EXPECTED, most=_MAX_BYTES)
     try:
-        views = Views(**arrays)
+        views = Views(**arrays, folder=file.parent)
     except InputError as error:
         raise InputError(f"{file}: {error}") from error
     if views.set is None:
         name = path.resolve().name if path.is_dir() else path.stem
-        views = Views(**arrays, set=np.full(len(views), name))
+        views = replace(views, set=np.full(len(views), name))
     return views
+
+
+def concatenate_views(several: Sequence[Views]) -> Views:
+    """Join views of the same joints, with the same arrays, into one."""
+    first, whole = several[0], ("joint_names", "keypoint_names")
+    arrays = {
+        name: values if name in whole else np.concatenate([views.arrays()[name] for views in several])
+        for name, values in first.arrays().items()
+    }
+    return Views(**arrays, folder=first.folder)
+
+
+def write_views(path: str | Path, views: Views) -> None:
+    """Write views to an ``.npz`` file; files of pictures and films are named by their whole paths.
+
+    Raises:
+        InputError: If the file can't be written.
+    """
+    arrays = views.arrays()
+    for name in ("picture", "film"):
+        if name in arrays:
+            paths = [str((views.folder / each).resolve()) if each else "" for each in arrays[name].tolist()]
+            arrays[name] = np.array(paths)
+    try:
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, **arrays)
+    except OSError as error:
+        raise InputError(f"{path}: {cause(error)}; expected a file that can be written") from error
 
 
 @dataclass(frozen=True)
@@ -164,12 +210,14 @@ class ViewSelection:
         rows: "inside": those with all known keypoints in the picture; "baseline": those marked so; or "every" one.
         people: Names of people or sets, such as "shelf/0" or "shelf"; empty: all.
         leave_out: Names of people or sets that are left out.
+        frames: Names or numbers of moments; empty: all.
         step: Take the first of so many rows, each.
     """
 
     rows: Rows = "inside"
     people: tuple[str, ...] = ()
     leave_out: tuple[str, ...] = ()
+    frames: tuple[str, ...] = ()
     step: int = 1
 
     def of(self, views: Views) -> np.ndarray:
@@ -191,6 +239,8 @@ class ViewSelection:
             kept &= _named(views, self.people)
         if self.leave_out:
             kept &= ~_named(views, self.leave_out)
+        if self.frames:
+            kept &= np.isin(np.zeros(len(views)) if views.frame is None else views.frame.astype(str), self.frames)
         found = np.flatnonzero(kept)[:: self.step]
         if not len(found):
             raise InputError(f"rows: none of {len(views)} left; expected at least one (rows inside, baseline or every)")
@@ -229,6 +279,7 @@ def view_samples(
                 keypoints=_keypoints(views, row, inside[row], told, keypoints),
                 joints=_take(views.joints_camera[row], _landmarks(views.joint_names), MPJPE_JOINTS),
                 joint_marks=conventional(MPJPE_JOINTS, told),
+                picture=_picture(views, row),
                 camera=_camera(views, row),
                 picture_size=_picture_size(views, row),
                 stature=None if np.isnan(statures[row]) else float(statures[row]),
@@ -338,6 +389,15 @@ def _picture_size(views: Views, row: int) -> tuple[int, int] | None:
         return None
     height, width = views.picture_size[row].tolist()
     return height, width
+
+
+def _picture(views: Views, row: int) -> Path | FilmPicture | None:
+    """Where the picture of a view is, or the frame of its film."""
+    if views.picture is not None and views.picture[row]:
+        return views.folder / str(views.picture[row])
+    if views.film is not None and views.film_frame is not None and views.film[row]:
+        return FilmPicture(views.folder / str(views.film[row]), int(views.film_frame[row]))
+    return None
 
 
 def _camera(views: Views, row: int) -> Perspective | None:
