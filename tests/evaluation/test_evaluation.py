@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.errors import InputError
 from warp_partdr.evaluation.evaluate import METHODS, Failure, Method, Report, evaluate, no_labels, silhouette, tables
+from warp_partdr.evaluation.pairs import compare_pairs
 from warp_partdr.evaluation.scoring import Pixels, Score, score_fit, scoring_classes, summarise
 from warp_partdr.inputs.keypoints import Keypoints2D, person_height
 from warp_partdr.inputs.part_labels import PartLabels
@@ -234,6 +236,56 @@ def test_figures_are_of_their_own_counts(rng):
     }
     assert np.diff(sorted(expected.values())).min() > 1e-3  # or one might stand for another
     assert {name: summary[name] for name in expected} == pytest.approx(expected, abs=1e-4)
+
+
+def test_intervals_are_over_clusters():
+    """Views of one person say the same again: an interval is as wide with each of them a hundred times."""
+    one, many = ([replace(made_score(None, error), cluster=name) for name, error in cases] for cases in ONE_AND_MANY)
+    first, second = summarise(one), summarise(many)
+    assert (first["people"], first["views"]) == (3, 3)
+    assert (second["people"], second["views"]) == (3, 300)
+    assert second["interval_95"]["pa_mpjpe_mm"] == first["interval_95"]["pa_mpjpe_mm"]
+    alone = summarise([replace(score, cluster=None) for score in many])
+    assert np.ptp(alone["interval_95"]["pa_mpjpe_mm"]) < 0.3 * np.ptp(first["interval_95"]["pa_mpjpe_mm"])
+    unlike = summarise([*many, replace(made_score(None, 100.0), cluster="d")])
+    assert unlike["pa_mpjpe_mm"] == pytest.approx((100 * 60 + 100) / 301, abs=0.05)  # a mean over views
+
+
+ONE_AND_MANY = [
+    [(name, error) for name, error in zip("abc", (10, 20, 30), strict=True) for _ in range(n)] for n in (1, 100)
+]
+
+
+def test_pairs_are_compared_over_clusters_in_each_set_and_in_all():
+    scores = []
+    for source in "xy":
+        for k in range(6):
+            for method, error in (("m", 10.0 + k), ("n", 30.0)):
+                score = replace(made_score(None, error, method, source), sample=str(k), cluster=f"{source}{k // 3}")
+                scores.append(replace(score, mpjpe=math.nan))
+    found = dict(compare_pairs(Report(tuple(scores), together=True), [("m", "n"), ("m", "none")]))
+    assert list(found) == ["x", "y", "all"]
+    assert found["x"] == "m minus n: PA-MPJPE -17.5 (-19.0 to -16.0) mm"
+    assert found["all"].startswith("m minus n: PA-MPJPE -17.5 (-19.0 to -16.0) mm")
+
+
+def test_joints_are_scored_where_the_data_set_marks_them(rng):
+    """A body whose marked points are the truth has no error, wherever its own joints are."""
+    sample, body = person(rng)
+    marks = tuple(f"coco_{name}" if name.endswith("hip") else name for name in LSP)
+    offsets = np.array([[0.0, 0.05, 0.02] if name.startswith("coco") else [0, 0, 0] for name in marks])
+    own = body.landmarks
+    body.landmarks = lambda names: (
+        own([name.removeprefix("coco_") for name in names])
+        + (offsets[[marks.index(name) for name in names]] if tuple(names) == marks else 0)
+    )
+    marked = replace(sample, joints=sample.joints + offsets, joint_marks=marks, vertices=None)
+    assert score_fit(marked, "parts", body, 1.0).pa_mpjpe == pytest.approx(0, abs=1e-3)
+    assert score_fit(marked, "parts", body, 1.0).size_share == pytest.approx(1, abs=1e-5)
+    unmarked = score_fit(replace(marked, joint_marks=None), "parts", body, 1.0)
+    assert unmarked.pa_mpjpe > 5
+    grown = score_fit(replace(sample, joints=1.25 * sample.joints, vertices=None), "parts", body, 1.0)
+    assert grown.size_share == pytest.approx(0.8, abs=1e-5)
 
 
 def test_report_pools_each_source_and_method():

@@ -84,6 +84,11 @@ def test_depths_within_what_the_network_states_are_counted() -> None:
         moved = replace(sample, joints=sample.joints + np.linspace(0.0, 0.1, len(sample.joints))[:, None])
         sure = replace(fit, uncertainty=replace(fit.uncertainty, depths=depths))
         assert score_fit(moved, "", sure, 0.0).depth_within == share
+    narrow, wide = (
+        score_fit(moved, "", replace(fit, uncertainty=replace(fit.uncertainty, depths=spread * depths)), 0.0)
+        for spread in (0.015, 0.03)
+    )
+    assert narrow.depth_within < narrow.depth_within_two == wide.depth_within < wide.depth_within_two
     assert np.isnan(score_fit(sample, "", replace(fit, uncertainty=None), 0.0).depth_within)
 
 

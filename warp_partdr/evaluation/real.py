@@ -19,7 +19,7 @@ from .scoring import Score, score_fit
 
 NETWORK, ELLIPSOIDS, MESH, PHOTO = "network", "ellipsoids", "mesh", "photo alone"
 PAIRS = ((MESH, NETWORK), (ELLIPSOIDS, NETWORK), (PHOTO, MESH))
-_NOBODY = 0.25  # mean distance of keypoints, as a share of the person's height, from which on somebody else was found
+_NOBODY = 0.5  # mean distance of keypoints, as a share of the person's height, beyond which it is somebody else
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from .. import metrics
 from ..body.labels import BACKGROUND, LabelSet, label_set, regroup
 from ..body.stature import bone_statures
 from ..body.template import JOINT_NAMES
+from ..fit.mesh_stage import MeshFit
 from ..fit.result import FitResult
 from ..inputs.ignored_labels import ignore_missing_limbs
 from ..inputs.keypoints import person_height
@@ -95,7 +96,8 @@ def score_fit(
         vertices: Of the result's mesh, if it and the sample have one, in its camera frame, shape (V, 3) [m].
     """
     sure = sample.keypoints.confident
-    landmarks = torch.from_numpy(result.landmarks(sample.keypoints.format.marks))[None]
+    form = sample.keypoints.format
+    landmarks = torch.from_numpy(_marked(result, form.marks, form.landmarks))[None]
     seen = result.camera.project(landmarks.to(result.camera.intrinsics))[0, :, :2].cpu().numpy()
     distances = np.linalg.norm(seen - sample.keypoints.points, axis=1)[sure]
     return Score(
@@ -112,13 +114,21 @@ def score_fit(
     )
 
 
+def _marked(result: Any, marks: Sequence[str], names: Sequence[str]) -> np.ndarray:
+    """Points of a body that joints mark, shape (L, 3) [m]; a detailed model without one gives that of the name."""
+    if isinstance(result, MeshFit):
+        known = result.body.model.landmark_names
+        marks = [mark if mark in known else name for mark, name in zip(marks, names, strict=True)]
+    return result.landmarks(marks)
+
+
 def _joint_errors(sample: Sample, result: FitResult, vertices: np.ndarray | None) -> dict[str, float]:
     """Errors by their names in ``Score``, as far as the truth is known [mm]."""
     if sample.joints is None:
         return {}
     names = sample.joint_names
     hips = [names.index(name) for name in _HIPS]
-    joints, known = result.landmarks(sample.body_points), np.isfinite(sample.joints).all(axis=1)
+    joints, known = _marked(result, sample.body_points, names), np.isfinite(sample.joints).all(axis=1)
     errors = {"pa_mpjpe": metrics.pa_mpjpe(joints, sample.joints, valid=known)}
     if known[hips].all():
         errors["mpjpe"] = metrics.mpjpe(joints, sample.joints, centre_on=hips, valid=known)
@@ -132,10 +142,10 @@ def _sizes(sample: Sample, result: FitResult) -> dict[str, float]:
     """Sizes over the true ones, as far as these are known, by their names in ``Score``."""
     figures = {}
     if sample.joints is not None:
-        found = trunk_and_legs(result.landmarks(sample.body_points), sample.joint_names)
+        found = trunk_and_legs(_marked(result, sample.body_points, sample.joint_names), sample.joint_names)
         figures["size_share"] = found / trunk_and_legs(sample.joints, sample.joint_names)
     if sample.stature is not None:
-        body = result if isinstance(result, FitResult) else result.ellipbody
+        body = result.ellipbody if isinstance(result, MeshFit) else result
         figures["stature_share"] = float(bone_statures(body.parameters.lengths)[0]) / sample.stature
     return figures
 
@@ -146,7 +156,9 @@ def _depth_figures(sample: Sample, result: FitResult) -> dict[str, float]:
         return {}
     names, figures = sample.joint_names, {}
     hips = [names.index(name) for name in _HIPS]
-    found, true = (each[:, 2] - each[hips, 2].mean() for each in (result.landmarks(sample.body_points), sample.joints))
+    found, true = (
+        each[:, 2] - each[hips, 2].mean() for each in (_marked(result, sample.body_points, names), sample.joints)
+    )
     if sample.mirrored is not None:
         wrong = sample.mirrored[:, 2] - sample.mirrored[hips, 2].mean()
         most = int(np.abs(wrong - true).argmax())

@@ -56,6 +56,9 @@ _ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
 _MAY_BE_NAN = ("joints_camera", "keypoints", "stature")
 _REQUIRED = ("joint_names", "joints_camera", "keypoints", "person")
 _EXPECTED = "views of people with 3D truth: views.npz or sights.npz with the arrays of docs/evaluation.md"
+# Sets whose joints are another convention's: Panoptic's are triangulated from detections of a network that learned from
+# COCO, and Campus was annotated as Shelf.
+_CONVENTION_OF_SET = {"panoptic": "coco", "campus": "shelf"}
 # Share of the stature from ankles by knees to hips, and from there up to the shoulders: Drillis and Contini (1966).
 _STANDING_SHARE = 0.779
 
@@ -75,8 +78,8 @@ class Views:
         set: Name of the data set, shape (N,), text; None: that of the folder.
         frame: Name or number of the moment, shape (N,).
         camera: Name or number of the camera, shape (N,).
-        convention: Whose points of the body joints mark, such as "panoptic", shape (N,); "" where they are the body's
-            own. None: the set's name up to its first "_".
+        convention: Whose points of the body joints mark, such as "coco", shape (N,); "" where they are the body's own.
+            None: the set's name up to its first "_", such as "h36m"; Panoptic's are COCO's, and Campus's are Shelf's.
         focal: Focal lengths (f_x, f_y) [px], shape (N, 2), and
         centre: principal points [px], shape (N, 2); None: unknown.
         picture_size: (H, W) of the pictures [px], shape (N, 2), whole numbers; None: unknown.
@@ -338,7 +341,10 @@ def _named(views: Views, names: Sequence[str]) -> np.ndarray:
 def _convention(views: Views, row: int) -> str:
     if views.convention is not None:
         return str(views.convention[row])
-    return "" if views.set is None else str(views.set[row]).lower().partition("_")[0]
+    if views.set is None:
+        return ""
+    name = str(views.set[row]).lower().partition("_")[0]
+    return _CONVENTION_OF_SET.get(name, name)
 
 
 def _keypoints(views: Views, row: int, there: np.ndarray, convention: str, wanted: str | None) -> Keypoints2D:

@@ -1,0 +1,413 @@
+"""Views of real people: the layout, its checks, readers of data sets' own files, and the command on made-up people."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scenes import commands
+from scipy.io import savemat
+
+from warp_partdr.body.skeletons import MPJPE_JOINTS, skeleton
+from warp_partdr.errors import InputError
+from warp_partdr.evaluation.datasets import Views, ViewSelection, read_real, read_views, view_samples, write_views
+from warp_partdr.evaluation.datasets.lenses import find_lens
+from warp_partdr.evaluation.datasets.mpi_inf_3dhp import _TRAIN_JOINTS
+from warp_partdr.evaluation.partbench.samples import make_sample
+from warp_partdr.evaluation.sizes import trunk_and_legs
+from warp_partdr.inputs.films import FilmPicture
+
+run = commands.run  # a fixture
+LSP = skeleton("lsp14").landmarks
+FOCAL, CENTRE, SIZE = 1000.0, 500.0, (1000, 1000)
+AWAY = np.array([0.0, 0.0, 4.0])
+
+
+def project(joints: np.ndarray) -> np.ndarray:
+    return FOCAL * joints[..., :2] / joints[..., 2:] + CENTRE
+
+
+def made_views(**changes: Any) -> Views:
+    """Two people of PartBench 4 m before a camera, the second one of whom has two views."""
+    bodies = [make_sample(index, "clean").joints for index in (0, 1, 1)]
+    joints = np.stack([body - body.mean(0) + AWAY for body in bodies])
+    joints[2, :, 2] = 8 - joints[2, :, 2]  # from behind, mirrored
+    arrays = {
+        "joint_names": np.array(LSP),
+        "joints_camera": joints,
+        "keypoints": project(joints),
+        "person": np.array([0, 1, 1]),
+        "set": np.array(["a", "b", "b"]),
+        "frame": np.array([5, 6, 7]),
+        "camera": np.array(["left", "left", "right"]),
+        "focal": np.full((3, 2), FOCAL),
+        "centre": np.full((3, 2), CENTRE),
+        "picture_size": np.full((3, 2), SIZE[0]),
+    }
+    return Views(**(arrays | changes))
+
+
+def test_views_are_read_as_they_were_written(tmp_path):
+    views = made_views(baseline=np.array([True, False, True]))
+    write_views(tmp_path / "views.npz", views)
+    for path in (tmp_path, tmp_path / "views.npz"):
+        again = read_views(path)
+        assert again.arrays().keys() == views.arrays().keys()
+        for name, values in views.arrays().items():
+            np.testing.assert_array_equal(again.arrays()[name], values)
+    first, second, third = view_samples(again, np.arange(3))
+    assert [first.source, second.name, third.cluster] == ["a", "b/1/6/left", "b/1"]
+    np.testing.assert_array_equal(second.joints, views.joints_camera[1])
+    np.testing.assert_allclose(second.keypoints.points, views.keypoints[1], rtol=1e-6)
+    assert second.keypoints.visible.all()
+    assert second.camera.intrinsics.tolist() == [[FOCAL, FOCAL, CENTRE, CENTRE]]
+    assert view_samples(again, np.arange(3), clusters="moments")[2].cluster == "b/1/7"
+
+
+def test_the_sets_name_is_the_folders_where_none_is_told(tmp_path):
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    write_views(folder / "sights.npz", replace(made_views(), set=None))
+    assert view_samples(read_views(folder), np.arange(1))[0].source == "mine"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "error"),
+    [
+        ("joints_camera", np.zeros((3, 13, 3)), r"joints_camera: shape .*; expected \(3, 14, 3\)"),
+        ("keypoints", np.full((3, 14, 2), np.inf), "keypoints: inf"),
+        ("person", np.array([0.5, 1, 2]), "person: float64; expected text or whole numbers"),
+        ("joint_names", np.array(["left_paw", *LSP[1:]]), "joint_names: 'left_paw'; expected landmarks"),
+        ("joint_names", np.array([LSP[1], *LSP[1:]]), "joint_names: .* twice, or without"),
+        ("confidence", np.full((3, 14), np.nan), "confidence: nan in it; expected finite numbers"),
+        ("focal", None, "focal, centre: one without the other"),
+        ("picture_size", np.full((3, 2), 100.5), "picture_size: float64; expected whole numbers"),
+        ("baseline", np.array([0, 1, 1]), "baseline: int64; expected true or false"),
+    ],
+)
+def test_wrong_arrays_are_refused(name, value, error):
+    with pytest.raises(InputError, match=error):
+        made_views(**{name: value})
+
+
+def test_pickles_and_files_without_what_is_needed_are_refused(tmp_path):
+    arrays = made_views().arrays()
+    np.savez(tmp_path / "views.npz", **(arrays | {"person": np.array([{}, {}, {}], dtype=object)}))
+    with pytest.raises(InputError, match="pickled"):
+        read_views(tmp_path)
+    del arrays["person"]
+    np.savez(tmp_path / "views.npz", **arrays)
+    with pytest.raises(InputError, match=r"views\.npz: no array person"):
+        read_views(tmp_path)
+    with pytest.raises(InputError, match=r"none of these; expected a folder with views\.npz"):
+        read_real(tmp_path / "..")
+
+
+def test_rows_are_chosen_by_border_name_moment_and_mark():
+    views = made_views()
+    keypoints = views.keypoints.copy()
+    keypoints[0, 0] = [-5, 100]
+    keypoints[1, 1] = np.nan
+    views = replace(views, keypoints=keypoints, baseline=np.array([True, False, True]))
+    assert ViewSelection().of(views).tolist() == [1, 2]  # a joint that nobody knows is not outside
+    assert ViewSelection("every").of(views).tolist() == [0, 1, 2]
+    assert ViewSelection("baseline").of(views).tolist() == [0, 2]
+    assert ViewSelection("every", people=("b",)).of(views).tolist() == [1, 2]
+    assert ViewSelection("every", leave_out=("b/1",)).of(views).tolist() == [0]
+    assert ViewSelection("every", frames=("5", "7")).of(views).tolist() == [0, 2]
+    assert ViewSelection("every", step=2).of(views).tolist() == [0, 2]
+    with pytest.raises(InputError, match="people: 'c'; expected of a/0, b/1"):
+        ViewSelection(people=("c",)).of(views)
+    with pytest.raises(InputError, match="rows: none of 3 left"):
+        ViewSelection(people=("a",)).of(views)
+    outside, unknown, _ = view_samples(views, np.arange(3))
+    assert np.flatnonzero(~outside.keypoints.visible).tolist() == [0]
+    assert np.flatnonzero(~unknown.keypoints.visible).tolist() == [1]
+
+
+def test_joints_mark_the_points_of_their_sets_convention():
+    """They are the keypoints' targets and the truth's counterpart."""
+    views = made_views(set=np.array(["coco_x", "panoptic_band", "mine"]))
+    coco, panoptic, mine = view_samples(views, np.arange(3))
+    hip = MPJPE_JOINTS.index("left_hip")
+    assert coco.body_points[hip] == coco.keypoints.format.marks[hip] == "coco_left_hip"
+    assert panoptic.body_points == coco.body_points
+    assert mine.body_points == mine.joint_names == mine.keypoints.format.marks
+    assert view_samples(views, np.arange(1), convention="")[0].body_points == MPJPE_JOINTS
+    told = replace(views, convention=np.array(["", "", "coco"]))
+    assert view_samples(told, np.arange(3))[2].body_points == coco.body_points
+
+
+def test_keypoints_of_a_format_are_given_alone_where_all_are_known():
+    names = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
+    views = made_views()
+    seen = np.concatenate([views.keypoints, np.full((3, 5, 2), 300.0)], axis=1)
+    joints = np.concatenate([views.joints_camera, np.full((3, 5, 3), 3.0)], axis=1)
+    seen[2, 14] = np.nan
+    views = replace(views, joint_names=np.array([*LSP, *names]), keypoints=seen, joints_camera=joints)
+    whole, _, part = view_samples(views, np.arange(3), keypoints="coco17")
+    assert whole.keypoints.skeleton.name == "coco17"
+    knee = skeleton("coco17").landmarks.index("left_knee")
+    np.testing.assert_allclose(whole.keypoints.points[knee], seen[0, LSP.index("left_knee")], rtol=1e-6)
+    assert len(part.keypoints.format) == 19
+
+
+def test_a_detectors_keypoints_have_names_of_their_own():
+    names = ["LHip", "RHip", "LKnee", "RKnee", "cheek"]
+    points = np.arange(30.0).reshape(3, 5, 2) + 1
+    views = made_views(keypoint_names=np.array(names), keypoints=points, confidence=np.full((3, 5), 0.5))
+    keypoints = view_samples(views, np.arange(1))[0].keypoints
+    assert set(keypoints.format.landmarks) == {"left_hip", "right_hip", "left_knee", "right_knee"}
+    place = keypoints.format.landmarks.index("left_knee")
+    assert keypoints.points[place].tolist() == points[0, 2].tolist()
+    assert keypoints.confidence[place] == 0.5
+
+
+def test_statures_are_given_or_told_by_the_persons_bones():
+    views = made_views()
+    lengths = [trunk_and_legs(joints, LSP) for joints in views.joints_camera]
+    told = [sample.stature for sample in view_samples(views, np.arange(3))]
+    assert told[0] == pytest.approx(lengths[0] / 0.779)
+    assert told[1] == told[2] == pytest.approx((lengths[1] + lengths[2]) / 2 / 0.779)
+    given = replace(views, stature=np.array([1.7, np.nan, np.nan]))
+    assert [sample.stature for sample in view_samples(given, np.arange(2))] == pytest.approx([1.7, told[1]])
+
+
+def test_trunk_and_legs_by_hand():
+    """A trunk of 0.5 m, and legs of 0.4 + 0.3 and of 0.5 + 0.4."""
+    places = {
+        "shoulder": [[0.2, -0.5, 0.0], [-0.2, -0.5, 0.0]],
+        "hip": [[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]],
+        "knee": [[0.1, 0.4, 0.0], [-0.1, 0.0, 0.5]],
+        "ankle": [[0.1, 0.4, -0.3], [-0.1, 0.4, 0.5]],
+    }
+    names = [f"{side}_{joint}" for joint in places for side in ("left", "right")]
+    joints = np.concatenate(list(places.values()))
+    assert trunk_and_legs(joints, names) == pytest.approx(0.5 + (0.7 + 0.9) / 2)
+    assert np.isnan(trunk_and_legs(joints, ["nose", *names[1:]]))
+
+
+def test_a_lens_is_found_by_points_and_where_they_are_seen(rng):
+    joints = rng.uniform(-1, 1, (20, 3)) + AWAY
+    seen = joints[:, :2] / joints[:, 2:] * [900, 1100] + [300, 400]
+    seen[0] = np.nan
+    focal, centre = find_lens(joints, seen)
+    np.testing.assert_allclose(focal, [900, 1100])
+    np.testing.assert_allclose(centre, [300, 400])
+
+
+def trc(path: Path, names: list[str], points: np.ndarray, unit: str = "mm") -> Path:
+    """A file as Pose2Sim writes it; points (T, J, 3) in this unit."""
+    lines = [
+        "PathFileType\t4\t(X/Y/Z)\ttrial.trc",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"60\t60\t{len(points)}\t{len(names)}\t{unit}\t60\t0\t{len(points)}",
+        "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
+        "\t\t" + "\t".join(f"{axis}{k + 1}" for k in range(len(names)) for axis in "XYZ"),
+        "",
+    ]
+    for frame, row in enumerate(points, start=3):
+        cells = ["" if np.isnan(value) else f"{value:.6f}" for value in row.ravel()]
+        lines.append("\t".join([str(frame), f"{frame / 60:.4f}", *cells]))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def cameras(path: Path) -> Path:
+    """Two cameras of 1000 x 1000 px: one in the world's frame, one from the side, both 4 m before the same place."""
+    one = {"size": [1000, 1000], "focal": [FOCAL, FOCAL], "principal": [CENTRE, CENTRE], "translation": [0, 0, 0]}
+    other = one | {"rotation": [0, np.pi / 2, 0], "translation": [-4, 0, 4]}
+    path.write_text(json.dumps({"cameras": {"cam1": one | {"rotation": [0, 0, 0]}, "cam2": other}}))
+    return path
+
+
+TRC_NAMES = ["RHip", "LHip", "RKnee", "LKnee", "RAnkle", "LAnkle", "RShoulder", "LShoulder", "Cluster1"]
+
+
+def test_trc_files_are_seen_by_calibrated_cameras(tmp_path, rng):
+    points = rng.uniform(-0.8, 0.8, (2, len(TRC_NAMES), 3)) + AWAY
+    points[1, 2] = np.nan
+    views = read_real(trc(tmp_path / "walk.trc", TRC_NAMES, 1000 * points), cameras=cameras(tmp_path / "c.json"))
+    assert len(views) == 4
+    assert views.frame.tolist() == [3, 3, 4, 4]
+    assert views.camera.tolist() == ["cam1", "cam2"] * 2
+    names = views.joint_names.tolist()
+    assert "left_knee" in names
+    assert len(names) == 8
+    hip = names.index("right_hip")
+    np.testing.assert_allclose(views.joints_camera[0, hip], points[0, 0], atol=1e-6)
+    np.testing.assert_allclose(
+        views.joints_camera[1, hip], [points[0, 0, 2] - 4, points[0, 0, 1], 4 - points[0, 0, 0]], atol=1e-6
+    )
+    np.testing.assert_allclose(views.keypoints[1, hip], project(views.joints_camera[1, hip]), atol=1e-6)
+    assert np.isnan(views.keypoints[2:, names.index("right_knee")]).all()
+    (sample,) = view_samples(views, np.arange(1))
+    assert sample.source == "walk"
+    assert "coco_left_hip" in sample.body_points
+
+
+def test_trc_files_that_were_turned_are_turned_back(tmp_path, rng):
+    """Pose2Sim's y is up: it writes (y, z, x)."""
+    points = rng.uniform(-0.8, 0.8, (1, len(TRC_NAMES), 3)) + AWAY
+    turned, known = points[..., [1, 2, 0]], cameras(tmp_path / "c.json")
+    file = trc(tmp_path / "walk.trc", TRC_NAMES, turned, "m")
+    found = read_real(file, cameras=known)
+    hip = found.joint_names.tolist().index("right_hip")
+    np.testing.assert_allclose(found.joints_camera[0, hip], points[0, 0], atol=1e-6)
+    np.testing.assert_array_equal(read_real(file, cameras=known, axes="z x y").keypoints, found.keypoints)
+    with pytest.raises(InputError, match="axes: 'x y -z'; expected x, y and z"):
+        read_real(file, cameras=known, axes="x y -z")
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        (lambda text: text.replace("\tmm\t", "\tinch\t"), "Units: 'inch'; expected m, mm, cm"),
+        (lambda text: "no " + text, "in its first line; expected a .trc file"),
+        (lambda text: text.replace("\t60\t0\t", "\t60\t0\t").replace("3\t0.0500", "three\t0.0500"), "frame 0"),
+        (lambda text: "".join(text.splitlines(keepends=True)[:5]), "expected a .trc file"),
+    ],
+)
+def test_trc_files_with_faults_are_refused(tmp_path, rng, change, error):
+    file = trc(tmp_path / "walk.trc", TRC_NAMES, rng.uniform(size=(1, len(TRC_NAMES), 3)))
+    file.write_text(change(file.read_text()))
+    with pytest.raises(InputError, match=error):
+        read_real(file, cameras=cameras(tmp_path / "c.json"))
+
+
+def test_joints_over_time_come_with_cameras_and_films(tmp_path, rng):
+    points = rng.uniform(-0.8, 0.8, (2, 14, 3)) + AWAY
+    file = tmp_path / "trial.npz"
+    np.savez(file, joint_names=np.array(LSP), joints_world=points, frames=np.array([7, 9]))
+    with pytest.raises(InputError, match="without cameras"):
+        read_real(file)
+    films = tmp_path / "films"
+    films.mkdir()
+    for name in ("cam2", "cam1"):
+        (films / f"{name}.mp4").touch()
+    views = read_real(file, cameras=cameras(tmp_path / "c.json"), films=films)
+    np.testing.assert_allclose(views.joints_camera[3, 0], [points[1, 0, 2] - 4, points[1, 0, 1], 4 - points[1, 0, 0]])
+    samples = view_samples(views, np.arange(4))
+    assert [sample.picture for sample in samples] == [
+        FilmPicture(films / f"cam{camera}.mp4", frame) for frame in (0, 1) for camera in (1, 2)
+    ]
+    assert [sample.name for sample in samples][:2] == ["trial/0/7/cam1", "trial/0/7/cam2"]
+    (films / "cam3.mp4").touch()
+    with pytest.raises(InputError, match="3 films; expected 2, one a camera"):
+        read_real(file, cameras=tmp_path / "c.json", films=films)
+
+
+def test_mpi_inf_3dhps_annotations(tmp_path, rng):
+    """As ``annot.mat`` has them: cells of 14 cameras, 28 joints in a row of numbers, millimetres."""
+    joints = rng.uniform(-800, 800, (14, 3, 28, 3)) + 1000 * AWAY
+    seen = joints[..., :2] / joints[..., 2:] * 1500 + 1024
+    cells = {name: np.empty((14, 1), dtype=object) for name in ("annot2", "annot3")}
+    for camera in range(14):
+        cells["annot3"][camera, 0] = joints[camera].reshape(3, -1)
+        cells["annot2"][camera, 0] = seen[camera].reshape(3, -1)
+    folder = tmp_path / "S1" / "Seq2"
+    folder.mkdir(parents=True)
+    savemat(folder / "annot.mat", cells)
+    views = read_real(tmp_path)
+    assert len(views) == 14 * 3
+    place, row = views.joint_names.tolist().index("left_ankle"), 3 * 5 + 1
+    np.testing.assert_allclose(views.joints_camera[row, place], joints[5, 1, 20] / 1000)
+    np.testing.assert_allclose(views.keypoints[row, place], seen[5, 1, 20])
+    np.testing.assert_allclose([*views.focal[row], *views.centre[row]], [1500, 1500, 1024, 1024])
+    assert view_samples(views, np.array([row]))[0].name == "mpi_inf_3dhp/S1/Seq2_1/5"
+    assert len(_TRAIN_JOINTS) == 28
+
+
+def write_hdf5(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    h5py = pytest.importorskip("h5py", reason="needs h5py")
+    path.parent.mkdir(parents=True)
+    with h5py.File(path, "w") as file:
+        for name, values in arrays.items():
+            file.create_dataset(name, data=values)
+
+
+def test_mpi_inf_3dhps_test_people(tmp_path, rng):
+    """As ``annot_data.mat`` has them, of which some frames count."""
+    joints = rng.uniform(-800, 800, (4, 1, 17, 3)) + 1000 * AWAY
+    seen = joints[..., :2] / joints[..., 2:] * 1500 + 500
+    arrays = {"annot2": seen, "annot3": joints, "valid_frame": np.array([[1.0], [0], [0], [1]])}
+    write_hdf5(tmp_path / "TS5" / "annot_data.mat", arrays)
+    views = read_real(tmp_path)
+    assert views.frame.tolist() == ["0", "3"]
+    assert views.picture_size[0].tolist() == [1080, 1920]
+    np.testing.assert_allclose(views.joints_camera[1, 0], joints[3, 0, 0] / 1000)
+    assert views.joint_names[0] == "head_top"
+
+
+def test_human36ms_hdf5(tmp_path, rng):
+    """As h36m-fetch writes it: rows of all cameras, 32 joints, millimetres."""
+    joints = rng.uniform(-800, 800, (4, 32, 3)) + 1000 * AWAY
+    seen = joints[..., :2] / joints[..., 2:] * 1145 + 512
+    arrays = {"frame": np.array([1, 6, 1, 6]), "camera": np.array([5, 5, 8, 8]), "subject": np.full(4, 9)}
+    write_hdf5(tmp_path / "S9" / "Eating" / "annot.h5", {"pose/2d": seen, "pose/3d-univ": joints} | arrays)
+    views = read_real(tmp_path)
+    assert [sample.name for sample in view_samples(views, np.arange(4))] == [
+        f"h36m/S9/Eating_{frame}/{camera}" for camera in (5, 8) for frame in (1, 6)
+    ]
+    np.testing.assert_allclose(views.joints_camera[2, 10], joints[2, 15] / 1000)  # the crown
+    np.testing.assert_allclose(views.focal[0], 1145)
+
+
+def test_spins_arrays_are_views_of_subjects(tmp_path, rng):
+    truth, part = rng.normal(size=(2, 24, 4)), rng.uniform(1, 100, (2, 24, 3))
+    truth[..., 3], part[..., 2] = 1, 1
+    truth[0, 5, 3] = part[1, 4, 2] = 0
+    np.savez(
+        tmp_path / "h36m_valid.npz",
+        imgname=np.array(["images/S9_Eating.1_000001.jpg", "S11_Eating.1_000006.jpg"]),
+        center=np.zeros((2, 2)),
+        scale=np.ones(2),
+        part=part,
+        S=truth,
+    )
+    views = read_real(tmp_path / "h36m_valid.npz")
+    first, second = view_samples(views, np.arange(2))
+    assert (first.cluster, second.cluster) == ("h36m_valid/S9", "h36m_valid/S11")
+    assert np.flatnonzero(np.isnan(first.joints).any(axis=1)).tolist() == [LSP.index("left_ankle")]
+    assert not second.keypoints.visible[views.joint_names.tolist().index("left_knee")]
+    np.testing.assert_allclose(second.joints[0], truth[1, 0, :3])
+
+
+def test_the_command_compares_methods_on_people(tmp_path, run):
+    """Clusters are people, the better told fits are nearer, and views that were fitted can be kept."""
+    write_views(tmp_path / "views.npz", made_views())
+    out, kept = tmp_path / "f.json", tmp_path / "kept.npz"
+    code, told, errors = run(f"evaluate real {tmp_path} --camera true --stature true --out {out} --save {kept}")
+    assert code == 0, errors
+    data = json.loads(out.read_text())
+    assert data["pooled"].keys() == {"a", "b", "all"}
+    both = data["pooled"]["all"]["network"]
+    assert (both["people"], both["views"]) == (2, 3)
+    assert both["stature_share"] == pytest.approx(1, abs=1e-3)
+    assert 0 <= both["depth_within_spread"] <= both["depth_within_two_spreads"] <= 1
+    assert "all: 3 views, intervals over 2 people" in told
+    assert "all: mesh minus network: PA-MPJPE" in told
+    assert "interval_95" not in data["pooled"]["b"]["mesh"]  # two views of one person
+    assert len(read_views(kept)) == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ("--camera wide", "--camera: wide; expected none, true, or a number"),
+        ("--by view", "--by: view; expected set or person"),
+        ("--step 0", "--step: 0; expected 1 or more"),
+        ("--method shape", "--method: shape; expected network"),
+        ("--cameras c.toml", "cameras: c.toml"),
+        ("--rows baseline", "no array baseline"),
+    ],
+)
+def test_the_command_refuses_what_it_does_not_know(tmp_path, run, options, error):
+    write_views(tmp_path / "views.npz", made_views())
+    code, _, told = run(f"evaluate real {tmp_path} {options}")
+    assert code == 2
+    assert error in told
