@@ -6,18 +6,20 @@ order that it begins with; a flip jumps. What hides what is all that labels say 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import torch
 
 from ..body.lens import ray_rotations
 from ..body.parameters import BodyParameters
-from ..body.pose_prior import PosePrior
+from ..body.pose_prior import PosePrior, up_direction
 from ..body.posing import Posed
-from ..body.rotations import rotation_between, rotation_to_axis_angle
+from ..body.rotations import rotation_between, rotation_from_axis_angle, rotation_to_axis_angle
 from ..body.template import BONE_STARTS, PARENTS, PART_NAMES
 from ..inputs.observation import Observation
 from ..network.uncertainty import Uncertainty
@@ -34,6 +36,8 @@ _LIMBS = {
     for side in ("left", "right")
 }
 _BESIDE = 2.0  # square of the ratio to an outline within which a bone counts as over it
+_TWISTS = torch.arange(16) * (2 * math.pi / 16)  # [rad] of a limb's upper bone, from which a flip chooses
+_LIMITS = 20.0  # [nat/rad^2], by which joint limits count beside the prior while it does
 _FLAT = 0.17  # sine of the angle to the picture's plane below which a bone's mirror image is itself
 _OVER_LIMITS = 0.1  # [rad^2], by which a flip may exceed joint limits more than the body does
 # Spreads that the network stated by which a flip may move a joint along the view. Of 1,059 flips of its bodies (of
@@ -165,69 +169,94 @@ def _propose(
         view = ray_rotations(bodies, lenses)[..., 2]
     found, good, names = [], [], []
     crossing = _crossing(posed, view)
+    found, owners, names = [], [], []
     for limb, parts in _LIMBS.items():
         over = crossing[:, list(parts)].any(1)
-        if not over.any():
-            continue
-        for upper, lower in ((True, False), (False, True), (True, True)):
-            turned, moves, steep = _mirrored(posed, parts, (upper, lower), view)
-            found.append(torch.where(_is_one_of(parts, turned), turned, bodies.rotations))
-            good.append(over & steep)
+        for flipped in ((True, False), (False, True), (True, True)):
+            mirror = _mirror(posed, parts, flipped, view)
+            good = over & mirror.steep
             if said is not None:  # depths leave out the pelvis, so those of a part's end have the part's own index
-                good[-1] = good[-1] & (moves <= _BELIEVED * said.depths[:, list(parts[:2])]).all(1)
-            bones = [
-                PART_NAMES[part].split("_", 1)[1]
-                for part, flipped in zip(parts[:2], (upper, lower), strict=True)
-                if flipped
-            ]
-            names.append(f"{limb}: {' and '.join(bones)}")
+                good = good & (mirror.moves <= _BELIEVED * said.depths[:, list(parts[:2])]).all(1)
+            rows = good.nonzero()[:, 0]
+            if not len(rows):
+                continue
+            found.append(_solve_twist(bodies.select(rows), parts, mirror.turns[rows], mirror.bones[rows], prior))
+            owners.append(rows)
+            bones = [PART_NAMES[part].split("_", 1)[1] for part, flip in zip(parts[:2], flipped, strict=True) if flip]
+            names += [f"{limb}: {' and '.join(bones)}"] * len(rows)
     if not found:
         return bodies.select(slice(0)), torch.zeros(0, dtype=torch.int64, device=view.device), []
-    rotations = torch.stack(found, dim=1)
-    excess = prior.joint_limits(rotations.flatten(0, 1)).view(len(view), -1)
-    own = prior.joint_limits(bodies.rotations)[:, None]
-    owners, which = (torch.stack(good, dim=1) & (excess <= own + _OVER_LIMITS)).nonzero(as_tuple=True)
-    return (
-        replace(bodies.select(owners), rotations=rotations[owners, which]),
-        owners,
-        [names[n] for n in which.tolist()],
+    rotations, whose = torch.cat(found), torch.cat(owners)
+    possible = prior.joint_limits(rotations) <= prior.joint_limits(bodies.rotations)[whose] + _OVER_LIMITS
+    kept = possible.nonzero()[:, 0]
+    kept = kept[whose[kept].argsort(stable=True)]
+    whose = whose[kept]
+    return replace(bodies.select(whose), rotations=rotations[kept]), whose, [names[n] for n in kept.tolist()]
+
+
+class _Mirror(NamedTuple):
+    """Bones of a limb of B bodies, some of them mirrored in depth."""
+
+    bones: torch.Tensor  # directions of the limb's upper and lower bone, shape (B, 2, 3)
+    turns: torch.Tensor  # rotations that take the upper bone to where it was before, without a twist, (B, 3, 3)
+    moves: torch.Tensor  # how far the ends of both move along the view [m], shape (B, 2)
+    steep: torch.Tensor  # False where a bone hardly changes, shape (B,)
+
+
+def _mirror(posed: Posed, parts: tuple[int, ...], flipped: tuple[bool, bool], view: torch.Tensor) -> _Mirror:
+    """Mirror the bones of a limb that are ``flipped``: along ``view``, the direction in which each body is seen."""
+    steep = torch.ones(len(view), dtype=torch.bool, device=view.device)
+    moved, moves, before, bones = torch.zeros_like(view[:, 0]), [], [], []
+    for part, flip in zip(parts[:2], flipped, strict=True):
+        bone = posed.joints[:, part + 1] - posed.joints[:, BONE_STARTS[part]]
+        length = bone.norm(dim=-1, keepdim=True)
+        bone = bone / length
+        before.append(bone)
+        if flip:
+            slope = (bone * view).sum(-1, keepdim=True)
+            steep = steep & (slope[:, 0].abs() >= _FLAT)
+            bone = bone - 2 * slope * view
+            moved = moved - 2 * (slope * length)[:, 0]
+        bones.append(bone)
+        moves.append(moved)
+    return _Mirror(
+        torch.stack(bones, dim=1), rotation_between(before[0], bones[0]), torch.stack(moves, dim=1).abs(), steep
     )
 
 
-def _is_one_of(parts: tuple[int, ...], like: torch.Tensor) -> torch.Tensor:
-    chosen = torch.zeros(len(PART_NAMES), 1, dtype=torch.bool, device=like.device)
-    chosen[list(parts)] = True
-    return chosen
+def _solve_twist(
+    bodies: BodyParameters, parts: tuple[int, ...], turns: torch.Tensor, bones: torch.Tensor, prior: PosePrior
+) -> torch.Tensor:
+    """Local rotations, shape (B, 20, 3), of bodies whose limb takes other directions.
 
+    Two directions leave open how far the upper bone is twisted about itself. With the twist that it had, elbows and
+    knees bend sideways or backward, where the limb was mirrored. So of ``_TWISTS`` the likeliest one is taken that
+    joints allow.
 
-def _mirrored(
-    posed: Posed, parts: tuple[int, ...], flipped: tuple[bool, bool], view: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Mirror bones of a limb.
-
-    Returns:
-        Local rotations, shape (B, 20, 3); by how much the ends of the limb's two bones move along the view [m], (B, 2);
-        and False where a bone hardly changes, (B,).
+    Args:
+        bodies: As they were.
+        parts: The limb's upper, lower and last part.
+        turns: Rotations that take the upper bone there, shape (B, 3, 3).
+        bones: New directions of the upper and the lower bone, shape (B, 2, 3).
+        prior: Of poses.
     """
-    world = torch.cat([posed.rotations[:, :1], posed.rotations], dim=1).clone()  # of the pelvis, whose hips don't turn
-    still = torch.eye(3, device=world.device).expand(len(world), 3, 3)
-    turn, steep = still, torch.ones(len(world), dtype=torch.bool, device=world.device)
-    moved, moves = torch.zeros_like(view[:, 0]), []
-    for part, flip in zip(parts[:2], flipped, strict=True):
-        turn = still
-        if flip:
-            bone = posed.joints[:, part + 1] - posed.joints[:, BONE_STARTS[part]]
-            length = bone.norm(dim=-1, keepdim=True)
-            bone = bone / length
-            slope = (bone * view).sum(-1, keepdim=True)
-            steep = steep & (slope[:, 0].abs() >= _FLAT)
-            turn = rotation_between(bone, bone - 2 * slope * view)
-            moved = moved - 2 * (slope * length)[:, 0]
-        moves.append(moved)
-        world[:, part + 1] = turn @ world[:, part + 1]
-    world[:, parts[2] + 1] = turn @ world[:, parts[2] + 1]
-    turned = rotation_to_axis_angle(world[:, BONE_STARTS].mT @ world[:, 1:])
-    return turned, torch.stack(moves, dim=1).abs(), steep
+    posed = bodies.posed()
+    world = torch.cat([posed.rotations[:, :1], posed.rotations], dim=1)  # of the pelvis, whose hips don't turn
+    upper, lower, last = (part + 1 for part in parts)
+    before = posed.joints[:, lower] - posed.joints[:, upper]
+    turns = rotation_from_axis_angle(bones[:, :1] * _TWISTS.to(bones)[:, None]) @ turns[:, None]  # (B, twists, 3, 3)
+    carried = (turns @ before[:, None, :, None])[..., 0]
+    swings = rotation_between(carried, bones[:, 1:].expand_as(carried)) @ turns
+    world = world[:, None].repeat(1, len(_TWISTS), 1, 1, 1)
+    world[:, :, upper] = turns @ world[:, :, upper]
+    world[:, :, [lower, last]] = swings[:, :, None] @ world[:, :, [lower, last]]
+    rotations = bodies.rotations[:, None].repeat(1, len(_TWISTS), 1, 1)
+    local = world[:, :, [BONE_STARTS[part] for part in parts]].mT @ world[:, :, [upper, lower, last]]
+    rotations[:, :, list(parts)] = rotation_to_axis_angle(local)
+    poses, ups = rotations.flatten(0, 1), up_direction(bodies.global_orient())
+    costs = prior(poses, ups.repeat_interleave(len(_TWISTS), 0)) + _LIMITS * prior.joint_limits(poses)
+    rows = torch.arange(len(rotations), device=rotations.device)
+    return rotations[rows, costs.view(len(rotations), -1).argmin(1)]
 
 
 def _crossing(posed: Posed, view: torch.Tensor) -> torch.Tensor:
