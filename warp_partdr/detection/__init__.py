@@ -2,8 +2,13 @@
 
 ``find_people`` is the entry. A detector (BlazePose's, at 224 x 224) looks at the whole picture and at overlapping
 tiles; its points place a turned square crop on each person. A second network (256 x 256) finds 33 landmarks and a mask
-there, and two points more that place a better crop, for a second look. People found twice are merged. Weights are
-MediaPipe's (Apache-2.0, see ``assets/people_detector.md``), run by plain torch.
+there, and two points more that place a better crop, for a second look. People found twice are merged. A larger network,
+"heavy", may then give landmarks that are nearer to the truth. Weights are MediaPipe's (Apache-2.0, see
+``assets/people_detector.md``), run by plain torch.
 """
+
+from typing import Literal
+
+LandmarkNetwork = Literal["full", "heavy"]
 
 MIN_SCORE = 0.5  # least confidence that there is a person, where nobody says else

@@ -27,7 +27,8 @@ class Node:
         groups: Of a convolution; as many as channels if each goes by itself.
         zeros: Around a convolution's input: left, right, above, below.
         activation: "none", "relu" or "relu6", after a convolution or a sum.
-        size: Side of pooled squares or of the blocks that channels become, or (H, W) of a resized picture.
+        size: Side of pooled squares or of the blocks that channels become, number of channels of zeros that are
+            appended, or (H, W) of a resized picture.
         shape: Of the rows that a picture becomes, without the batch.
     """
 
@@ -77,6 +78,10 @@ def _max_pool(node: Node, values: torch.Tensor) -> torch.Tensor:
     return F.max_pool2d(values, node.size)
 
 
+def _more_channels(node: Node, values: torch.Tensor) -> torch.Tensor:
+    return F.pad(values, (0, 0, 0, 0, 0, node.size))
+
+
 def _resize(node: Node, values: torch.Tensor) -> torch.Tensor:
     return F.interpolate(values, node.size, mode="bilinear", align_corners=False)
 
@@ -106,6 +111,7 @@ KINDS: dict[str, Callable[..., torch.Tensor]] = {
     "convolution": convolve,
     "add": _add,
     "max_pool": _max_pool,
+    "more_channels": _more_channels,
     "resize": _resize,
     "sigmoid": _sigmoid,
     "depth_to_space": _depth_to_space,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,20 +74,33 @@ def look(networks: PeopleNetworks, pyramids: Sequence[Pyramid], crops: TurnedCro
 
     def ask(part: TurnedCrops) -> tuple[torch.Tensor, ...]:
         values = network(cut_crops(pyramids, part, network.size, beyond="border"))
-        landmarks = values["landmarks"].unflatten(1, (-1, _VALUES))
-        landmarks[..., :2] = refine_landmarks(landmarks[..., :2] / network.size, values["heat"])
-        landmarks = landmarks.double()
-        landmarks[..., 3:] = landmarks[..., 3:].sigmoid()
-        return landmarks, values["presence"][:, 0].double(), values["mask"][:, 0]
+        return read_landmarks(values, network.size), values["presence"][:, 0].double(), values["mask"][:, 0]
 
     said = work_on_crops(ask, crops, networks.device)
     if not said:
         none = np.zeros((0, NUM_LANDMARKS))
         masks = torch.zeros(0, network.size, network.size, device=networks.device)
         return FoundLandmarks(crops, np.zeros((*none.shape, 2)), none, none[:, 0], crops, masks)
-    all_landmarks, all_presence, masks = (torch.cat(values) for values in zip(*said, strict=True))
-    landmarks, presence = (values.cpu().numpy() for values in (all_landmarks, all_presence))
+    landmarks, presence, masks = (torch.cat(values) for values in zip(*said, strict=True))
+    points, confidence, next_crops = place_landmarks(landmarks.cpu().numpy(), crops)
+    return FoundLandmarks(crops, points, confidence, presence.cpu().numpy(), next_crops, masks)
+
+
+def read_landmarks(values: Mapping[str, torch.Tensor], size: int) -> torch.Tensor:
+    """Landmarks that a network says of pictures of a side of ``size`` [px].
+
+    Returns:
+        x and y from 0 to 1 across the crop, depth, visibility and presence from 0 to 1, shape (N, 39, 5), float64.
+    """
+    landmarks = values["landmarks"].unflatten(1, (-1, _VALUES))
+    landmarks[..., :2] = refine_landmarks(landmarks[..., :2] / size, values["heat"])
+    landmarks = landmarks.double()
+    landmarks[..., 3:] = landmarks[..., 3:].sigmoid()
+    return landmarks
+
+
+def place_landmarks(landmarks: np.ndarray, crops: TurnedCrops) -> tuple[np.ndarray, np.ndarray, TurnedCrops]:
+    """Points, confidence and next crops, as ``FoundLandmarks`` has them, of landmarks of ``read_landmarks``."""
     places = crops.to_picture(landmarks[..., :2])
-    sure = landmarks[:, :NUM_LANDMARKS, 3:]
     next_crops = crops_of_people(places[:, NUM_LANDMARKS], places[:, NUM_LANDMARKS + 1], crops.pictures)
-    return FoundLandmarks(crops, places[:, :NUM_LANDMARKS], sure.prod(axis=-1), presence, next_crops, masks)
+    return places[:, :NUM_LANDMARKS], landmarks[:, :NUM_LANDMARKS, 3:].prod(axis=-1), next_crops
