@@ -40,10 +40,15 @@ _MESHES = threading.Lock()  # a mesh stage keeps the buffers of the last one
 
 
 def stages_of_quality(quality: BulkQuality) -> FitOptions:
-    """Options of the ellipsoids' fit: none, of ``partdr fit --quality fast``, or of what a mesh stage goes on from."""
+    """Options of the ellipsoids' fit: none, of ``partdr fit --quality fast``, or of what a mesh stage goes on from.
+
+    Keypoints are those of the smaller landmark network: of many people, the larger one would take most of the time.
+    """
     if quality == "network":
         return replace(FitOptions.at("fast"), stages=())
-    return FitOptions.at("fast") if quality == "fast" else FitOptions.at("balanced").without_outline()
+    if quality == "fast":
+        return FitOptions.at("fast")
+    return replace(FitOptions.at("balanced").without_outline(), landmarks="full")
 
 
 def kept_label_size(options: FitOptions, network: LabelNetwork, *, meshes: bool) -> int:
@@ -110,7 +115,9 @@ class PeopleFitter:
         with one_torch_thread():
             pixels = [each.pixels for each in pictures]
             score, half = self.min_score, self.options.half
-            everyone = find_people_in(pixels, device=self.device, min_score=score, half=half)
+            everyone = find_people_in(
+                pixels, device=self.device, min_score=score, half=half, landmarks=self.options.landmarks
+            )
             owners = instance_maps(everyone, [(each.shape[0], each.shape[1]) for each in pixels])
         return [
             replace(

@@ -142,6 +142,7 @@ def fit_films(run: FilmRun) -> None:
         for place, film in enumerate(films):
             told = partial(progress, "people" if len(films) == 1 else f"people of {film.name}")
             look: dict[str, Any] = {"min_score": run.min_score, "device": where, "progress": told}
+            look["landmarks"] = options.landmarks
             if run.networks.given:
                 people, sights = pieces.sights(place, networks, partial(find_film_sights, film, networks, **look))
             else:

@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 from typer import Option, echo
 
-from ..detection import MIN_SCORE
+from ..detection import MIN_SCORE, LandmarkNetwork
 from ..errors import InputError, shown
 from ..files.sections import read_toml, set_value
 from ..inputs.keypoint_files import keypoint_file, read_keypoints
@@ -42,6 +42,11 @@ LabelsOption = Annotated[
 MinScoreOption = Annotated[
     float | None,
     Option(help=f"Least confidence that there is a person, 0 to 1; default: {MIN_SCORE}.", metavar="SHARE"),
+]
+LandmarksName = StrEnum("LandmarksName", list(get_args(LandmarkNetwork)))
+LandmarksOption = Annotated[
+    LandmarksName | None,
+    Option(help="Network of the keypoints: full (default), or heavy, slower and nearer to the truth.", metavar="NAME"),
 ]
 SetOption = Annotated[
     list[str] | None, Option("--set", help="Change one setting; may be given again.", metavar="KEY=VALUE")

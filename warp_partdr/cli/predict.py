@@ -9,7 +9,7 @@ from typer import Argument, Option
 
 from ..detection import MIN_SCORE
 from ..errors import InputError
-from .options import CameraOptions, DeviceOption, LabelsOption, MinScoreOption
+from .options import CameraOptions, DeviceOption, LabelsOption, LandmarksOption, MinScoreOption
 
 PREDICT_HELP = """Say at once where bodies are: pose and measurements of people in photos and films, without
 refinement. For many people; `partdr fit` starts with the same and goes on.
@@ -41,6 +41,7 @@ def predict(
         int | None, Option(help="Whom to take of each photo or film, 0 = first; default: all.", metavar="N")
     ] = None,
     min_score: MinScoreOption = None,
+    landmarks: LandmarksOption = None,
     batch: Annotated[
         int | None, Option(help="People at a time in the network; default: 64, on a CPU 16.", metavar="N")
     ] = None,
@@ -58,13 +59,12 @@ def predict(
     if described:
         if len(paths) > 1:
             raise InputError(f"{described[0]}: a folder with keypoints, among others; expected it alone")
-        for name, given in (("--person", person), ("--min-score", min_score)):
+        for name, given in (("--person", person), ("--min-score", min_score), ("--landmarks", landmarks)):
             if given is not None:
                 raise InputError(f"{name}: {given}, with a folder of keypoints; expected photos or films alone")
         predict_folder(described[0], labels, out, network, batch, device, view)
         return
     if labels is not None:
         raise InputError(f"--labels: {labels}, without a folder of keypoints; expected them with it")
-    predict_found(
-        paths, out, network, device, view, Taken(person, MIN_SCORE if min_score is None else min_score, batch)
-    )
+    score, heavy = MIN_SCORE if min_score is None else min_score, landmarks == "heavy"
+    predict_found(paths, out, network, device, view, Taken(person, score, batch, "heavy" if heavy else "full"))

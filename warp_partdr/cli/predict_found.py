@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import typer
 
+from ..detection import LandmarkNetwork
 from ..errors import InputError, printable
 from ..inputs.cuts import cuts_sentence
 from ..inputs.films import FILM_SUFFIXES, check_pyav, film_facts, is_film
@@ -39,11 +40,13 @@ class Taken:
         person: The one of each photo or film, 0 = first; None: all.
         min_score: Least confidence that there is a person.
         batch: People in one pass of the network; None: as the device likes.
+        landmarks: Network whose keypoints are taken.
     """
 
     person: int | None
     min_score: float
     batch: int | None
+    landmarks: LandmarkNetwork = "full"
 
     def __post_init__(self) -> None:
         check_score("--min-score", self.min_score)
@@ -174,7 +177,8 @@ class _Run:
         from ..detection.people import find_people_in
 
         pictures = [picture for _, picture in held]
-        everyone = find_people_in(pictures, device=self.device, min_score=self.choice.min_score)
+        choice = self.choice
+        everyone = find_people_in(pictures, device=self.device, min_score=choice.min_score, landmarks=choice.landmarks)
         for (source, picture), people in zip(held, everyone, strict=True):
             chosen = dict(enumerate(people))
             if not people:
@@ -199,6 +203,7 @@ class _Run:
         guessed: list[bool] = []
         cuts: list[int] = []
         how: dict[str, Any] = {"min_score": self.choice.min_score, "device": self.device}
+        how["landmarks"] = self.choice.landmarks
         try:
             rate = film_facts(source.path).rate
             for followed in follow_people(source.path, rate, **how):

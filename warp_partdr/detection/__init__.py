@@ -7,8 +7,16 @@ there, and two points more that place a better crop, for a second look. People f
 ``assets/people_detector.md``), run by plain torch.
 """
 
-from typing import Literal
+from typing import Literal, get_args
+
+from ..errors import shown
 
 LandmarkNetwork = Literal["full", "heavy"]
 
 MIN_SCORE = 0.5  # least confidence that there is a person, where nobody says else
+
+
+def check_landmark_network(name: str) -> None:
+    """Raise a ValueError unless there is a packaged landmark network of this name."""
+    if name not in get_args(LandmarkNetwork):
+        raise ValueError(f"landmarks: {shown(name)}; expected {' or '.join(get_args(LandmarkNetwork))}")

@@ -19,7 +19,7 @@ from ..inputs.frame_times import time_warnings, usual_rate
 from ..inputs.keypoints import Keypoints2D
 from ..interop.ahead import made_ahead
 from ..interop.torch_threads import one_torch_thread
-from . import MIN_SCORE
+from . import MIN_SCORE, LandmarkNetwork
 from .crops import Pyramid
 from .masks import instance_map
 from .person import SKELETON, FoundPerson
@@ -131,6 +131,7 @@ def find_film_people(
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] | None = None,
     watch: Callable[[Frame, Pyramid, Sequence[FoundPerson]], None] | None = None,
+    landmarks: LandmarkNetwork = "full",
 ) -> FilmPeople:
     """Find and follow the people of a film, frame by frame.
 
@@ -140,6 +141,7 @@ def find_film_people(
         device: Device to run on.
         progress: Told frames done and in all.
         watch: Given each frame, its picture to cut crops from, and its people, in the order of ``places``.
+        landmarks: Network whose keypoints are taken, as in ``find_people``; "heavy" takes six times as long a person.
 
     Raises:
         InputError: If the file can't be read as a film, or nobody is found in it; in one that breaks off, before that.
@@ -152,7 +154,7 @@ def find_film_people(
     cuts: list[int] = []
     size, fault = (0, 0), ""
     try:
-        for followed in follow_people(path, facts.rate, min_score=min_score, device=device):
+        for followed in follow_people(path, facts.rate, min_score=min_score, device=device, landmarks=landmarks):
             frame, found = followed.frame, followed.people
             size = (frame.picture.shape[0], frame.picture.shape[1])
             if followed.cut:
@@ -197,14 +199,20 @@ class FollowedFrame:
 
 
 def follow_people(
-    path: str | Path, rate: float, *, min_score: float, device: torch.device | str
+    path: str | Path,
+    rate: float,
+    *,
+    min_score: float,
+    device: torch.device | str,
+    landmarks: LandmarkNetwork = "full",
 ) -> Iterator[FollowedFrame]:
     """Find and follow the people of a film of so many frames a second.
 
     Raises:
         InputError: As of ``read_frames``.
     """
-    tracker = PeopleTracker(device=device, min_score=min_score, every=max(round(rate / _LOOKS), 1))
+    every = max(round(rate / _LOOKS), 1)
+    tracker = PeopleTracker(device=device, min_score=min_score, every=every, landmarks=landmarks)
     for frame, pyramid, change in made_ahead(_with_pyramids(path, device)):
         people = tracker.find(pyramid, change)
         yield FollowedFrame(frame, pyramid, people, tracker.cut)

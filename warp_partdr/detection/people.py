@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import get_args
 
 import numpy as np
 import torch
 
 from ..errors import InputError, check_each, check_type, check_whole, shown
 from ..interop.torch_threads import one_torch_thread
-from . import MIN_SCORE, LandmarkNetwork
+from . import MIN_SCORE, LandmarkNetwork, check_landmark_network
 from .asset import PeopleNetworks, packaged_people_networks
 from .crops import Pyramid, TurnedCrops, join_crops
 from .detector import detect_people
@@ -99,8 +98,7 @@ def find_people_in(
         raise ValueError(f"previous: of {len(before)} pictures; expected {len(pictures)}, as pictures")
     for people in before:
         check_each("previous", people, FoundPerson, "of find_people")
-    if landmarks not in get_args(LandmarkNetwork):
-        raise ValueError(f"landmarks: {shown(landmarks)}; expected {' or '.join(get_args(LandmarkNetwork))}")
+    check_landmark_network(landmarks)
     half = half and torch.device(device).type == "cuda"
     networks = packaged_people_networks(str(device), half=half, landmarks=landmarks)
     made = iter(Pyramid.each([each for each in pictures if not isinstance(each, Pyramid)], networks.device))

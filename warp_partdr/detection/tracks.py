@@ -16,7 +16,7 @@ import torch
 
 from ..errors import check_whole
 from ..inputs.cuts import Change
-from . import MIN_SCORE
+from . import MIN_SCORE, LandmarkNetwork
 from .crops import Pyramid, TurnedCrops
 from .people import find_people
 from .person import FoundPerson
@@ -45,13 +45,21 @@ class PeopleTracker:
         min_score: As of ``find_people``.
         every: Frames from one look of the detector to the next, fewer until it sees somebody; others only follow those
             who are there.
+        landmarks: As of ``find_people``.
 
     Attributes:
         cut: Whether the last frame was the first of another shot.
     """
 
-    def __init__(self, *, device: torch.device | str = "cpu", min_score: float = MIN_SCORE, every: int = 10) -> None:
-        self._device, self._min_score = device, min_score
+    def __init__(
+        self,
+        *,
+        device: torch.device | str = "cpu",
+        min_score: float = MIN_SCORE,
+        every: int = 10,
+        landmarks: LandmarkNetwork = "full",
+    ) -> None:
+        self._device, self._min_score, self._landmarks = device, min_score, landmarks
         self._every = check_whole("every", every, 1)
         self._here: dict[int, FoundPerson] = {}
         self._lost: dict[int, tuple[FoundPerson, int]] = {}  # and the frames they have been away
@@ -112,7 +120,7 @@ class PeopleTracker:
         return dict(followed)
 
     def _find(self, picture: np.ndarray | Pyramid, previous: list[FoundPerson]) -> list[FoundPerson]:
-        how: dict[str, Any] = {"device": self._device, "min_score": self._min_score}
+        how: dict[str, Any] = {"device": self._device, "min_score": self._min_score, "landmarks": self._landmarks}
         return find_people(picture, levels=_LEVELS, previous=previous, **how)
 
     def _come_back(self, people: list[FoundPerson]) -> dict[int, FoundPerson]:

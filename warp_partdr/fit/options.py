@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from ..body.labels import LabelSet
 from ..body.pose_prior import PosePrior
 from ..body.stature import check_stature
+from ..detection import LandmarkNetwork, check_landmark_network
 from ..inputs.observation import Observation
 from ..inputs.part_labels import PartLabels
 from ..refinement.energy import Energy, Weights
@@ -39,6 +40,7 @@ class FitOptions:
             network's guess. Of one person (``fit_body``, ``fit_photo``).
         mirror: Ask the network about the mirror image, too; without, it is asked in half the time.
         half: Ask it in bfloat16.
+        landmarks: Network whose keypoints are taken where people are found in a photo (``find_people``).
         mesh: Of the mesh stage, which follows in `partdr fit` and ``fit_photo``.
     """
 
@@ -54,12 +56,14 @@ class FitOptions:
     stature: float | None = None
     mirror: bool = True
     half: bool = False
+    landmarks: LandmarkNetwork = "heavy"
     mesh: MeshOptions = field(default_factory=MeshOptions)
 
     def __post_init__(self) -> None:
         if self.start not in STAGES:
             raise ValueError(f"start: {self.start!r}; expected {', '.join(STAGES)}")
         check_stature(self.stature)
+        check_landmark_network(self.landmarks)
 
     @classmethod
     def at(cls, quality: Quality, start: Start = "network") -> FitOptions:
@@ -73,7 +77,8 @@ class FitOptions:
         if quality not in STAGES[start]:
             raise ValueError(f"quality: {quality!r}; expected {', '.join(STAGES[start])}")
         stages, search = STAGES[start][quality], STAGES["search"][quality]
-        return cls(stages=stages, start=start, search=search, mesh=MeshOptions.at(quality))
+        landmarks: LandmarkNetwork = "full" if quality == "fast" else "heavy"
+        return cls(stages=stages, start=start, search=search, landmarks=landmarks, mesh=MeshOptions.at(quality))
 
     def drawn_by(self, change: Callable[[Renderer], Renderer]) -> FitOptions:
         """Options whose stages, also of the search, have renderers that ``change`` makes of theirs.

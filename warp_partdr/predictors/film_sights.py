@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from ..body.skeletons import skeleton
-from ..detection import MIN_SCORE
+from ..detection import MIN_SCORE, LandmarkNetwork
 from ..detection.crops import Pyramid
 from ..detection.film_people import FilmPeople, find_film_people, frame_places, kept_size
 from ..detection.masks import instance_map
@@ -152,6 +152,7 @@ def find_film_sights(
     min_score: float = MIN_SCORE,
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] | None = None,
+    landmarks: LandmarkNetwork = "full",
 ) -> tuple[FilmPeople, FilmSights]:
     """Find and follow the people of a film, and ask networks of others about each in each frame.
 
@@ -161,6 +162,7 @@ def find_film_sights(
         min_score: As of ``find_film_people``, like what follows.
         device: Device to run on.
         progress: Told frames done and in all.
+        landmarks: As of ``find_film_people``; where the networks say keypoints, these serve where they see nobody.
 
     Raises:
         InputError: As of ``find_film_people``, or if a network gives something else than it says.
@@ -175,7 +177,9 @@ def find_film_sights(
             raise _NetworkError(error) from error
 
     try:
-        people = find_film_people(path, min_score=min_score, device=device, progress=progress, watch=watch)
+        people = find_film_people(
+            path, min_score=min_score, device=device, progress=progress, watch=watch, landmarks=landmarks
+        )
     except _NetworkError as fault:
         raise fault.error from None
     return people, asked.sights(people)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from ..body.stature import check_stature
+from ..detection import LandmarkNetwork, check_landmark_network
 from ..errors import InputError, check_whole
 from ..fit.mesh_options import MeshOptions
 from ..interop.checks import MAX_PICTURE
@@ -34,6 +35,8 @@ class SceneOptions:
         window: Frames of a film that are fitted together.
         overlap: Frames that two windows share, from one to the other.
         shape_frames: Frames, spread over a film of several windows, in which a person's shape is found.
+        landmarks: Network whose keypoints are taken where `partdr fit` and `partdr scene` find the people of films
+            (``find_film_people``).
     """
 
     mesh: MeshOptions = field(default_factory=MeshOptions)
@@ -48,6 +51,7 @@ class SceneOptions:
     window: int = 128
     overlap: int = 12
     shape_frames: int = 16
+    landmarks: LandmarkNetwork = "full"
 
     def __post_init__(self) -> None:
         if not 0 <= self.smoothing < math.inf:
@@ -60,6 +64,7 @@ class SceneOptions:
         check_whole("window", self.window, 1)
         check_whole("overlap", self.overlap, 0, self.window - 1)
         check_whole("shape_frames", self.shape_frames, 1)
+        check_landmark_network(self.landmarks)
 
     def check_sights(self, people: int, cameras: int) -> None:
         """Check that a known stature is of one person before one camera, of so many.

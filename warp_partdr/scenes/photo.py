@@ -16,7 +16,7 @@ import torch
 from ..body.labels import BACKGROUND, IGNORE
 from ..cameras import Perspective, UsualLens, zoomed
 from ..clothing.model import DetailedModel
-from ..detection import MIN_SCORE
+from ..detection import MIN_SCORE, LandmarkNetwork
 from ..detection.crops import Pyramid
 from ..detection.given_boxes import BoxNetwork, find_people_in_boxes, same_keypoints
 from ..detection.masks import instance_map
@@ -92,7 +92,7 @@ def fit_photo(
         person: Fit this one alone, 0 = largest; the others' pixels are still known to be theirs.
         min_score: Least confidence that there is a person, 0 to 1.
         options: Such as ``FitOptions.at("fast")``; the outline stage, from before which the mesh stage goes on, is left
-            out.
+            out. ``landmarks`` is the packaged network that says the keypoints of people whom the packaged detector finds.
         model: On the device, float32; default Anny.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
@@ -113,10 +113,10 @@ def fit_photo(
     if camera is None and isinstance(photo, str | Path) and (focal := told_focal(photo)) is not None:
         camera = Perspective.of_picture(pixels.shape[:2], focal=focal)
     picture = Pyramid(pixels, device)
-    with told_as("photo", "photo" if pixels is photo else photo):
-        found, owners = _everyone(picture, min_score, keypoints_from)
-    chosen = range(len(found)) if person is None else [person_place(person, len(found))]
     options = (options or FitOptions.at("balanced")).without_outline()
+    with told_as("photo", "photo" if pixels is photo else photo):
+        found, owners = _everyone(picture, min_score, keypoints_from, options.landmarks)
+    chosen = range(len(found)) if person is None else [person_place(person, len(found))]
     check_whose(options.stature, len(chosen))
     if camera is None and options.guess_camera:
         camera = UsualLens.of_size(pixels.shape[:2])  # of everybody, also of who has no mask
@@ -181,25 +181,25 @@ def _weighed(keypoints: Keypoints2D, parts: PartLabels | None) -> list[Evidence]
         return []
 
 
-def person_in_photo(photo: np.ndarray, person: int = 0) -> PersonInputs:
+def person_in_photo(photo: np.ndarray, person: int = 0, landmarks: LandmarkNetwork = "heavy") -> PersonInputs:
     """The input of one person's fit as ``fit_photo`` finds it; 0 = largest.
 
     Raises:
         InputError: If nobody is found, or not so many people.
     """
     check_picture("photo", photo)
-    found, owners = _everyone(Pyramid(photo, "cpu"), MIN_SCORE, None)
+    found, owners = _everyone(Pyramid(photo, "cpu"), MIN_SCORE, None, landmarks)
     index = person_place(person, len(found))
     seen = person_evidence(found[index].keypoints, owners, index)
     return PersonInputs(seen.keypoints, (), seen.picture, photo)
 
 
 def _everyone(
-    photo: Pyramid, min_score: float, keypoints_from: KeypointNetwork | None
+    photo: Pyramid, min_score: float, keypoints_from: KeypointNetwork | None, landmarks: LandmarkNetwork
 ) -> tuple[list[FoundPerson], np.ndarray]:
     """The people in a photo, and whom each pixel shows; without those of whom nothing but a box is known."""
     if keypoints_from is None or keypoints_from.boxes is None:
-        found = find_people(photo, device=photo.device, min_score=min_score)
+        found = find_people(photo, device=photo.device, min_score=min_score, landmarks=landmarks)
     else:
         found = _boxed_people(keypoints_from, keypoints_from.boxes, photo, min_score)
     if not found:
