@@ -17,6 +17,8 @@ from scenes.commands import Run
 from scenes.files import EXAMPLE
 from scenes.films import write_film
 
+from warp_partdr.detection import people
+from warp_partdr.detection.people import find_people_in
 from warp_partdr.inputs import films
 from warp_partdr.results.body_file import load_body
 from warp_partdr.results.predictions import load_film_bodies
@@ -164,6 +166,23 @@ def test_photos_and_films_go_together_and_a_film_that_breaks_off_keeps_its_frame
     assert 3 < len(load_film_bodies("out/a.mp4.person0.npz").rows) < 30
 
 
+def test_keypoints_are_of_the_network_that_is_asked_for(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[object] = []
+
+    def look(pictures: object, **how: object) -> object:
+        asked.append(how["landmarks"])
+        return find_people_in(pictures, **how)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(people, "find_people_in", look)
+    photo(256).save("photo.png")
+    write_film(Path("film.mp4"), [np.asarray(photo(256))] * 3)
+    for option in ("", " --landmarks heavy"):
+        assert run(f"predict photo.png film.mp4 --out out{option} --device cpu")[0] == 0
+    assert asked[0] == "full"
+    assert set(asked[: len(asked) // 2]) == {"full"}
+    assert set(asked[len(asked) // 2 :]) == {"heavy"}
+
+
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -185,6 +204,8 @@ def test_photos_and_films_go_together_and_a_film_that_breaks_off_keeps_its_frame
         ("mine photo.png", ["mine: a folder with keypoints, among others"]),
         ("mine --person 1", ["--person: 1, with a folder of keypoints"]),
         ("mine --min-score 0.2", ["--min-score: 0.2, with a folder of keypoints"]),
+        ("mine --landmarks heavy", ["--landmarks: heavy, with a folder of keypoints"]),
+        ("photo.png --landmarks lite", ["--landmarks", "lite"]),
         ("photo.png none/../photo.png", ["photo.png: in two of the folders"]),
     ],
 )

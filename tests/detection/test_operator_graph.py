@@ -44,6 +44,12 @@ def test_pools_take_the_largest_of_squares(rng):
     np.testing.assert_array_equal(run(Node("max_pool", (0,), 1, size=2), values), expected)
 
 
+def test_more_channels_are_zeros_after_the_others(rng):
+    values = rng.normal(size=(2, 3, 4, 5)).astype(np.float32)
+    more = run(Node("more_channels", (0,), 1, size=2), values)
+    np.testing.assert_array_equal(more, np.concatenate([values, np.zeros((2, 2, 4, 5), np.float32)], axis=1))
+
+
 def test_resized_pictures_keep_straight_ramps():
     """Inner values at pixel centres of halves; the border's repeat."""
     ramp = np.arange(4, dtype=np.float32)[None, None, None].repeat(2, axis=2)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import tarfile
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +16,15 @@ from scenes.files import EXAMPLE
 
 import warp_partdr
 from warp_partdr import read_photo
-from warp_partdr.detection.asset import load_people_networks, packaged_people_networks
+from warp_partdr.detection.asset import load_heavy_landmarks, load_people_networks, packaged_people_networks
 from warp_partdr.detection.crops import Pyramid, cut_crops
 from warp_partdr.detection.detector import tiles
+from warp_partdr.detection.look import read_landmarks
+from warp_partdr.detection.people import find_people
 from warp_partdr.errors import InputError
 
-WHEEL_VARIABLE = "PARTDR_MEDIAPIPE_WHEEL"
+WHEEL_VARIABLE, PACKAGE_VARIABLE = "PARTDR_MEDIAPIPE_WHEEL", "PARTDR_MEDIAPIPE_POSE"
+HEAVY_FILE = "package/pose_landmark_heavy.tflite"
 FILES = {
     "detector": ("mediapipe/modules/pose_detection/pose_detection.tflite", ("boxes", "scores")),
     "landmarks": (
@@ -32,6 +37,8 @@ ASSETS = Path(warp_partdr.__file__).parent / "assets"
 
 def test_the_file_is_small_and_its_licence_lies_beside_it():
     assert (ASSETS / "people_detector.safetensors").stat().st_size < 10e6
+    assert (ASSETS / "heavy_landmarks.safetensors").stat().st_size < 15.5e6
+    assert "heavy_landmarks.safetensors" in (ASSETS / "people_detector.LICENSE.txt").read_text()
     assert "Apache License" in (ASSETS / "people_detector.LICENSE.txt").read_text()
     assert "Apache-2.0" in (ASSETS / "people_detector.md").read_text()
 
@@ -90,15 +97,40 @@ def test_google_s_runtime_says_the_same(name, tmp_path):
     picture = read_photo(EXAMPLE / "photo.png")
     cut = cut_crops([Pyramid(picture, "cpu")], tiles(picture.shape[:2], 1, 1), network.size)
     cut = cut * 2 - 1 if name == "detector" else cut
-    google = interpreter.Interpreter(str(tmp_path / "network.tflite"), num_threads=1)
-    google.allocate_tensors()
-    google.set_tensor(google.get_input_details()[0]["index"], cut.permute(0, 2, 3, 1).contiguous().numpy())
-    google.invoke()
-    said = network(cut)
-    for output, about in zip(outputs, google.get_output_details(), strict=False):  # the last one isn't packaged
-        ours, theirs = said[output], torch.from_numpy(google.get_tensor(about["index"]).copy())
-        theirs = theirs.permute(0, 3, 1, 2) if theirs.dim() == 4 else theirs
+    said, results = network(cut), run_google(interpreter, tmp_path / "network.tflite", cut)
+    for output, theirs in zip(outputs, results, strict=False):  # the last one isn't packaged
+        ours = said[output]
         if output in ("boxes", "landmarks"):
             torch.testing.assert_close(ours, theirs, atol=0.01, rtol=0)
         else:
             torch.testing.assert_close(ours.sigmoid(), theirs.sigmoid(), atol=1e-3, rtol=0)
+
+
+def run_google(interpreter: Any, path: Path, pictures: torch.Tensor) -> list[torch.Tensor]:
+    """Results of Google's runtime for one picture, channels first."""
+    google = interpreter.Interpreter(str(path), num_threads=1)
+    google.allocate_tensors()
+    google.set_tensor(google.get_input_details()[0]["index"], pictures.permute(0, 2, 3, 1).contiguous().numpy())
+    google.invoke()
+    found = [torch.from_numpy(google.get_tensor(about["index"]).copy()) for about in google.get_output_details()]
+    return [each.permute(0, 3, 1, 2) if each.dim() == 4 else each for each in found]
+
+
+def test_the_heavy_network_in_8_bits_says_about_what_google_s_runtime_says(tmp_path):
+    """Of the example's person: landmarks to 0.5 px of 256 on average, visibility to 0.02."""
+    interpreter = pytest.importorskip("ai_edge_litert.interpreter", reason="needs ai-edge-litert, Google's runtime")
+    package = os.environ.get(PACKAGE_VARIABLE)
+    if not package:
+        pytest.skip(f"needs {PACKAGE_VARIABLE}, the file of npm pack @mediapipe/pose@0.5.1675469404")
+    with tarfile.open(package) as archive:
+        content = archive.extractfile(HEAVY_FILE)
+        assert content is not None
+        (tmp_path / "network.tflite").write_bytes(content.read())
+    picture = read_photo(EXAMPLE / "photo.png")
+    (person,) = find_people(picture)
+    cut = cut_crops([Pyramid(picture, "cpu")], person.crop, 256, beyond="border")
+    landmarks, _, _, heat, _ = run_google(interpreter, tmp_path / "network.tflite", cut)
+    expected = read_landmarks({"landmarks": landmarks, "heat": heat}, 256)[0, :35]
+    found = read_landmarks(load_heavy_landmarks()(cut), 256)[0, :35]
+    assert 256 * float((found - expected)[:, :2].norm(dim=1).mean()) < 0.5
+    assert float((found - expected)[:33, 3:].abs().mean()) < 0.02

@@ -38,7 +38,7 @@ def with_heavy_landmarks(
         return [list(people) for people in everyone]
     pictures = np.repeat(np.arange(len(everyone)), [len(people) for people in everyone])
     crops = replace(join_crops([person.crop for person in found]), pictures=pictures)
-    points, confidence, next_crops = place_landmarks(_ask(network, pyramids, crops), crops)
+    points, confidence, next_crops = place_landmarks(see_landmarks(network, pyramids, crops), crops)
     before = (
         np.stack([person.keypoints.points for person in found]),
         np.stack([person.keypoints.confidence for person in found]),
@@ -52,15 +52,27 @@ def with_heavy_landmarks(
     return [[next(rest) for _ in people] for people in everyone]
 
 
-def _ask(network: OperatorGraph, pyramids: Sequence[Pyramid], crops: TurnedCrops) -> np.ndarray:
-    """Landmarks in the crops, means of those in a crop and in its mirror image, as of ``read_landmarks``."""
-    mirrored = np.concatenate([skeleton(SKELETON).mirror, [NUM_LANDMARKS, NUM_LANDMARKS + 1]])
+def see_landmarks(
+    network: OperatorGraph, pyramids: Sequence[Pyramid], crops: TurnedCrops, *, mirror: bool = True
+) -> np.ndarray:
+    """Landmarks in crops, as of ``read_landmarks``, but without the last four, shape (N, 35, 5).
+
+    Args:
+        network: As in ``with_heavy_landmarks``.
+        pyramids: The pictures.
+        crops: Of which at least one.
+        mirror: Return the means of those in a crop and in its mirror image, which lie nearer to the truth.
+    """
+    hips, top = NUM_LANDMARKS, NUM_LANDMARKS + 1
+    mirrored = torch.tensor([*skeleton(SKELETON).mirror.tolist(), hips, top])
 
     def ask(part: TurnedCrops) -> torch.Tensor:
         pictures = cut_crops(pyramids, part, network.size, beyond="border")
-        seen, turned = (read_landmarks(network(each), network.size) for each in (pictures, pictures.flip(-1)))
-        turned = turned[:, torch.from_numpy(mirrored).to(turned.device)]
+        seen = read_landmarks(network(pictures), network.size)[:, : len(mirrored)]
+        if not mirror:
+            return seen
+        turned = read_landmarks(network(pictures.flip(-1)), network.size)[:, mirrored.to(seen.device)]
         turned[..., 0] = 1 - turned[..., 0]
-        return (seen[:, : len(mirrored)] + turned) / 2
+        return (seen + turned) / 2
 
     return torch.cat(work_on_crops(ask, crops, pyramids[0].device)).cpu().numpy()

@@ -92,7 +92,7 @@ def fit_photo(
         person: Fit this one alone, 0 = largest; the others' pixels are still known to be theirs.
         min_score: Least confidence that there is a person, 0 to 1.
         options: Such as ``FitOptions.at("fast")``; the outline stage, from before which the mesh stage goes on, is left
-            out. ``landmarks`` is the packaged network that says the keypoints of people whom the packaged detector finds.
+            out.
         model: On the device, float32; default Anny.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
