@@ -151,10 +151,10 @@ def test_weights_of_8_bits_are_multiples_of_their_channel_s_scale(tmp_path: Path
         load_people_networks(path)
 
 
-def test_qualities_choose_the_network_and_data_sets_and_films_the_fast_one() -> None:
+def test_fits_take_the_network_and_fast_ones_and_data_sets_do_without() -> None:
     assert [FitOptions.at(name).landmarks for name in ("fast", "balanced", "accurate")] == ["full", "heavy", "heavy"]  # type: ignore[arg-type]
     assert {stages_of_quality(name).landmarks for name in ("network", "fast", "mesh")} == {"full"}  # type: ignore[arg-type]
-    assert SceneOptions.film().landmarks == "full"
+    assert SceneOptions.film().landmarks == "heavy"
     assert change_options(FitOptions.at("fast"), {"landmarks": "heavy"}).landmarks == "heavy"
 
 

@@ -152,7 +152,7 @@ def find_film_sights(
     min_score: float = MIN_SCORE,
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] | None = None,
-    landmarks: LandmarkNetwork = "full",
+    landmarks: LandmarkNetwork = "heavy",
 ) -> tuple[FilmPeople, FilmSights]:
     """Find and follow the people of a film, and ask networks of others about each in each frame.
 

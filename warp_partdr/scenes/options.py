@@ -35,7 +35,7 @@ class SceneOptions:
         window: Frames of a film that are fitted together.
         overlap: Frames that two windows share, from one to the other.
         shape_frames: Frames, spread over a film of several windows, in which a person's shape is found.
-        landmarks: Network whose keypoints are taken where `partdr fit` and `partdr scene` find the people of films
+        landmarks: Network whose keypoints `partdr fit` and `partdr scene` take of a film's people
             (``find_film_people``).
     """
 
@@ -51,7 +51,7 @@ class SceneOptions:
     window: int = 128
     overlap: int = 12
     shape_frames: int = 16
-    landmarks: LandmarkNetwork = "full"
+    landmarks: LandmarkNetwork = "heavy"
 
     def __post_init__(self) -> None:
         if not 0 <= self.smoothing < math.inf:
