@@ -163,7 +163,7 @@ def _with_lens(samples: Sequence[Sample], share: float) -> list[Sample]:
 
     found = []
     for sample in samples:
-        size = sample.picture_size
+        size = sample.keypoints.image_size
         if size is None:
             raise InputError(f"--camera: {share:g}, but the file has no picture_size; expected this array, or none")
         found.append(replace(sample, camera=Perspective.of_picture(size, focal=share * max(size))))

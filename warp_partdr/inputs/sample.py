@@ -36,7 +36,6 @@ class Sample:
         picture: File of the picture, its place in a film, or the picture, shape (H, W, 3), uint8.
         camera: The picture's, where it is known, B = 1.
         label_set: Of ``target``; None: that of ``parts``.
-        picture_size: (H, W) of the picture [px], where neither labels nor a picture tell it.
         stature: The person's height, standing [m].
         cluster: Name of the samples that are not independent of this one, such as the person's whom several views show;
             None: there are none.
@@ -57,7 +56,6 @@ class Sample:
     picture: Path | FilmPicture | np.ndarray | None = None
     camera: Perspective | None = None
     label_set: LabelSet | None = None
-    picture_size: tuple[int, int] | None = None
     stature: float | None = None
     cluster: str | None = None
 

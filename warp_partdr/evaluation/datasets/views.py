@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from ...body.keypoint_names import skeleton_of_names
-from ...body.landmarks import LANDMARKS, mirror_name
+from ...body.landmarks import LANDMARKS, annotated, mirror_name
 from ...body.skeletons import MPJPE_JOINTS, Skeleton, known_edges, skeleton
 from ...cameras import Perspective
 from ...errors import InputError, cause, shown
@@ -281,20 +281,14 @@ def view_samples(
                 name=f"{moment}/{cameras[row]}",
                 keypoints=_keypoints(views, row, inside[row], told, keypoints),
                 joints=_take(views.joints_camera[row], _landmarks(views.joint_names), MPJPE_JOINTS),
-                joint_marks=conventional(MPJPE_JOINTS, told),
+                joint_marks=annotated(MPJPE_JOINTS, convention=told),
                 picture=_picture(views, row),
                 camera=_camera(views, row),
-                picture_size=_picture_size(views, row),
                 stature=None if np.isnan(statures[row]) else float(statures[row]),
                 cluster=person if clusters == "people" else moment,
             )
         )
     return samples
-
-
-def conventional(names: Sequence[str], convention: str) -> tuple[str, ...]:
-    """Points of the body that a data set means by these names, such as "coco_left_hip"; else the body's own."""
-    return tuple(f"{convention}_{name}" if f"{convention}_{name}" in LANDMARKS else name for name in names)
 
 
 def _check_array(name: str, values: object, sizes: dict[str, int]) -> None:
@@ -363,7 +357,8 @@ def _keypoints(views: Views, row: int, there: np.ndarray, convention: str, wante
     if wanted is not None and truly >= set(skeleton(wanted).landmarks):
         form = skeleton(wanted)
         known, points = (_take(each, names, form.landmarks) for each in (known, points))
-    return Keypoints2D(form, points.astype(np.float32), known.astype(np.float32))
+    size = _picture_size(views, row)
+    return Keypoints2D(form, points.astype(np.float32), known.astype(np.float32), image_size=size)
 
 
 def _take(values: np.ndarray, names: Sequence[str], wanted: Sequence[str]) -> np.ndarray:
@@ -378,7 +373,7 @@ def _landmarks(names: np.ndarray) -> tuple[str, ...]:
 
 @lru_cache(maxsize=64)
 def _skeleton(names: tuple[str, ...], convention: str) -> Skeleton:
-    marks = conventional(names, convention)
+    marks = annotated(names, convention=convention)
     return Skeleton(convention or "named", names, marks, known_edges(names), tuple(range(len(names))), len(names))
 
 
