@@ -31,6 +31,10 @@ from .mirror import mean_bodies, mirror_bodies, mirror_inputs
 from .predicted import Predicted
 from .upright import leans, turn_inputs, turn_predicted
 
+# Networks learn how sure they are from people who are made. Of seven real people, 60 % of depths were within the
+# stated 68 %, and so many times wider intervals hold 68 % (`partdr evaluate real`, docs/evaluation.md).
+REAL_PEOPLE = 1.2
+
 
 def network_inputs(
     seen: Sequence[Observation] | StackedObservations, size: int
@@ -195,4 +199,6 @@ def _look(
     if mirror:
         own, images = slice(len(observations)), slice(len(observations), None)
         predicted = mean_bodies(predicted.select(own), mirror_bodies(predicted.select(images)))
-    return turn_predicted(predicted, angles)
+    predicted = turn_predicted(predicted, angles)
+    said = predicted.uncertainty
+    return replace(predicted, uncertainty=None if said is None else said.widened(REAL_PEOPLE))

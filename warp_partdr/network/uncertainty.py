@@ -41,6 +41,10 @@ class Uncertainty(Movable):
         """Those of bodies so many times as large (B,), as much farther away."""
         return replace(self, depths=self.depths * shares[:, None], nearness=self.nearness / shares)
 
+    def widened(self, factor: float) -> Uncertainty:
+        """Spreads so many times as wide; the distance stays."""
+        return replace(self, depths=self.depths * factor, turns=self.turns * factor)
+
     def select(self, index: torch.Tensor | slice) -> Uncertainty:
         """Some of the bodies'."""
         return Uncertainty(**{name: value[index] for name, value in vars(self).items()})
