@@ -166,7 +166,7 @@ def test_what_needs_no_ground_is_bit_for_bit_as_without() -> None:
 
 
 def test_feet_of_a_group_come_to_one_ground(device) -> None:
-    sample = make_group(3, "clean")
+    sample = make_group(6, "clean")
     with torch.no_grad():
         looks = look_at(sample.scene, device)
     off = {}
@@ -175,7 +175,7 @@ def test_feet_of_a_group_come_to_one_ground(device) -> None:
         lowest = fit.vertices[:, 0, :, 1].amax(1).cpu().numpy()  # the world's y is down
         off[weight] = float(np.std(lowest))
     assert fit.ground is not None
-    assert off[0.1] < 0.6 * off[0.0]
+    assert off[0.1] < 0.7 * off[0.0]
 
 
 def test_the_ground_does_not_depend_on_the_world_s_frame() -> None:

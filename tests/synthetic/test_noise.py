@@ -75,8 +75,11 @@ def test_keypoint_noise_is_as_wide_as_documented() -> None:
     noisy = noisy_keypoints(*args, level=Level(1.0), rng=np.random.default_rng(0))
     assert noisy.shape == (4000, 3)
     np.testing.assert_allclose(noisy[~hidden, :2].std(), 3.0, rtol=0.05)
-    np.testing.assert_allclose(noisy[hidden, :2].std(), 6.0, rtol=0.05)
+    np.testing.assert_allclose(noisy[hidden, :2].std(), 12.0, rtol=0.05)
     np.testing.assert_array_equal(noisy[:, 2], np.where(hidden, 0.5, 1.0))
+    sure = noisy_keypoints(*args, level=Level(1.0, guessed=0.3), rng=np.random.default_rng(0))[:, 2] == 1.0
+    assert sure[~hidden].all()
+    assert 0.26 < sure[hidden].mean() < 0.34
 
 
 def test_keypoints_are_dropped_not_found_beyond_the_border_or_on_the_other_side() -> None:
