@@ -70,7 +70,7 @@ def is_held_out(clip: Clip) -> bool:
 
 def without_errors(clip: Clip) -> Clip:
     """The frames in which no ankle or wrist is turned around, as markers that were swapped do."""
-    return clip[~_turned_around(clip).any(axis=1)]
+    return clip[np.flatnonzero(~_turned_around(clip).any(axis=1))]
 
 
 def straightened(clip: Clip) -> Clip:
