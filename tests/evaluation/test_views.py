@@ -110,9 +110,10 @@ def test_pickles_and_files_without_what_is_needed_are_refused(tmp_path):
 def test_rows_are_chosen_by_border_name_moment_and_mark():
     views = made_views()
     keypoints = views.keypoints.copy()
-    keypoints[0, 0] = [-5, 100]
+    keypoints[0, 0], keypoints[0, 2] = [-5, 100], [1100, 100]
     keypoints[1, 1] = np.nan
-    views = replace(views, keypoints=keypoints, baseline=np.array([True, False, True]))
+    marked = np.array([True, False, True])
+    views = replace(views, keypoints=keypoints, baseline=marked, picture_size=np.array([[1200, 1000]] * 3))
     assert ViewSelection().of(views).tolist() == [1, 2]  # a joint that nobody knows is not outside
     assert ViewSelection("every").of(views).tolist() == [0, 1, 2]
     assert ViewSelection("baseline").of(views).tolist() == [0, 2]
@@ -125,7 +126,7 @@ def test_rows_are_chosen_by_border_name_moment_and_mark():
     with pytest.raises(InputError, match="rows: none of 3 left"):
         ViewSelection(people=("a",)).of(views)
     outside, unknown, _ = view_samples(views, np.arange(3))
-    assert np.flatnonzero(~outside.keypoints.visible).tolist() == [0]
+    assert np.flatnonzero(~outside.keypoints.visible).tolist() == [0, 2]
     assert np.flatnonzero(~unknown.keypoints.visible).tolist() == [1]
 
 
@@ -400,6 +401,7 @@ def test_the_command_compares_methods_on_people(tmp_path, run):
     [
         ("--camera wide", "--camera: wide; expected none, true, or a number"),
         ("--by view", "--by: view; expected set or person"),
+        ("--intervals views", "intervals: 'views'; expected people or moments"),
         ("--step 0", "--step: 0; expected 1 or more"),
         ("--method shape", "--method: shape; expected network"),
         ("--cameras c.toml", "cameras: c.toml"),

@@ -106,7 +106,6 @@ def _evaluate_views(views: Views, rows: np.ndarray, chosen: ViewOptions, options
     from ..evaluation.real import PAIRS, real_methods
 
     _check_word("by", chosen.by, (_SET, _PERSON))
-    _check_word("intervals", chosen.intervals, ("people", "moments"))
     convention = "" if chosen.convention == _OWN else chosen.convention
     samples = view_samples(
         views,

@@ -84,7 +84,7 @@ class Score:
 
 
 def score_fit(
-    sample: Sample, method: str, result: FitResult, seconds: float, vertices: np.ndarray | None = None
+    sample: Sample, method: str, result: FitResult | MeshFit, seconds: float, vertices: np.ndarray | None = None
 ) -> Score:
     """Compare a result with what is known of the sample.
 
@@ -114,7 +114,7 @@ def score_fit(
     )
 
 
-def _marked(result: Any, marks: Sequence[str], names: Sequence[str]) -> np.ndarray:
+def _marked(result: FitResult | MeshFit, marks: Sequence[str], names: Sequence[str]) -> np.ndarray:
     """Points of a body that joints mark, shape (L, 3) [m]; a detailed model without one gives that of the name."""
     if isinstance(result, MeshFit):
         known = result.body.model.landmark_names
@@ -122,7 +122,7 @@ def _marked(result: Any, marks: Sequence[str], names: Sequence[str]) -> np.ndarr
     return result.landmarks(marks)
 
 
-def _joint_errors(sample: Sample, result: FitResult, vertices: np.ndarray | None) -> dict[str, float]:
+def _joint_errors(sample: Sample, result: FitResult | MeshFit, vertices: np.ndarray | None) -> dict[str, float]:
     """Errors by their names in ``Score``, as far as the truth is known [mm]."""
     if sample.joints is None:
         return {}
@@ -138,7 +138,7 @@ def _joint_errors(sample: Sample, result: FitResult, vertices: np.ndarray | None
     return {name: 1000 * float(error) for name, error in errors.items()}
 
 
-def _sizes(sample: Sample, result: FitResult) -> dict[str, float]:
+def _sizes(sample: Sample, result: FitResult | MeshFit) -> dict[str, float]:
     """Sizes over the true ones, as far as these are known, by their names in ``Score``."""
     figures = {}
     if sample.joints is not None:
@@ -150,7 +150,7 @@ def _sizes(sample: Sample, result: FitResult) -> dict[str, float]:
     return figures
 
 
-def _depth_figures(sample: Sample, result: FitResult) -> dict[str, float]:
+def _depth_figures(sample: Sample, result: FitResult | MeshFit) -> dict[str, float]:
     """Depths, from the hips' middle, as far as something is to be told of them: shares by their names in ``Score``."""
     if sample.joints is None:
         return {}
@@ -190,7 +190,7 @@ def scoring_classes(labels: LabelSet) -> tuple[tuple[str, ...], np.ndarray, np.n
     return ("background", *coarse.group_names), table, table[labels.part_groups]
 
 
-def _pixels(sample: Sample, result: FitResult) -> Pixels | None:
+def _pixels(sample: Sample, result: FitResult | MeshFit) -> Pixels | None:
     if sample.target_set is None or sample.target is None:
         return None
     classes, from_groups, from_parts = scoring_classes(sample.target_set)

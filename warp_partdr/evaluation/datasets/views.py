@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -25,9 +24,8 @@ from ...inputs.keypoints import Keypoints2D
 from ...inputs.sample import Sample
 from ..sizes import trunk_and_legs
 
-Clusters = Literal["people", "moments"]
-Rows = Literal["inside", "baseline", "every"]
-ROWS: tuple[Rows, ...] = ("inside", "baseline", "every")
+ROWS = ("inside", "baseline", "every")
+CLUSTERS = ("people", "moments")
 FILE_NAMES = ("views.npz", "sights.npz")
 
 _MAX_BYTES = 4 << 30  # of a file's arrays when unpacked
@@ -200,7 +198,7 @@ def write_views(path: str | Path, views: Views) -> None:
             arrays[name] = np.array(paths)
     try:
         with Path(path).open("wb") as file:
-            np.savez_compressed(file, **arrays)
+            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # numpy's stubs take them for options
     except OSError as error:
         raise InputError(f"{path}: {cause(error)}; expected a file that can be written") from error
 
@@ -217,7 +215,7 @@ class ViewSelection:
         step: Take the first of so many rows, each.
     """
 
-    rows: Rows = "inside"
+    rows: str = "inside"
     people: tuple[str, ...] = ()
     leave_out: tuple[str, ...] = ()
     frames: tuple[str, ...] = ()
@@ -256,7 +254,7 @@ def view_samples(
     *,
     convention: str | None = None,
     keypoints: str | None = None,
-    clusters: Clusters = "people",
+    clusters: str = "people",
 ) -> list[Sample]:
     """Make samples of some rows; keypoints that are out of the picture are missing, as no detector sees them.
 
@@ -267,7 +265,12 @@ def view_samples(
         keypoints: Format, such as "coco17". Views that know all of its keypoints give these alone, at its own marks;
             others, or all for None, give what they know.
         clusters: Samples of one of these are not independent: "people", or people's "moments".
+
+    Raises:
+        InputError: If there are no such clusters or format, or names of keypoints tell nothing.
     """
+    if clusters not in CLUSTERS:
+        raise InputError(f"intervals: {shown(clusters)}; expected {' or '.join(CLUSTERS)}")
     inside, statures, people = views.inside(), _statures(views), views.people()
     frames = np.full(len(views), "0") if views.frame is None else views.frame.astype(str)
     cameras = np.arange(len(views)).astype(str) if views.camera is None else views.camera.astype(str)
@@ -312,7 +315,7 @@ def _check_landmarks(names: np.ndarray) -> None:
     listed = names.tolist()
     for name in listed:
         if name not in LANDMARKS:
-            raise InputError(f"joint_names: {shown(name)}; expected landmarks such as left_hip (docs/conventions.md)")
+            raise InputError(f"joint_names: {shown(name)}; expected landmarks of body/landmarks.py, such as left_hip")
         if listed.count(name) > 1 or mirror_name(name) not in listed:
             raise InputError(f"joint_names: {name} twice, or without {mirror_name(name)}; expected both sides, once")
 
