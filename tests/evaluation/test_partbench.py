@@ -128,7 +128,9 @@ def test_findings_say_what_is_better() -> None:
         for method, error, right in (("parts", 50.0 + extra, 19), ("full silhouette", 70.0 + extra, 10))
     )
     (found,) = compare_methods(Report(scores))
-    assert found.startswith("clean: parts minus full silhouette: PA-MPJPE -20.0 (-20.0 to -20.0) mm, part F1 +0.1")
+    assert found.startswith(
+        "clean: parts minus full silhouette: PA-MPJPE -20.0 (-20.0 to -20.0) mm, MPJPE -20.0 (-20.0 to -20.0) mm, part F1 +0.1"
+    )
     assert [score.sample for score in worst(Report(scores), "parts")] == ["b", "a"]
 
 

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 class RunOptions:
     """Options of every data set."""
 
-    limit: Annotated[int | None, Option(help="Only the first N people.", metavar="N")] = None
+    limit: Annotated[int | None, Option(help="Only the first N people, or views.", metavar="N")] = None
     jobs: Annotated[int, Option(help="Fits at a time, a process each; they make one another slower.", metavar="N")] = 1
     methods: Annotated[
         list[str] | None,
         Option(
             "--method",
-            help="What to fit to: keypoints only, full silhouette or parts; may be given again; default: all.",
+            help="A row of the tables, such as keypoints only; may be given again; default: all.",
             metavar="NAME",
         ),
     ] = None
