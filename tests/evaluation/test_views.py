@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,15 @@ from scipy.io import savemat
 
 from warp_partdr.body.skeletons import MPJPE_JOINTS, skeleton
 from warp_partdr.errors import InputError
+from warp_partdr.evaluation import real
 from warp_partdr.evaluation.datasets import Views, ViewSelection, read_real, read_views, view_samples, write_views
 from warp_partdr.evaluation.datasets.lenses import find_lens
 from warp_partdr.evaluation.datasets.mpi_inf_3dhp import _TRAIN_JOINTS
 from warp_partdr.evaluation.partbench.samples import make_sample
+from warp_partdr.evaluation.real import real_methods
 from warp_partdr.evaluation.sizes import trunk_and_legs
 from warp_partdr.inputs.films import FilmPicture
+from warp_partdr.inputs.keypoints import Keypoints2D, person_height
 
 run = commands.run  # a fixture
 LSP = skeleton("lsp14").landmarks
@@ -394,6 +398,47 @@ def test_the_command_compares_methods_on_people(tmp_path, run):
     assert "all: mesh minus network: PA-MPJPE" in told
     assert "interval_95" not in data["pooled"]["b"]["mesh"]  # two views of one person
     assert len(read_views(kept)) == 3
+
+
+def test_of_everybody_in_a_photo_the_person_counts_who_is_where_the_truth_is(monkeypatch):
+    (sample,) = view_samples(made_views(), np.arange(1))
+    sample = replace(sample, picture=np.zeros((4, 4, 3), dtype=np.uint8))
+    form = skeleton("coco17")
+    confidence = np.ones(17, dtype=np.float32)
+    here = np.stack(
+        [sample.keypoints.points[LSP.index(name)] if name in LSP else np.zeros(2) for name in form.landmarks]
+    ).astype(np.float32)
+    height = person_height(sample.keypoints)
+    people = [SimpleNamespace(keypoints=Keypoints2D(form, here + off * height, confidence)) for off in (0.3, 0.01)]
+    given = {}
+
+    def found(photo: np.ndarray, **options: Any) -> Any:
+        given.update(options)
+        return SimpleNamespace(people=people, fits={0: "other", 1: "person"})
+
+    monkeypatch.setattr(real, "fit_photo", found)
+    methods = real_methods(camera=True, stature=1.8)
+    assert methods["photo alone"].serves(sample)
+    assert not methods["photo alone"].serves(replace(sample, picture=None))
+    assert methods["photo alone"].fit_sample(sample, "cpu") == "person"
+    assert given["camera"] is sample.camera
+    assert given["options"].stature == 1.8
+    people[1] = people[0] = SimpleNamespace(keypoints=Keypoints2D(form, here + height, confidence))
+    with pytest.raises(InputError, match="nobody found there"):
+        methods["photo alone"].fit_sample(sample, "cpu")
+
+
+def test_a_focal_length_for_all_is_one_of_longer_sides(tmp_path, run):
+    """Whoever is told of the true focal length, which is the picture's side, fits as with the true camera."""
+    write_views(tmp_path / "views.npz", made_views())
+    figures = []
+    for camera in ("true", "1.0", "0.6"):
+        out = tmp_path / f"{camera}.json"
+        code, _, errors = run(f"evaluate real {tmp_path} --camera {camera} --method network --limit 1 --out {out}")
+        assert code == 0, errors
+        figures.append(json.loads(out.read_text())["pooled"]["a"]["network"]["mpjpe_mm"])
+    assert figures[0] == pytest.approx(figures[1], abs=0.2)
+    assert abs(figures[2] - figures[0]) > 1
 
 
 @pytest.mark.parametrize(
