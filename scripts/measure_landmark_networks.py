@@ -2,16 +2,18 @@
 
     python scripts/measure_landmark_networks.py partbench FIRST LAST
     python scripts/measure_landmark_networks.py pose2sim JOINTS.npz VIDEOS
+    python scripts/measure_landmark_networks.py films JOINTS.npz VIDEOS CAMERA [CAMERA ...]
 
-"partbench": shaded pictures of PartBench's people FIRST to LAST. "pose2sim": a film of a real man by four cameras.
+"partbench": shaded pictures of PartBench's people FIRST to LAST. "pose2sim": a film of a real man by four cameras, of
+which some frames are taken as photos; "films": the whole films of some of the cameras (1 to 4), each by itself.
 JOINTS.npz has his true joints: ``joint_names``, ``sampled_frames``, ``joints_world`` (F, J, 3) [m], ``rotation`` and
 ``translation`` of each camera, and ``keypoints`` (C, F, J, 2), the joints projected [px]. VIDEOS is the folder
 ``Pose2Sim/Demo_SinglePerson/videos`` of the wheel ``pose2sim==0.10.49``. The third camera's projections are off by 25
 to 30 px, so that keypoints are compared in the others alone.
 
 Of the twelve joints of the limbs: errors of keypoints, in percent of the person's height, then PA-MPJPE, and MPJPE
-about the middle of the hips, of the meshes of ``fit_photo`` [mm]. Intervals of 95 % are over people, or over moments of
-the film, of which all cameras' views count as one.
+about the middle of the hips, of the meshes of ``fit_photo`` or ``fit_film`` [mm]. Intervals of 95 % are over people, or
+over moments of the film, of which all cameras' views count as one.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ from warp_partdr.body.skeletons import skeleton
 from warp_partdr.detection import LandmarkNetwork
 from warp_partdr.detection.asset import load_heavy_landmarks
 from warp_partdr.detection.crops import Pyramid
+from warp_partdr.detection.film_people import find_film_people
 from warp_partdr.detection.heavy import see_landmarks
 from warp_partdr.detection.look import place_landmarks
 from warp_partdr.detection.people import find_people
@@ -38,7 +41,9 @@ from warp_partdr.evaluation.partbench.photos import shade_person
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.inputs.films import read_frames
 from warp_partdr.inputs.keypoints import person_heights
+from warp_partdr.scenes.film import fit_film
 from warp_partdr.scenes.photo import fit_photo
+from warp_partdr.scenes.seen_film import SeenFilm
 from warp_partdr.synthetic.partbench_people import COCO, make_person
 
 LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -85,16 +90,44 @@ def partbench_views(first: int, last: int) -> Iterator[View]:
         yield View(shade_person(index), index, joints, points, person.height)
 
 
+@dataclass(frozen=True)
+class FilmTruth:
+    """Truth about the twelve joints in a film by C cameras.
+
+    Attributes:
+        frames: Those that are taken as photos, shape (T,).
+        points: In the pictures, as they show them [px], shape (C, F, 12, 2).
+        joints: Likewise, in the cameras' frames [m], shape (C, F, 12, 3).
+    """
+
+    frames: np.ndarray
+    points: np.ndarray
+    joints: np.ndarray
+
+    @classmethod
+    def read(cls, path: Path) -> FilmTruth:
+        with np.load(path, allow_pickle=False) as file:
+            order = [file["joint_names"].tolist().index(name) for name in JOINTS]
+            joints = np.einsum("cij,fkj->cfki", file["rotation"], file["joints_world"][:, order])
+            joints = joints + file["translation"][:, None, None]
+            late = []
+            for values in (file["keypoints"][:, :, order], joints):
+                before = np.concatenate([values[:, :1], values[:, :-1]], axis=1)
+                late.append(LAG * before + (1 - LAG) * values)
+            return cls(file["sampled_frames"], *late)
+
+
+def film_of(videos: Path, camera: int) -> Path:
+    """Film of a camera, from 0."""
+    return videos / f"cam{camera + 1:02d}.mp4"
+
+
 def pose2sim_views(path: Path, videos: Path) -> Iterator[View]:
-    with np.load(path, allow_pickle=False) as file:
-        order = [file["joint_names"].tolist().index(name) for name in JOINTS]
-        frames, points = file["sampled_frames"], file["keypoints"][:, :, order]
-        joints = np.einsum("cij,fkj->cfki", file["rotation"], file["joints_world"][:, order])
-        joints = joints + file["translation"][:, None, None]
-    points, joints = (LAG * each[:, frames - 1] + (1 - LAG) * each[:, frames] for each in (points, joints))
-    for camera, name in enumerate(("cam01", "cam02", "cam03", "cam04")):
+    film = FilmTruth.read(path)
+    frames, points, joints = film.frames, film.points[:, film.frames], film.joints[:, film.frames]
+    for camera in range(len(points)):
         heights = truth_heights(points[camera])
-        for frame in read_frames(videos / f"{name}.mp4"):
+        for frame in read_frames(film_of(videos, camera)):
             for moment in np.flatnonzero(frames == frame.index).tolist():
                 truth = joints[camera, moment], points[camera, moment], heights[moment]
                 yield View(frame.picture, moment, *truth, compared=camera != MISPLACED)
@@ -148,9 +181,25 @@ def measure(views: Iterator[View]) -> None:
 
 def body_errors(view: View, place: int, options: FitOptions) -> np.ndarray:
     """PA-MPJPE and MPJPE [mm] of the mesh of the person at this place, shape (2,)."""
-    joints = fit_photo(view.picture, person=place, options=options).fits[place].landmarks(JOINTS)
-    both = metrics.pa_mpjpe(joints, view.joints), metrics.mpjpe(joints, view.joints, centre_on=HIPS)
-    return 1000 * np.array([float(each) for each in both])
+    body = fit_photo(view.picture, person=place, options=options).fits[place]
+    return joint_errors(body.landmarks(JOINTS), view.joints)
+
+
+def joint_errors(joints: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """PA-MPJPE and MPJPE [mm] of joints (..., 12, 3) [m], shape (..., 2)."""
+    both = metrics.pa_mpjpe(joints, truth), metrics.mpjpe(joints, truth, centre_on=HIPS)
+    return 1000 * np.stack([each.numpy() for each in both], axis=-1)
+
+
+def measure_films(truth: FilmTruth, videos: Path, cameras: Sequence[int]) -> None:
+    for camera in cameras:
+        for name in get_args(LandmarkNetwork):
+            seen = SeenFilm.of(find_film_people(film_of(videos, camera), landmarks=name))
+            motion = fit_film([seen], person=0).motions[0]
+            joints = motion.model.landmarks(motion.bodies().detailed, JOINTS).numpy()
+            aligned, centred = joint_errors(joints, truth.joints[camera, motion.frames]).mean(axis=0)
+            about = f"PA-MPJPE {aligned:.1f} mm, MPJPE {centred:.1f} mm in {len(joints)} frames"
+            print(f"film of camera {camera + 1} with {name}: {about}", flush=True)
 
 
 def difference(values: np.ndarray, moments: Sequence[int]) -> str:
@@ -164,6 +213,8 @@ def main(source: str, *given: str) -> None:
     wp.config.log_level = wp.LOG_WARNING
     if source == "partbench":
         measure(partbench_views(int(given[0]), int(given[1])))
+    elif source == "films":
+        measure_films(FilmTruth.read(Path(given[0])), Path(given[1]), [int(each) - 1 for each in given[2:]])
     else:
         measure(pose2sim_views(Path(given[0]), Path(given[1])))
 

@@ -100,6 +100,9 @@ def test_people_of_several_pictures_keep_their_own() -> None:
     expected = example_person("cpu", "heavy").keypoints
     np.testing.assert_allclose(found[2][0].keypoints.points, expected.points, atol=0.5)
     np.testing.assert_allclose(found[0][0].keypoints.points - [130, 0], expected.points, atol=1.5)
+    pyramids = [Pyramid(np.zeros_like(example()), "cpu"), Pyramid(example(), "cpu")]
+    _, (again,) = with_heavy_landmarks(load_heavy_landmarks(), pyramids, [[], [example_person("cpu", "full")]])
+    np.testing.assert_allclose(again.keypoints.points, expected.points, atol=1e-2)
 
 
 def test_whom_the_network_takes_for_somebody_else_keeps_their_keypoints() -> None:

@@ -39,7 +39,7 @@ def test_keypoints_are_those_that_the_detector_finds() -> None:
     sample = make_sample(0, PHOTO)
     assert isinstance(sample.picture, np.ndarray)
     np.testing.assert_array_equal(sample.picture, shade_person(0))
-    person = find_people(sample.picture)[0]
+    person = find_people(sample.picture, landmarks="heavy")[0]
     np.testing.assert_array_equal(sample.keypoints.points, person.keypoints.points)
     np.testing.assert_array_equal(sample.keypoints.confidence, person.keypoints.confidence)
 

@@ -56,10 +56,10 @@ them. Of pictures that were resized since, or annotated as they are stored, anno
 column warnings says; a size that this does not explain is an error.
 
 **How far**, --quality: network (what `partdr predict` says), fast (ellipsoids refined), or mesh (the detailed body of
-`partdr fit`, too). `--set mirror=false` makes the network faster, `--set mesh.iterations=30` the mesh stage. Without
-`--set half=false` or true, it is asked in bfloat16 where the device multiplies that, but for --ray; the metadata says
-which, and machines that share a data set have to agree. Nobody gets a search: where the body ends far from what was
-seen, the column warnings says so.
+`partdr fit`, too). `--set mirror=false` makes the network faster, `--set mesh.iterations=30` the mesh stage.
+`--set landmarks=heavy` finds keypoints nearer to the truth, slower. Without `--set half=false` or true, the network is
+asked in bfloat16 where the device multiplies that, but for --ray; the metadata says which, and machines that share a
+data set have to agree. Nobody gets a search: where the body ends far from what was seen, the column warnings says so.
 
 **Results**: part-00000-of-00010.parquet, ..., each with the people of so many pictures (--shard), whole or not there.
 The same command again makes those that are missing, so a run may be killed at any time; options that differ are

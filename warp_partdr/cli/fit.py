@@ -59,7 +59,8 @@ keypoints alone are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file 
 registration.json; of films overlay.mp4, scene.glb, and a .npz, .glb and .bvh each. Older ones are replaced.
 
 **Settings** (docs/fitting.md): `stature=1.78` (one person's height [m], in films too), `trust_background=true`,
-`weights.prior=5`, `labels.size=256`, `mesh.apart=0.1`, `threads=4`, `also=usdz,fbx` (more files; usda, too);
+`landmarks=full` (of photos and films: quicker keypoints, farther from the truth), `weights.prior=5`, `labels.size=256`,
+`mesh.apart=0.1`, `threads=4`, `also=usdz,fbx` (more files; usda, too);
 `outline=false` (nearer joints), `outline=labels-first` (nearer outlines), both with --model none.
 """
 

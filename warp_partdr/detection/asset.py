@@ -59,12 +59,13 @@ def load_people_networks(path: Path | str | None = None, *, device: torch.device
     Raises:
         InputError: If the file can't be read or is none of these.
     """
-    return PeopleNetworks(**_load(path, "people_detector.safetensors", ("detector", "landmarks"), device))
+    networks = _load_networks(path, "people_detector.safetensors", ("detector", "landmarks"), device)
+    return PeopleNetworks(networks["detector"], networks["landmarks"])
 
 
 def load_heavy_landmarks(path: Path | str | None = None, *, device: torch.device | str = "cpu") -> OperatorGraph:
     """Load the larger landmark network, which ``PeopleNetworks.heavy`` is; arguments as in ``load_people_networks``."""
-    return _load(path, "heavy_landmarks.safetensors", ("heavy",), device)["heavy"]
+    return _load_networks(path, "heavy_landmarks.safetensors", ("heavy",), device)["heavy"]
 
 
 def packaged_people_networks(device: str, *, half: bool = False, landmarks: LandmarkNetwork = "full") -> PeopleNetworks:
@@ -88,7 +89,7 @@ def _packaged_heavy(device: str, half: bool) -> OperatorGraph:
     return HalfGraph(_packaged_heavy(device, False)).eval() if half else load_heavy_landmarks(device=device)
 
 
-def _load(
+def _load_networks(
     path: Path | str | None, packaged: str, names: tuple[str, ...], device: torch.device | str
 ) -> dict[str, OperatorGraph]:
     """Networks of a file, or of the packaged one, by their names."""
@@ -105,7 +106,7 @@ def _read(path: Path, names: tuple[str, ...]) -> dict[str, OperatorGraph]:
             metadata = file.metadata() or {}
             if metadata.get("format") != _FORMAT:
                 raise InputError(f"{path}: format {metadata.get('format')!r}; expected {_EXPECTED}")
-            weights = _unpacked({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118  no mapping
+            weights = _whole_weights({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118  no mapping
         graphs = parse_json(metadata["graphs"], f"{path}: graphs", _EXPECTED)
         return {name: _graph(graphs[name], name, weights) for name in names}
     except (OSError, SafetensorError, KeyError, ValueError, TypeError) as error:
@@ -120,7 +121,7 @@ def _graph(about: Mapping[str, Any], name: str, weights: Mapping[str, np.ndarray
     return OperatorGraph(about["size"], about["input"], about["outputs"], nodes, own)
 
 
-def _unpacked(tensors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _whole_weights(tensors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Arrays of the file: with the zeros that only a mask of bits tells of, and of 8 bits times their scale."""
     arrays = {}
     for name, values in tensors.items():
