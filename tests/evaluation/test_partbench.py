@@ -129,7 +129,8 @@ def test_findings_say_what_is_better() -> None:
     )
     (found,) = compare_methods(Report(scores))
     assert found.startswith(
-        "clean: parts minus full silhouette: PA-MPJPE -20.0 (-20.0 to -20.0) mm, MPJPE -20.0 (-20.0 to -20.0) mm, part F1 +0.1"
+        "clean: parts minus full silhouette: PA-MPJPE -20.0 (-20.0 to -20.0) mm, "
+        "MPJPE -20.0 (-20.0 to -20.0) mm, part F1 +0.1"
     )
     assert [score.sample for score in worst(Report(scores), "parts")] == ["b", "a"]
 

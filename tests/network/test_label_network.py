@@ -40,7 +40,7 @@ from warp_partdr.network.label_network import (
     network_conditions,
 )
 from warp_partdr.network.landmarks import LANDMARKS, network_keypoints
-from warp_partdr.network.predict import ask_network, network_inputs, predict_bodies
+from warp_partdr.network.predict import REAL_PEOPLE, ask_network, network_inputs, predict_bodies
 from warp_partdr.network.predicted import posed_landmarks
 from warp_partdr.network.regressor import Regressor, RegressorConfig, misfits
 from warp_partdr.results.body_file import load_body
@@ -228,6 +228,16 @@ def test_a_camera_is_seen_by_its_rays_and_only_where_it_is_known(network):
     assert torch.allclose(assumed, torch.tensor([[0.5, 0.5, 0.25, -0.5, 0.0, 0.0]]))
     bodies = predict_bodies([seen, known], network)
     assert not torch.allclose(bodies.rotations[0], bodies.rotations[1], atol=1e-5)
+
+
+def test_spreads_are_wider_than_the_network_says(network):
+    """Real people differ from those that networks learn from."""
+    seen = replace(observe(*seen_by(walker()))[0], lens=None, lens_assumed=False)
+    inputs = network_inputs([seen], 64)
+    said, found = network(*inputs).uncertainty, ask_network([seen], network, mirror=False).uncertainty
+    assert torch.allclose(found.depths, REAL_PEOPLE * said.depths, rtol=1e-4)
+    assert torch.allclose(found.turns, REAL_PEOPLE * said.turns, rtol=1e-4)
+    assert torch.allclose(found.nearness, said.nearness, rtol=1e-4)
 
 
 def test_a_network_without_statures_does_not_look_at_them():
