@@ -143,7 +143,7 @@ def _sizes(sample: Sample, result: FitResult | MeshFit) -> dict[str, float]:
     figures = {}
     if sample.joints is not None:
         found = trunk_and_legs(_marked(result, sample.body_points, sample.joint_names), sample.joint_names)
-        figures["size_share"] = found / trunk_and_legs(sample.joints, sample.joint_names)
+        figures["size_share"] = float(found / trunk_and_legs(sample.joints, sample.joint_names))
     if sample.stature is not None:
         body = result.ellipbody if isinstance(result, MeshFit) else result
         figures["stature_share"] = float(bone_statures(body.parameters.lengths)[0]) / sample.stature

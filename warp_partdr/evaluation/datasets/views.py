@@ -417,7 +417,7 @@ def _statures(views: Views) -> np.ndarray:
     """Height of each row's person [m]: as given, or as the person's bones tell it in the mean; NaN: unknown."""
     told = np.full(len(views), np.nan) if views.stature is None else views.stature.astype(np.float64)
     names, people = _landmarks(views.joint_names), views.people()
-    bones = np.array([trunk_and_legs(joints, names) for joints in views.joints_camera]) / _STANDING_SHARE
+    bones = trunk_and_legs(views.joints_camera, names) / _STANDING_SHARE
     for person in dict.fromkeys(people.tolist()):
         own = people == person
         if np.isfinite(bones[own]).any():
