@@ -76,7 +76,7 @@ def test_stages_hold_the_networks_depth_as_hard_as_it_is_sure(monkeypatch):
         return replace(found, orientation=lean @ found.orientation)
 
     monkeypatch.setattr(fitting, "ask_network", said)
-    options = replace(FitOptions.at("balanced"), search=())
+    options = replace(FitOptions.at("balanced"), search=(), guess_camera=False)
     *before, outline = options.stages
 
     def fitted(*stages):

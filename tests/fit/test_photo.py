@@ -12,7 +12,7 @@ import torch
 from PIL import Image
 
 from warp_partdr import metrics
-from warp_partdr.cameras import Perspective
+from warp_partdr.cameras import Perspective, UsualLens
 from warp_partdr.detection import crops
 from warp_partdr.errors import InputError
 from warp_partdr.fit import fitting
@@ -72,22 +72,15 @@ def test_half_a_body_of_a_real_photo(device):
     assert abs(nose[1] - 112) < 35
 
 
-def test_everyone_stands_before_the_camera_that_is_guessed_by_the_largest(monkeypatch, tmp_path):
-    asked = []
-
-    def guess(predicted, crop, size, within):
-        asked.append(within)
-        return Perspective.of_picture(size, focal=700.0)
-
-    monkeypatch.setattr(fitting, "guess_camera", guess)
+def test_everyone_stands_before_the_same_usual_lens_also_who_is_asked_for_alone(tmp_path):
     photo = two_people()
-    found = fit_photo(photo, options=replace(FAST, stages=(), search=(), mesh=MeshOptions(iterations=1)))
-    assert asked == [5.0]  # how far they are from one another is told by a guess that is sure
+    options = replace(FAST, stages=(), search=(), mesh=MeshOptions(iterations=1))
+    found = fit_photo(photo, options=options)
+    lens = UsualLens.of_size(photo.shape[:2])
     for fit in found.fits.values():
         assert fit.ellipbody.camera_guessed
-        torch.testing.assert_close(fit.camera.intrinsics[0, 0], torch.tensor(700.0))
-    alone = fit_photo(photo, options=replace(FAST, stages=(), search=(), mesh=MeshOptions(iterations=1)), person=1)
-    assert asked == [5.0, 5.0]
+        torch.testing.assert_close(fit.camera.intrinsics, lens.intrinsics, rtol=1e-4, atol=1e-2)
+    alone = fit_photo(photo, options=options, person=1)
     torch.testing.assert_close(alone.fits[1].camera.intrinsics, found.fits[1].camera.intrinsics)
     np.testing.assert_allclose(alone.fits[1].vertices, found.fits[1].vertices, atol=5e-3)
     report = save_photo_fit(found, tmp_path, photo=photo)
@@ -102,8 +95,8 @@ def test_everyone_is_fitted_where_they_stand(everyone):
         drawn = mesh.draw(photo.shape[:2]).labels[0].numpy() > 0
         own = found.owners == place + 1
         assert (drawn & own).sum() / (drawn | own).sum() > 0.75
-    large, small = (mesh.camera.scale for mesh in found.fits.values())
-    assert 1.5 < float(large / small) < 2.7
+    near, far = (float(mesh.ellipbody.posed.joints[0, 0, 2]) for mesh in found.fits.values())
+    assert 1.5 < far / near < 2.7  # the smaller one is pasted at half the size
 
 
 def test_one_of_them_may_be_asked_for(everyone):
@@ -249,6 +242,5 @@ def test_evidence_is_weighed_once_and_halves_of_the_photo_are_made_once(everyone
     for place, mesh in before.fits.items():
         np.testing.assert_array_equal(again.fits[place].vertices, mesh.vertices)
         parts = mask_labels(again.owners, place)
-        options = replace(FAST.without_outline(), guess_within=5.0)
-        alone = fitting.fit_body(again.people[place].keypoints, parts, options=options)
+        alone = fitting.fit_body(again.people[place].keypoints, parts, options=FAST.without_outline())
         assert torch.equal(alone.posed.joints, again.fits[place].first.posed.joints)

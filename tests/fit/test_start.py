@@ -42,7 +42,8 @@ def test_a_fit_starts_from_the_network(device):
     said = predict_bodies([seen], packaged_network(str(seen.points.device)))
     assert torch.equal(found.parameters.rotations, said.rotations)
     assert (found.energy, found.history) == ({}, [])
-    assert float((found.posed.joints - body.posed().joints).norm(dim=-1).mean()) < 0.12  # [m]
+    joints = found.posed.joints - found.posed.joints[:, :1]
+    assert float((joints - body.posed().joints).norm(dim=-1).mean()) < 0.12  # [m]
     refined = fit_body(keypoints, parts, quality="fast", device=device)
     assert (refined.start, refined.hypotheses) == ("network", 1)
     assert list(refined.stage_seconds) == ["network", "depth order", "labels"]

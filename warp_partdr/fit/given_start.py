@@ -24,7 +24,7 @@ from .options import FitOptions
 from .result import FitResult
 
 _SURE = 0.5  # confidence of a given body's own keypoints, where nobody has seen others
-_NO_STAGES = FitOptions(stages=(), search=())
+_NO_STAGES = FitOptions(guess_camera=False, stages=(), search=())
 
 
 def refine_given(
