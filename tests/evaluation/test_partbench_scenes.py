@@ -260,7 +260,7 @@ def test_a_clip_goes_where_its_person_goes() -> None:
     sample = make_clip(3, standing(8), 30.0, "clean")
     middles = sample.joints[0].mean(1)
     gone = middles[-1] - middles[0]
-    assert 0.2 < np.linalg.norm(gone) < 0.36  # 0.3 m of the mean body, and who is taller goes farther
+    assert 0.24 < np.linalg.norm(gone) < 0.36  # 0.3 m of the mean body, and who has longer legs goes farther
     assert abs(gone[0]) > 0.99 * np.linalg.norm(gone)
     assert sample.vertices.shape == (1, 8, anny().num_vertices, 3)
 

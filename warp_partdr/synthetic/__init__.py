@@ -1,5 +1,6 @@
 """People of known truth: their poses, bodies, pictures and the noise of what is seen of them.
 
+* ``population``: statures, girths, limbs and ages of people, as shapes of Anny.
 * ``people``: phenotypes, Anny in a pose, before a camera, drawn, and what is hidden of it.
 * ``poses``: the mean body, limbs in the way, the pose prior; ``pose_recipes`` (PartBench), ``procedural_poses``,
   ``touching_poses`` and ``pose_sampler`` (training), ``mocap`` and ``mocap_files``.
