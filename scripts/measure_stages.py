@@ -3,27 +3,31 @@
     python scripts/measure_stages.py LEVEL [FIRST LAST] [NETWORK]
 
 People 0 to 199, and beyond by the same recipe; NETWORK is a file of `partdr train`. Intervals are of 95 %, over people.
+The size of adults is that of their legs and trunk, over the truth's.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import torch
 import warp as wp
 from measure_camera import interval
 
-from warp_partdr import FitOptions, fit_body
+from warp_partdr import FitOptions, FitResult, fit_body
 from warp_partdr.evaluation.evaluate import all_parts, no_labels, silhouette
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.evaluation.scoring import Score, score_fit, summarise
 from warp_partdr.fit.mesh_options import MeshOptions
-from warp_partdr.fit.mesh_stage import refine_mesh
+from warp_partdr.fit.mesh_stage import MeshFit, refine_mesh
 from warp_partdr.fit.stages import Quality
 from warp_partdr.inputs.part_labels import PartLabels
+from warp_partdr.synthetic.partbench_people import draw_quantiles
+from warp_partdr.synthetic.population import population
 
 _ALONE = "network"
 # The mesh stage from the fast quality on: what both are given, and the stage's own quality.
@@ -34,34 +38,64 @@ _MESH: dict[str, tuple[Callable[[PartLabels], PartLabels | None], Quality]] = {
     "mesh, keypoints alone": (no_labels, "balanced"),
 }
 _FITS = {_ALONE: FitOptions(stages=())} | {name: FitOptions.at(name) for name in ("fast", "balanced", "accurate")}
+_KEYPOINTS_ALONE = {f"{name}, keypoints alone": _FITS[name] for name in (_ALONE, "balanced")}
+_LEGS = [
+    (f"{side}_{start}", f"{side}_{end}")
+    for side in ("left", "right")
+    for start, end in (("hip", "knee"), ("knee", "ankle"))
+]
+
+
+def size(joints: np.ndarray, names: Sequence[str]) -> float:
+    """Length of the legs, of both the mean, and of the trunk [m]."""
+    places = dict(zip(names, joints, strict=True))
+    hips, shoulders = (places[f"left_{name}"] + places[f"right_{name}"] for name in ("hip", "shoulder"))
+    legs = sum(float(np.linalg.norm(places[start] - places[end])) for start, end in _LEGS)
+    return (legs + float(np.linalg.norm(shoulders - hips))) / 2
+
+
+def is_adult(index: int) -> bool:
+    """True if a person is 18 years old or more."""
+    quantiles = torch.from_numpy(draw_quantiles(index)[0])[None].float()
+    return float(population().years(quantiles)) >= 18
 
 
 def main(level: str, first: int = 200, last: int = 299, network: str | None = None) -> None:
     wp.config.log_level = wp.LOG_WARNING
-    scores: dict[str, list[Score]] = {name: [] for name in (*_FITS, *_MESH)}
+    scores: dict[str, list[Score]] = {name: [] for name in (*_FITS, *_KEYPOINTS_ALONE, *_MESH)}
+    sizes: dict[str, list[float]] = {name: [] for name in scores}
     for index in range(first, last + 1):
         sample = make_sample(index, level)
-        for name, options in _FITS.items():
+        found: dict[str, FitResult | MeshFit] = {}
+        for name, options in (_FITS | _KEYPOINTS_ALONE).items():
             given = replace(options, network=network)
-            result = fit_body(sample.keypoints, sample.parts, others=sample.others, options=given)
+            parts = None if name in _KEYPOINTS_ALONE else sample.parts
+            result = fit_body(sample.keypoints, parts, others=sample.others, options=given)
             scores[name].append(score_fit(sample, name, result, 0.0))
+            found[name] = result
         for name, (see, quality) in _MESH.items():
             given = replace(_FITS["fast"], network=network)
-            first = fit_body(sample.keypoints, see(sample.parts), others=sample.others, options=given)
-            mesh = refine_mesh(first, options=MeshOptions.at(quality))
+            start = fit_body(sample.keypoints, see(sample.parts), others=sample.others, options=given)
+            mesh = refine_mesh(start, options=MeshOptions.at(quality))
             seconds = mesh.ellipbody.stage_seconds["mesh"]
             scores[name].append(score_fit(sample, name, mesh, seconds, mesh.vertices))
+            found[name] = mesh
+        if is_adult(index):
+            true = size(sample.joints, sample.joint_names)
+            for name, body in found.items():
+                sizes[name].append(size(body.landmarks(sample.joint_names), sample.joint_names) / true)
     errors = {name: np.array([(each.pa_mpjpe, each.mpjpe) for each in those]).T for name, those in scores.items()}
     for name, those in scores.items():
-        found = summarise(those)
-        low, high = found["interval_95"]["part_f1"]
-        print(f"{name}: part F1 {found['part_f1']:.3f} ({low:.3f} to {high:.3f})")
+        pooled = summarise(those)
+        low, high = pooled["interval_95"]["part_f1"]
+        print(f"{name}: part F1 {pooled['part_f1']:.3f} ({low:.3f} to {high:.3f})")
         for what, values, alone in zip(("PA-MPJPE", "MPJPE"), errors[name], errors[_ALONE], strict=True):
             print(f"  {what} {np.nanmean(values):.1f} mm, against the network alone {interval(values - alone)}")
+        print(f"  size of adults: {100 * np.mean(sizes[name]):.1f} %, deviation {100 * np.std(sizes[name]):.1f} %")
         if name == _ALONE:
-            print(f"  {100 * found['depth_within_spread']:.0f} % of depths within the 68 % that it states")
-        if "pve_mm" in found:
-            print(f"  PVE {found['pve_mm']:.1f} mm, {found['seconds']:.2f} s")
+            print(f"  {100 * pooled['depth_within_spread']:.0f} % of depths within the 68 % that it states")
+        if "pve_mm" in pooled:
+            print(f"  PVE {pooled['pve_mm']:.1f} mm, {pooled['seconds']:.2f} s")
     for one, other in pairwise(_MESH):
         print(f"{one} minus {other}: PA-MPJPE {interval(errors[one][0] - errors[other][0])}")
 
