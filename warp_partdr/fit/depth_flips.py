@@ -15,18 +15,22 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from ..body.labels import BACKGROUND, IGNORE, LabelSet
+from ..body.landmarks import mirror_order
 from ..body.lens import ray_rotations
 from ..body.parameters import BodyParameters
 from ..body.pose_prior import PosePrior, up_direction
 from ..body.posing import Posed
 from ..body.rotations import rotation_between, rotation_from_axis_angle, rotation_to_axis_angle
-from ..body.template import BONE_STARTS, PARENTS, PART_NAMES
+from ..body.stature import bone_statures
+from ..body.template import BONE_STARTS, JOINT_NAMES, PARENTS, PART_NAMES
 from ..inputs.observation import Observation
 from ..network.uncertainty import Uncertainty
 from ..refinement.batch import Batch
 from ..refinement.captured import refine_captured
 from ..refinement.energy import SEG, Energy, Weights
 from ..refinement.refine import refine
+from ..refinement.tables import LANDMARK_NAMES
 from ..render.renderers import RendererEllipsoids
 
 # Bones of a limb: each may be mirrored, and what follows the last one turns with it.
@@ -36,6 +40,11 @@ _LIMBS = {
     for side in ("left", "right")
 }
 _BESIDE = 2.0  # square of the ratio to an outline within which a bone counts as over it
+_NEAR = 0.03  # of the stature: half an arm's thickness, within which a limb that is seen has labels about its joints
+_DISC = torch.tensor(
+    [(0.0, 0.0)]
+    + [(r * math.cos(k * math.pi / 6), r * math.sin(k * math.pi / 6)) for r in (0.5, 1.0) for k in range(12)]
+)
 _TWISTS = torch.arange(16) * (2 * math.pi / 16)  # [rad] of a limb's upper bone, from which a flip chooses
 _LIMITS = 20.0  # [nat/rad^2], by which joint limits count beside the prior while it does
 _FLAT = 0.17  # sine of the angle to the picture's plane below which a bone's mirror image is itself
@@ -61,6 +70,7 @@ class DepthOrder:
 
     tried: tuple[str, ...]  # such as "left arm: forearm"
     flipped: str | None  # the one that was accepted
+    hidden: tuple[str, ...] = ()  # limbs of which labels show nothing where their joints are, such as "left arm"
 
 
 def repair_depth_order(
@@ -96,18 +106,21 @@ def repair_depth_orders(
             if everyone is not None
             else torch.stack([each.lens for each in seen if each.lens is not None])
         )
-    flips, owners, names = _propose(bodies, prior, lenses, said)
-    tried: list[list[str]] = [[] for _ in range(count)]
-    for name, owner in zip(names, owners.tolist(), strict=True):
-        tried[owner].append(name)
-    orders = [DepthOrder(tuple(each), None) for each in tried]
-    if not names:
-        return bodies, orders
     energy = Energy(seen[0], FLIP_SIZE, FLIP_WEIGHTS, prior, renderer=RendererEllipsoids("edges"))
     if everyone is not None:
         everyone = everyone.drawn_at(FLIP_SIZE)
     elif count > 1:
         everyone = Batch.of(seen, energy)
+    shown_of = everyone if everyone is not None else Batch.of(seen, energy)
+    hidden = _hidden_limbs(bodies, shown_of, seen[0].label_set)
+    flips, owners, names = _propose(bodies, prior, lenses, said, hidden)
+    tried: list[list[str]] = [[] for _ in range(count)]
+    for name, owner in zip(names, owners.tolist(), strict=True):
+        tried[owner].append(name)
+    limbs = [tuple(limb for limb, there in zip(_LIMBS, row, strict=True) if there) for row in hidden.tolist()]
+    orders = [DepthOrder(tuple(each), None, some) for each, some in zip(tried, limbs, strict=True)]
+    if not names:
+        return bodies, orders
     # Each one's own body comes before its flips.
     asked = owners.unique()
     both, people = BodyParameters.joined([bodies.select(asked), flips]), torch.cat([asked, owners])
@@ -132,9 +145,13 @@ def repair_depth_orders(
     rows_of: dict[int, list[int]] = {}
     for row, person in enumerate(people[some].tolist()):
         rows_of.setdefault(person, []).append(row)
-    for person, rows in rows_of.items():
+    shown = losses[some].tolist()
+    for person, (own_row, *rows) in rows_of.items():
         best = min(rows, key=totals.__getitem__)
-        if totals[best] <= (1 - _MARGIN) * totals[rows[0]]:
+        accepted = totals[best] <= (1 - _MARGIN) * totals[own_row]
+        if to_hide := [row for row in rows if names[flip[row]].split(":")[0] in orders[person].hidden]:
+            best, accepted = min(to_hide, key=shown.__getitem__), True
+        if accepted:
             chosen[person] = count + best
             orders[person] = replace(orders[person], flipped=names[flip[best]])
     if bool((chosen < count).all()):
@@ -160,9 +177,16 @@ def flip_depths(
 
 
 def _propose(
-    bodies: BodyParameters, prior: PosePrior, lenses: torch.Tensor | None, said: Uncertainty | None = None
+    bodies: BodyParameters,
+    prior: PosePrior,
+    lenses: torch.Tensor | None,
+    said: Uncertainty | None = None,
+    hidden: torch.Tensor | None = None,
 ) -> tuple[BodyParameters, torch.Tensor, list[str]]:
-    """Flips of B bodies, whose each is, (F,), in their order, and names."""
+    """Flips of B bodies, whose each is, (F,), in their order, and names.
+
+    What the network ``said`` leaves no flips out of limbs that are ``hidden``, shape (B, limbs).
+    """
     posed = bodies.posed()
     view = posed.joints.new_tensor([0.0, 0.0, 1.0]).expand(bodies.batch_size, 3)
     if lenses is not None:
@@ -170,13 +194,14 @@ def _propose(
     found, good, names = [], [], []
     crossing = _crossing(posed, view)
     found, owners, names = [], [], []
-    for limb, parts in _LIMBS.items():
+    for number, (limb, parts) in enumerate(_LIMBS.items()):
         over = crossing[:, list(parts)].any(1)
         for flipped in ((True, False), (False, True), (True, True)):
             mirror = _mirror(posed, parts, flipped, view)
             good = over & mirror.steep
             if said is not None:  # depths leave out the pelvis, so those of a part's end have the part's own index
-                good = good & (mirror.moves <= _BELIEVED * said.depths[:, list(parts[:2])]).all(1)
+                believed = (mirror.moves <= _BELIEVED * said.depths[:, list(parts[:2])]).all(1)
+                good = good & (believed if hidden is None else believed | hidden[:, number])
             rows = good.nonzero()[:, 0]
             if not len(rows):
                 continue
@@ -192,6 +217,44 @@ def _propose(
     kept = kept[whose[kept].argsort(stable=True)]
     whose = whose[kept]
     return replace(bodies.select(whose), rotations=rotations[kept]), whose, [names[n] for n in kept.tolist()]
+
+
+def _hidden_limbs(bodies: BodyParameters, people: Batch, labels: LabelSet | None) -> torch.Tensor:
+    """Limbs with a keypoint where labels show another part of the person, and nothing of the limb, (B, limbs), bool.
+
+    What is seen there can't be behind the limb. Labels of the limb's mirror image say nothing: sides may be exchanged.
+    """
+    count = len(people)
+    if people.targets is None or labels is None:
+        return torch.zeros(count, len(_LIMBS), dtype=torch.bool, device=people.points.device)
+    size, device = people.targets.shape[-1], people.points.device
+    columns = _joint_columns(device)
+    points, votes = people.points.mT @ columns, people.votes @ columns  # (B, 2, joints), (B, joints)
+    radii = _NEAR * bone_statures(bodies.lengths) * bodies.log_scale.exp()
+    places = points.mT[:, :, None] + radii[:, None, None, None] * _DISC.to(radii)
+    at = ((places + 1) * size / 2).floor().long()  # (B, joints, places, 2)
+    inside = ((at >= 0) & (at < size)).all(-1).all(-1)
+    x, y = at.clamp(0, size - 1).unbind(-1)
+    shown = people.targets[torch.arange(count, device=device)[:, None, None], y, x]
+    known = inside & (votes > 0) & (shown != IGNORE).all(-1) & (shown[..., 0] != BACKGROUND)
+    groups = torch.from_numpy(labels.part_groups[1:]).to(device)[_own_parts(device)]  # (joints, parts)
+    nothing = (shown[..., None] != groups[:, None]).all(-1).all(-1)
+    return (known & nothing).view(count, len(_LIMBS), 2).any(2)
+
+
+@lru_cache(maxsize=8)
+def _joint_columns(device: torch.device) -> torch.Tensor:
+    """Each limb's two joints among ``LANDMARK_NAMES``, by whatever convention, shape (L, 8): 1 where it is one."""
+    names = [JOINT_NAMES[part + 1] for parts in _LIMBS.values() for part in parts[:2]]
+    return torch.tensor([[float(each.endswith(name)) for name in names] for each in LANDMARK_NAMES], device=device)
+
+
+@lru_cache(maxsize=8)
+def _own_parts(device: torch.device) -> torch.Tensor:
+    """Parts on either side of each limb's two joints, and their mirror images, shape (8, 4)."""
+    pairs = [parts[end : end + 2] for parts in _LIMBS.values() for end in range(2)]
+    twins = mirror_order(PART_NAMES)
+    return torch.tensor([[*pair, *twins[list(pair)].tolist()] for pair in pairs], device=device)
 
 
 class _Mirror(NamedTuple):
