@@ -27,9 +27,9 @@ from warp_partdr.synthetic.pose_recipes import draw_pose
 LENS = torch.tensor([2.5, 0.9, -0.5])
 
 
-def arm_before_trunk(device: str) -> BodyParameters:
+def arm_before_trunk(device: str, seed: int = 5) -> BodyParameters:
     """A body that faces the camera with its arms before its trunk."""
-    drawn = draw_pose("arm before torso", np.random.default_rng(5))
+    drawn = draw_pose("arm before torso", np.random.default_rng(seed))
     rotations = torch.from_numpy(drawn.rotations)[None].float().to(device)
     return replace(BodyParameters.mean(1, device=device), rotations=rotations)
 
@@ -130,6 +130,48 @@ def test_flips_farther_than_the_network_believes_are_not_tried(device):
         assert [each.flipped for each in orders] == [order.flipped] * 2
 
 
+def test_an_arm_of_whose_joints_labels_show_nothing_is_taken_behind_the_trunk(device):
+    """Seen from behind, an arm before the chest is hidden; the start has it before the camera, and is sure of it."""
+    front, prior = arm_before_trunk(device, seed=3), PosePrior().to(device)
+    turned = front.orientation.view(1, 2, 3) * front.orientation.new_tensor([-1.0, 1.0, -1.0])
+    truth = replace(front, orientation=turned.reshape(1, 6))
+    flips, names = flip_depths(truth, prior)
+    wrong = flips.select(torch.tensor([1 + names.index("left arm: upper_arm")], device=device))
+    seen = observation_of(truth)
+    sure = Uncertainty(*(torch.full((2, count), 0.01, device=device) for count in (20, 19)), torch.zeros(2).to(device))
+    said = Uncertainty(*(values[:1] for values in vars(sure).values()))
+    found, order = repair_depth_order(wrong, seen, prior, said)
+    assert order.hidden == ("left arm",)
+    assert order.flipped == "left arm: upper_arm"
+    elbow = JOINT_NAMES.index("left_elbow")
+    depth = [float(body.posed().joints[0, elbow, 2]) for body in (truth, wrong, found)]
+    assert abs(depth[2] - depth[0]) < 0.3 * abs(depth[1] - depth[0])
+    orders = repair_depth_orders(BodyParameters.joined([wrong, truth]), [seen, seen], prior, said=sure)[1]
+    assert [order.flipped for order in orders] == ["left arm: upper_arm", None]
+    assert repair_depth_order(front, observation_of(front), prior)[1].hidden == ()
+
+
+def test_only_labels_of_another_part_say_that_a_limb_is_hidden(device):
+    front, prior = arm_before_trunk(device, seed=3), PosePrior().to(device)
+    turned = front.orientation.view(1, 2, 3) * front.orientation.new_tensor([-1.0, 1.0, -1.0])
+    truth = replace(front, orientation=turned.reshape(1, 6))
+    seen = observation_of(truth)
+    arm = torch.tensor(["left_elbow" in name or "left_wrist" in name for name in seen.landmarks], device=device)
+    trunk = torch.zeros(256, dtype=torch.uint8, device=device)
+    trunk[[1 + PART_NAMES.index(name) for name in ("abdomen", "chest", "left_shoulder", "right_shoulder")]] = 1
+    on_trunk = trunk[seen.labels.long()].bool()
+    mirrored = 1 + PART_NAMES.index("right_forearm")
+    cases = {
+        "seen so": (seen, ("left arm",)),
+        "without keypoints": (replace(seen, confidence=torch.where(arm, 0.0, seen.confidence)), ()),
+        "no label": (replace(seen, labels=seen.labels.masked_fill(on_trunk, 0)), ()),
+        "unknown": (replace(seen, labels=seen.labels.masked_fill(on_trunk, 255)), ()),
+        "sides exchanged": (replace(seen, labels=seen.labels.masked_fill(on_trunk, mirrored)), ()),
+    }
+    for name, (given, hidden) in cases.items():
+        assert repair_depth_order(truth, given, prior)[1].hidden == hidden, name
+
+
 def test_of_finer_labels_flips_see_what_fits_keep(device):
     """So that people whose labels are kept at 128 px end where they would with all of them."""
     truth, prior = arm_before_trunk(device), PosePrior().to(device)
@@ -171,6 +213,7 @@ def test_a_fit_says_what_was_tried(device):
     report = make_report(result)["depth"]
     assert report["flips_tried"] == list(result.depth_order.tried)
     assert report["flipped"] == result.depth_order.flipped
+    assert report["limbs_hidden"] == list(result.depth_order.hidden)
     assert report["spread_m"].keys() == set(JOINT_NAMES[1:])
     assert 0 < report["spread_m"]["left_hip"] < report["spread_m"]["left_fingertip"] < 0.5
     assert 1 < report["network_distance_m"] <= 1000

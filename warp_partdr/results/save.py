@@ -370,7 +370,7 @@ def _depth_report(result: FitResult) -> dict[str, Any]:
     order, said = result.depth_order, result.uncertainty
     report: dict[str, Any] = {}
     if order is not None:
-        report |= {"flips_tried": list(order.tried), "flipped": order.flipped}
+        report |= {"flips_tried": list(order.tried), "flipped": order.flipped, "limbs_hidden": list(order.hidden)}
     if said is not None:
         spreads = zip(JOINT_NAMES[1:], said.depths[0].tolist(), strict=True)
         report |= {
