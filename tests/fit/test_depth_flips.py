@@ -160,12 +160,13 @@ def test_only_labels_of_another_part_say_that_a_limb_is_hidden(device):
     trunk = torch.zeros(256, dtype=torch.uint8, device=device)
     trunk[[1 + PART_NAMES.index(name) for name in ("abdomen", "chest", "left_shoulder", "right_shoulder")]] = 1
     on_trunk = trunk[seen.labels.long()].bool()
+    stripes = torch.arange(seen.labels.shape[-1], device=device) % 8 < 4
     mirrored = 1 + PART_NAMES.index("right_forearm")
     cases = {
         "seen so": (seen, ("left arm",)),
         "without keypoints": (replace(seen, confidence=torch.where(arm, 0.0, seen.confidence)), ()),
         "no label": (replace(seen, labels=seen.labels.masked_fill(on_trunk, 0)), ()),
-        "unknown": (replace(seen, labels=seen.labels.masked_fill(on_trunk, 255)), ()),
+        "partly unknown": (replace(seen, labels=seen.labels.masked_fill(on_trunk & stripes, 255)), ()),
         "sides exchanged": (replace(seen, labels=seen.labels.masked_fill(on_trunk, mirrored)), ()),
     }
     for name, (given, hidden) in cases.items():
