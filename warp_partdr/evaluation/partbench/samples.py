@@ -82,9 +82,9 @@ def make_sample(index: int, name: str) -> Sample:
         source=source_name(name),
         name=f"{person.name}, {person.kind}",
         # Labels of another outline may take more or fewer draws, after which the keypoints' would differ.
-        keypoints=make_sample(index, noise).keypoints if name == CLOTHED else _keypoints(keypoints),
+        keypoints=make_sample(index, noise).keypoints if name == CLOTHED else _keypoints(keypoints, truth.shape),
         parts=PartLabels(LABELS, groups),
-        others=(_keypoints(others),) if np.count_nonzero(others[:, 2]) > 1 else (),
+        others=(_keypoints(others, truth.shape),) if np.count_nonzero(others[:, 2]) > 1 else (),
         target=truth,
         joints=person.joints,
         vertices=person.vertices,
@@ -119,7 +119,8 @@ def _turn(sample: Sample, quarters: int) -> Sample:
 
     def keypoints(those: Keypoints2D) -> Keypoints2D:
         points = (those.points - middle) @ turn.T + new_middle
-        return replace(those, points=np.where(those.confidence[:, None] > 0, points, 0.0).astype(np.float32))
+        points = np.where(those.confidence[:, None] > 0, points, 0.0).astype(np.float32)
+        return replace(those, points=points, image_size=(int(2 * new_middle[1]), int(2 * new_middle[0])))
 
     def pixels(groups: Any) -> np.ndarray:
         return np.ascontiguousarray(np.rot90(groups, quarters))
@@ -140,9 +141,10 @@ def _turn(sample: Sample, quarters: int) -> Sample:
     )
 
 
-def _keypoints(values: np.ndarray) -> Keypoints2D:
+def _keypoints(values: np.ndarray, size: tuple[int, ...]) -> Keypoints2D:
+    height, width = size
     values = values.astype(np.float32)
-    return Keypoints2D(COCO.name, values[:, :2], values[:, 2])
+    return Keypoints2D(COCO.name, values[:, :2], values[:, 2], image_size=(height, width))
 
 
 def _add_stranger(
