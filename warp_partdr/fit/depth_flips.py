@@ -194,9 +194,10 @@ def _propose(
     view = posed.joints.new_tensor([0.0, 0.0, 1.0]).expand(bodies.batch_size, 3)
     if lenses is not None:
         view = ray_rotations(bodies, lenses)[..., 2]
-    found, good, names = [], [], []
     crossing = _crossing(posed, view)
-    found, owners, names = [], [], []
+    found: list[torch.Tensor] = []
+    owners: list[torch.Tensor] = []
+    names: list[str] = []
     for number, (limb, parts) in enumerate(_LIMBS.items()):
         over = crossing[:, list(parts)].any(1)
         for flipped in ((True, False), (False, True), (True, True)):
@@ -272,7 +273,10 @@ class _Mirror(NamedTuple):
 def _mirror(posed: Posed, parts: tuple[int, ...], flipped: tuple[bool, bool], view: torch.Tensor) -> _Mirror:
     """Mirror the bones of a limb that are ``flipped``: along ``view``, the direction in which each body is seen."""
     steep = torch.ones(len(view), dtype=torch.bool, device=view.device)
-    moved, moves, before, bones = torch.zeros_like(view[:, 0]), [], [], []
+    moved = torch.zeros_like(view[:, 0])
+    moves: list[torch.Tensor] = []
+    before: list[torch.Tensor] = []
+    bones: list[torch.Tensor] = []
     for part, flip in zip(parts[:2], flipped, strict=True):
         bone = posed.joints[:, part + 1] - posed.joints[:, BONE_STARTS[part]]
         length = bone.norm(dim=-1, keepdim=True)
