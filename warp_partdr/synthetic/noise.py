@@ -17,7 +17,7 @@ from ..inputs.person import lower_near
 
 KEYPOINT_NOISE = 0.01  # standard deviation of u and of v, of the person's height in the picture
 # Times that for hidden joints: the packaged detector's hidden limb joints are off by 0.047 of the stature in the median
-# (both coordinates), those seen by 0.017 (assets/detector_errors.npz).
+# (both coordinates), those seen by 0.017, all hidden landmarks by 0.030 (assets/detector_errors.npz).
 HIDDEN_NOISE = 4.0
 HIDDEN_CONFIDENCE = 0.5
 
@@ -55,7 +55,8 @@ class Level:
     stranger: float = 0.0  # chance that somebody else stands before a part of the person
 
 
-# Of the packaged detector's hidden limb joints, 35 % are of confidence above 0.5 (assets/detector_errors.npz).
+# Of the packaged detector's hidden limb joints, 35 % are of confidence above 0.5, of all its hidden landmarks 81 %
+# (assets/detector_errors.npz).
 LEVELS: dict[str, Level] = {
     "clean": Level(0.0),
     "mild": Level(0.5, dropout=0.02, guessed=0.1, growth=1, holes=0.3),
