@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 from typer import Option, echo
 
-from ..detection import MIN_SCORE, LandmarkNetwork
+from ..detection import MIN_SCORE
 from ..errors import InputError, shown
 from ..files.sections import read_toml, set_value
 from ..inputs.keypoint_files import keypoint_file, read_keypoints
@@ -43,7 +43,15 @@ MinScoreOption = Annotated[
     float | None,
     Option(help=f"Least confidence that there is a person, 0 to 1; default: {MIN_SCORE}.", metavar="SHARE"),
 ]
-LandmarksName = StrEnum("LandmarksName", list(get_args(LandmarkNetwork)))
+
+
+class LandmarksName(StrEnum):
+    """Names of ``LandmarkNetwork``, for the command line."""
+
+    FULL = "full"
+    HEAVY = "heavy"
+
+
 LandmarksOption = Annotated[
     LandmarksName | None,
     Option(help="Network of the keypoints: full (default), or heavy, slower and nearer to the truth.", metavar="NAME"),
