@@ -58,7 +58,7 @@ def arrays(table: Any, name: str) -> np.ndarray:
 
 def test_every_picture_has_its_rows(run: Run) -> None:
     write_folder(Path("photos"))
-    code, said, complaint = run(f"{FOLDER} --out out --shard 3 --quality fast")
+    code, said, complaint = run(f"{FOLDER} --out out --shard 3 --quality fast --focal none")
     assert code == 0
     assert re.match(r"3 people in 4 pictures; [\d.]+ people, [\d.]+ pictures a second, cpu\n", said)
     assert said.endswith("out has 2 of 2 shards\n")
@@ -96,7 +96,7 @@ def test_rows_are_those_of_single_fits(run: Run) -> None:
     table = pq.read_table("out")
     table = table.filter(table["person"].is_valid())
     few = MeshOptions(iterations=20)  # more steps multiply what a batch rounds otherwise
-    options = replace(FitOptions.at("balanced"), guess_camera=False, mesh=few)
+    options = replace(FitOptions.at("balanced"), mesh=few)
     alone = fit_photo(read_photo("photos/more/two.png"), options=options).fits
     for row, place in ((1, 0), (2, 1)):
         assert table["person"][row].as_py() == place

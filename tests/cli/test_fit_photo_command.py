@@ -32,7 +32,7 @@ def test_a_photo_is_enough(run: Run, files: Path) -> None:
     assert {path.name for path in Path("out").iterdir()} == {*PHOTO_FILES, "person0"}
     assert {path.name for path in Path("out", "person0").iterdir()} == EVERY_FILE
     (person,) = json.loads(Path("out", "people.json").read_text())["people"]
-    assert person["distance"] == "for a focal length of the diagonal"
+    assert person["distance"] == "for a focal length that was guessed"
     code, said, _ = run("fit whole.png --out known --device cpu --focal 900 --person 0")
     assert code == 0
     assert "about" not in said

@@ -57,7 +57,8 @@ def test_no_lens_is_assumed_where_one_is_known_or_none_is_asked_for():
 
 
 def test_keypoints_alone_need_the_pictures_size():
-    sample = replace(make_sample(2, "realistic"), parts=None)
+    sample = make_sample(2, "realistic")
+    sample = replace(sample, parts=None, keypoints=replace(sample.keypoints, image_size=None))
     size = (480, 640)
     sized = replace(sample, keypoints=replace(sample.keypoints, image_size=size))
     assert not fitted(sample).camera.perspective

@@ -61,7 +61,7 @@ def test_hands_touch_but_do_not_enter(gesture: str, part: str, hands: int, devic
     depth = depth_over(rotations[which == NAMES.index(gesture)], part)[:, :hands]
     assert len(depth) > 5
     assert depth.min() > 0.0
-    assert depth.max() < 0.13  # parts overlap, and palms are 25 mm above the skin
+    assert depth.max() < 0.14  # parts overlap, and palms are 25 mm above the skin
 
 
 def test_hands_behind_the_back_are_behind_it(device: str) -> None:

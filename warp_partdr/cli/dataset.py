@@ -206,7 +206,7 @@ class FitterSetup:
         detailed = detailed or self.model()
         options = self.how.fit_options(half=self.half)
         network = load_label_network(self.how.network, device=self.device)
-        assumed = usual_camera if options.guess_camera else no_camera
+        assumed = usual_camera if options.guess_camera and not self.view.refused else no_camera
         fitter = PeopleFitter(
             options,
             network,

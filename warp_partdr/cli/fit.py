@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -147,6 +148,8 @@ def fit(
     check_inputs(out, given, (*RESULT_FILES, *DETAILED_FILES, SMPLX_FILE))
     size = image_size(person.keypoints, person.parts, person.photo)
     camera = view.of_photo(size, photo)
+    if view.refused:
+        options = replace(options, guess_camera=False)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
     if explain:
         _explain(person, options, camera, detailed_model)

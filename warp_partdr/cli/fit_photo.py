@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,6 +59,8 @@ def fit_everyone(
     check_inputs(out, (photo,), PHOTO_FILES)
     networks = files.networks.load(where)
     camera = view.of_photo((picture.shape[0], picture.shape[1]), photo)
+    if view.refused:
+        options = replace(options, guess_camera=False)
     detailed = read_model(model, where)
     with FitProgress() as progress:
         load_kernels(where, options, with_labels=True)

@@ -268,7 +268,12 @@ class PhotoFiles(PersonFiles):
 class CameraOptions:
     """Options for the picture's camera."""
 
-    focal: Annotated[str | None, Option(help="Focal length; exif: the photo's; none: no camera.", metavar="PX")] = None
+    focal: Annotated[
+        str | None,
+        Option(
+            help="Focal length; exif: the photo's; none: no lens at all. Default: exif, or a usual lens.", metavar="PX"
+        ),
+    ] = None
     fov: Annotated[float | None, Option(help="Or its horizontal angle of view.", metavar="DEGREES")] = None
     principal: Annotated[str | None, Option(help="Principal point; default: the picture's middle.", metavar="U,V")] = (
         None
@@ -278,6 +283,11 @@ class CameraOptions:
     def given(self) -> bool:
         """True if anything was said."""
         return (self.focal, self.fov, self.principal) != (None, None, None)
+
+    @property
+    def refused(self) -> bool:
+        """True if there is to be no camera, not even a usual lens."""
+        return self.focal == NO_CAMERA
 
     def check(self) -> None:
         """Raise an InputError for what is at fault whatever the picture's size, before any picture is read."""

@@ -71,8 +71,10 @@ def predict_folder(
             some, theirs = samples[start : start + together], cameras[start : start + together]
             started = time.perf_counter()
             evidence = [weigh_evidence(sample.keypoints, sample.parts, sample.others)[0] for sample in some]
+            if not view.given:
+                theirs = [usual_lens(each) for each in evidence]
             pairs = zip(evidence, theirs, strict=True)
-            seen = [crop_evidence(each, device=where, camera=camera or usual_lens(each)) for each, camera in pairs]
+            seen = [crop_evidence(each, device=where, camera=camera) for each, camera in pairs]
             sizes = [image_size(sample.keypoints, sample.parts, None) for sample in some]
             read = time.perf_counter()
             files = predict_files(seen, sizes, model)

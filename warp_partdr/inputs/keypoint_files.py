@@ -78,8 +78,8 @@ _ALIASES: dict[str, str] = {
     "posetrack18": "posetrack17",
 }
 _PLAIN_BODY = "coco17"
-# Formats with as many points as another, which the number alone is taken for.
-_NAMED_ALONE = ("h36m17", "posetrack17", "crowdpose14", "aic14", "body25b")
+# Formats with as many points as another, which the number alone is taken for, and one that few files have.
+_NAMED_ALONE = ("h36m17", "posetrack17", "crowdpose14", "aic14", "shelf14", "body25b", "panoptic19")
 _BY_COUNT: dict[int, Skeleton] = {form.count: form for name, form in SKELETONS.items() if name not in _NAMED_ALONE}
 _NUMBERS = {int, float}
 _MAX_CONFIDENCE = 1.5  # Heat maps peak a little above 1 now and then; those are taken as 1.

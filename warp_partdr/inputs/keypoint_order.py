@@ -53,8 +53,9 @@ _LEAST_EYES, _LEAST_SHOULDERS = 0.1, 0.4  # of the distance from eyes to shoulde
 
 
 def alternatives(form: Skeleton) -> list[Skeleton]:
-    """Other formats with as many points."""
-    return [other for other in SKELETONS.values() if other.count == form.count and other.name != form.name]
+    """Other formats with as many points, in another order."""
+    alike = [other for other in SKELETONS.values() if other.count == form.count]
+    return [other for other in alike if other.landmarks != form.landmarks]
 
 
 def order_question(form: Skeleton) -> str | None:
