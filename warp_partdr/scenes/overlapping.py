@@ -30,8 +30,8 @@ def refine_people(
 ) -> list[MeshFit]:
     """Refine the detailed bodies of a photo's people, each on from its fit.
 
-    Before a known or guessed camera, those who overlap are one scene each (``fit_scene``); all others, and everybody
-    where distances are not known, are refined side by side (``refine_meshes``).
+    Before a known camera or a usual lens, those who overlap are one scene each (``fit_scene``); all others, and
+    everybody where distances are not known, are refined side by side (``refine_meshes``).
 
     Args:
         results: Of one photo, before one camera.
