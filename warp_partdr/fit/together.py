@@ -1,7 +1,8 @@
 """Fits of many people side by side: the label network is asked about all at once, and one captured graph refines them.
 
-The stages are those of ``fit_body``. What that one does for a person alone is left out: a guess of the camera, and a
-search where the network's body ends far from what was seen, which is told in the warnings instead.
+The stages are those of ``fit_body``. What that one does for a person alone is left out: a search where the network's
+body ends far from what was seen, which is told in the warnings instead. Cameras, known or assumed, are those of the
+people who are given.
 """
 
 from __future__ import annotations

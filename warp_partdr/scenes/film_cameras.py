@@ -46,7 +46,7 @@ def place_film_cameras(
     """Place the cameras of films of the same moments by the people in them: the same films, in the first one's world.
 
     Args:
-        films: Two or more, frame by frame; lenses are known or guessed, as each film's view says.
+        films: Two or more, frame by frame; lenses are known or assumed, as each film's view says.
         stature: Height of a person, standing [m]; None: as large as people seem.
         person: Whose it is, 0 = the most and largest seen, by whom alone cameras are placed then; may be left out where
             films have one in common.
