@@ -96,7 +96,7 @@ def test_rows_are_those_of_single_fits(run: Run) -> None:
     table = pq.read_table("out")
     table = table.filter(table["person"].is_valid())
     few = MeshOptions(iterations=20)  # more steps multiply what a batch rounds otherwise
-    options = replace(FitOptions.at("balanced"), mesh=few)
+    options = replace(FitOptions.at("balanced"), mesh=few, landmarks="full")
     alone = fit_photo(read_photo("photos/more/two.png"), options=options).fits
     for row, place in ((1, 0), (2, 1)):
         assert table["person"][row].as_py() == place
@@ -104,7 +104,7 @@ def test_rows_are_those_of_single_fits(run: Run) -> None:
         np.testing.assert_allclose(arrays(table, "joints")[row], expected.ellipbody.posed.joints[0], atol=5e-3)
         np.testing.assert_allclose(arrays(table, "mesh_shape")[row], expected.body.shape[0], atol=0.05)
         np.testing.assert_allclose(arrays(table, "mesh_rotations")[row], expected.body.rotations[0], atol=0.05)
-    assert np.array(table["stature"]) == pytest.approx(1.8, abs=0.15)
+    assert np.array(table["stature"]) == pytest.approx(1.68, abs=0.15)
 
 
 def test_settings_change_the_fits_and_are_remembered(run: Run) -> None:

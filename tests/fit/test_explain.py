@@ -61,6 +61,10 @@ def test_a_fit_without_labels_draws_nothing():
     assert choices["camera"].left_out.startswith("distance")
     unrefined = explain(*seen(label_set("body14")), options=FitOptions(stages=()))
     assert unrefined[-1].why == "no stage draws"
+    sized = replace(keypoints, image_size=(480, 640))
+    assert explain(sized)[1].modelled.startswith("a usual lens, 1 times")
+    weak = explain(sized, options=FitOptions(guess_camera=False))
+    assert weak[1].modelled.startswith("weak perspective")
     known = explain(keypoints, camera=Perspective.of_picture((480, 640), focal=500))
     assert known[1].modelled == "perspective, focal length 500 px"
 

@@ -401,3 +401,14 @@ def test_any_json_is_read_or_refused(data: Any) -> None:
     except InputError:
         return
     assert all(np.isfinite(person.points).all() for person in people)
+
+
+def test_keypoints_know_the_size_that_their_file_states(tmp_path: Path) -> None:
+    """A fit of them stands before a usual lens."""
+    path = tmp_path / "k.json"
+    for stated, size in (({"image_width": 640, "image_height": 480}, (480, 640)), ({}, None)):
+        path.write_text(json.dumps({"format": "coco17", "keypoints": rows(17), **stated}))
+        (person,) = read_keypoints(path)
+        assert person.image_size == size
+    (person,) = read_keypoints(path, size=(300, 400))
+    assert person.image_size == (300, 400)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..body.labels import BACKGROUND, IGNORE
 from ..body.template import PART_NAMES
-from ..cameras import Perspective
+from ..cameras import USUAL_FOCAL, Perspective
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.observation import REFERENCE_SIZE, Observation, observe
 from ..inputs.part_labels import PartLabels
@@ -50,7 +50,12 @@ def explain(
     options = options or FitOptions()
     seen, crop = observe(keypoints, parts, others=others, trust_background=options.trust_background)
     stages = stages_of(options, parts)
-    choices = [_keypoints(keypoints), _camera(camera), _size(options.stature), _start(options)]
+    choices = [
+        _keypoints(keypoints),
+        _camera(camera, assumed=seen.lens_assumed and options.guess_camera),
+        _size(options.stature),
+        _start(options),
+    ]
     if parts is None:
         left = {stage.name for stage in stages}
         skipped = [stage.name for stage in options.stages if stage.name not in left]
@@ -112,7 +117,10 @@ def _keypoints(keypoints: Keypoints2D) -> Choice:
     )
 
 
-def _camera(camera: Perspective | None) -> Choice:
+def _camera(camera: Perspective | None, *, assumed: bool) -> Choice:
+    if camera is None and assumed:
+        lens = f"a usual lens, {USUAL_FOCAL:g} times as long as the picture's longer side"
+        return Choice("camera", lens, "the true one", "no focal length was given")
     if camera is None:
         left_out = "distance; rays beside the axis"
         return Choice("camera", "weak perspective about the body", left_out, "no focal length was given")

@@ -285,12 +285,17 @@ def _in_picture(
     if size is None and there and photo is not None:
         size = scan_photo(photo)
     if size is None:
-        return people
+        known = None if stated is None or stated.either else stated.size
+        return [replace(person, image_size=known) for person in people]
     change = match_sizes(None if stated is None else stated.of(size, orientation), size, orientation, where)
     moved = [change.keypoints(person) for person in people]
     told = None if change.warning is None else f"keypoints: {change.warning}"
     return [
-        replace(person, warnings=(*person.warnings, *filter(None, (told, outside_warning(person, size)))))
+        replace(
+            person,
+            warnings=(*person.warnings, *filter(None, (told, outside_warning(person, size)))),
+            image_size=size,
+        )
         for person in moved
     ]
 
