@@ -133,10 +133,13 @@ def test_points_are_the_joints_seen_by_the_lens(device: str) -> None:
 
 
 def test_lenses_are_known_or_assumed_or_neither_and_assumed_ones_are_off(device: str) -> None:
-    made = people(device)
-    shares = [float((made.lens_certainty == each).float().mean()) for each in (KNOWN_LENS, USUAL_LENS, 0.0)]
+    certainty, factors = maker(device)._told_lenses(torch.full((4000, 1), 3.0, device=device))
+    shares = [float((certainty == each).float().mean()) for each in (KNOWN_LENS, USUAL_LENS, 0.0)]
     assert sum(shares) == pytest.approx(1.0)
-    assert np.allclose(shares, [0.35, 0.5, 0.15], atol=0.12)
+    assert np.allclose(shares, [0.35, 0.5, 0.15], atol=0.04)
+    assert (factors[certainty != USUAL_LENS] == 1.0).all()
+    assert float(factors[certainty == USUAL_LENS].log().std()) == pytest.approx(0.25, abs=0.03)
+    made = people(device)
     # A joint off the lens's axis tells how many times too long the focal length is.
     near = made.distances < 50
     ray = made.turns[..., 2] / made.turns[:, 2:, 2]
@@ -146,14 +149,14 @@ def test_lenses_are_known_or_assumed_or_neither_and_assumed_ones_are_off(device:
     aside = neck[:, :2] / neck[:, 2:] * made.lenses[:, :1]
     factors = (aside * point).sum(1) / point.square().sum(1)
     off = factors.log()[near & (made.lens_certainty == USUAL_LENS)]
-    assert 0.15 < off.std() < 0.35
-    assert abs(off.mean()) < 0.12
+    assert 0.12 < off.std() < 0.4
+    assert abs(off.mean()) < 0.2
 
 
 def test_some_statures_are_known_within_a_few_centimetres(device: str) -> None:
     made = people(device)
     known = made.statures > 0
-    assert 0.1 < known.float().mean() < 0.4
+    assert 0.02 < known.float().mean() < 0.5  # a quarter of few people
     assert made.statures[known].min() > 0.7
     assert made.statures[known].max() < 2.3
 
