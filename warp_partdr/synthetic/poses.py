@@ -23,6 +23,7 @@ LIKELY = 22.0
 OVER_LIMITS = 0.02  # [rad^2], a few degrees
 
 Poses = tuple[torch.Tensor, torch.Tensor]  # rotation vectors (N, 20, 3) and up directions in the pelvis' frame (N, 3)
+_MORE = 1.3  # times as many tries as are needed on average
 
 
 def mean_body(rotations: torch.Tensor, orientation: torch.Tensor | None = None) -> Posed:
@@ -154,10 +155,13 @@ class PriorSampler:
 def draw_enough(count: int, draw: Callable[[int], Poses]) -> Poses:
     """So many poses of a function that tries a number of them and returns the good ones."""
     kept: list[Poses] = []
+    tries = 2 * count + 16
     while count > 0:
-        rotations, ups = draw(2 * count + 16)
+        rotations, ups = draw(tries)
         kept.append((rotations[:count], ups[:count]))
         count -= len(kept[-1][1])
+        # As many as are likely to be enough: on a GPU each further round takes as long as a large one.
+        tries = round(_MORE * count * tries / max(len(ups), 1)) + 16
     return join_poses(kept)
 
 
