@@ -40,7 +40,7 @@ from warp_partdr.network.label_network import (
     network_conditions,
 )
 from warp_partdr.network.landmarks import LANDMARKS, network_keypoints
-from warp_partdr.network.predict import REAL_PEOPLE, ask_network, network_inputs, predict_bodies
+from warp_partdr.network.predict import REAL_PEOPLE, REAL_SIZE, ask_network, network_inputs, predict_bodies
 from warp_partdr.network.predicted import posed_landmarks
 from warp_partdr.network.regressor import Regressor, RegressorConfig, misfits
 from warp_partdr.results.body_file import load_body
@@ -235,9 +235,19 @@ def test_spreads_are_wider_than_the_network_says(network):
     seen = replace(observe(*seen_by(walker()))[0], lens=None, lens_assumed=False)
     inputs = network_inputs([seen], 64)
     said, found = network(*inputs).uncertainty, ask_network([seen], network, mirror=False).uncertainty
-    assert torch.allclose(found.depths, REAL_PEOPLE * said.depths, rtol=1e-4)
+    assert torch.allclose(found.depths, REAL_SIZE * REAL_PEOPLE * said.depths, rtol=1e-4)
     assert torch.allclose(found.turns, REAL_PEOPLE * said.turns, rtol=1e-4)
-    assert torch.allclose(found.nearness, said.nearness, rtol=1e-4)
+    assert torch.allclose(found.nearness, said.nearness / REAL_SIZE, rtol=1e-4)
+
+
+def test_people_are_larger_than_the_network_says_unless_it_is_told_their_stature(network):
+    seen = replace(observe(*seen_by(walker()))[0], lens=None, lens_assumed=False)
+    told = replace(seen, stature=1.8)
+    found = ask_network([seen, told], network, mirror=False)
+    said = [network(*network_inputs([each], 64)) for each in (seen, told)]
+    for row, (each, share) in enumerate(zip(said, (REAL_SIZE, 1.0), strict=True)):
+        assert torch.allclose(found.lengths[row], share * each.lengths[0], rtol=1e-4)
+        assert torch.allclose(found.log_scale[row], each.log_scale[0] - math.log(share), atol=1e-4)
 
 
 def test_a_network_without_statures_does_not_look_at_them():
