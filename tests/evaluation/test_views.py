@@ -19,6 +19,7 @@ from warp_partdr.evaluation import real
 from warp_partdr.evaluation.datasets import Views, ViewSelection, read_real, read_views, view_samples, write_views
 from warp_partdr.evaluation.datasets.lenses import find_lens
 from warp_partdr.evaluation.datasets.mpi_inf_3dhp import _TRAIN_JOINTS
+from warp_partdr.evaluation.datasets.views import concatenate_views
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.evaluation.real import real_methods
 from warp_partdr.evaluation.sizes import trunk_and_legs
@@ -107,8 +108,18 @@ def test_pickles_and_files_without_what_is_needed_are_refused(tmp_path):
     np.savez(tmp_path / "views.npz", **arrays)
     with pytest.raises(InputError, match=r"views\.npz: no array person"):
         read_views(tmp_path)
+    empty = tmp_path / "empty"
+    empty.mkdir()
     with pytest.raises(InputError, match=r"none of these; expected a folder with views\.npz"):
-        read_real(tmp_path / "..")
+        read_real(empty)
+
+
+def test_views_of_other_joints_are_not_joined():
+    views = made_views()
+    fewer = {name: getattr(views, name)[:, :-1] for name in ("joints_camera", "keypoints")}
+    fewer = replace(views, joint_names=views.joint_names[:-1], **fewer)
+    with pytest.raises(InputError, match=r"files with \d+ and \d+ joints; expected one kind of file a folder"):
+        concatenate_views([views, fewer])
 
 
 def test_rows_are_chosen_by_border_name_moment_and_mark():

@@ -157,7 +157,7 @@ def test_a_photo_of_100_megapixels_takes_a_few_gigabytes(tmp_path: Path) -> None
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG)
     assert done.returncode == 0, done.stderr
-    assert int(done.stdout.splitlines()[-1]) < 3e6
+    assert int(done.stdout.splitlines()[-1]) < 3.5e6  # [kB], with both landmark networks
     (person,) = json.loads((tmp_path / "out" / "people.json").read_text())["people"]
     left, top, right, bottom = person["box"]
     assert (bottom - top) > 6500

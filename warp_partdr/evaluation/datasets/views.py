@@ -176,8 +176,16 @@ def read_views(path: str | Path) -> Views:
 
 
 def concatenate_views(several: Sequence[Views]) -> Views:
-    """Join views of the same joints, with the same arrays, into one."""
+    """Join views of the same joints, with the same arrays, into one.
+
+    Raises:
+        InputError: If some are of other joints than the first.
+    """
     first, whole = several[0], ("joint_names", "keypoint_names")
+    for views in several:
+        if not np.array_equal(views.joint_names, first.joint_names):
+            counts = f"{len(first.joint_names)} and {len(views.joint_names)}"
+            raise InputError(f"{first.folder}: files with {counts} joints; expected one kind of file a folder")
     arrays = {
         name: values if name in whole else np.concatenate([views.arrays()[name] for views in several])
         for name, values in first.arrays().items()
