@@ -129,7 +129,7 @@ def _sided_offset(offset: Offset, side: str) -> np.ndarray:
 
 def _offset_points(points: tuple[Point, ...], part: str, offset: np.ndarray, side: str) -> tuple[Point, ...]:
     """Points that carry what lies so far from the mean of other points in the mean adult at rest."""
-    place = np.mean([_rest_point(each) for each in points], axis=0) + offset
+    place = _rest_place(points) + offset
     if part == "pelvis":  # The hips are the pelvis.
         carriers = [f"{side}_hip"] if side else ["left_hip", "right_hip"]
     else:
@@ -150,10 +150,13 @@ def _rest_ellipsoid(part: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return start + length / 2 * constants.rest_directions[index], constants.rest_axes[index], sizes / 2
 
 
-def _rest_point(point: Point) -> np.ndarray:
-    part, coordinates = point
-    centre, axes, semi_axes = _rest_ellipsoid(part)
-    return centre + axes @ (semi_axes * coordinates)
+def _rest_place(points: tuple[Point, ...]) -> np.ndarray:
+    """Mean of points of the mean adult at rest, body frame, shape (3,) [m]."""
+    places = []
+    for part, coordinates in points:
+        centre, axes, semi_axes = _rest_ellipsoid(part)
+        places.append(centre + axes @ (semi_axes * coordinates))
+    return np.mean(places, axis=0)
 
 
 def _normalised(part: str, place: np.ndarray) -> tuple[float, float, float]:
@@ -182,9 +185,7 @@ def plain_landmark(mark: str) -> str:
 
 def rest_offset(mark: str) -> np.ndarray:
     """Way from a landmark to its ``mark`` in a data set, mean adult at rest, body frame [m], shape (3,)."""
-    ends = (np.mean([_rest_point(point) for point in LANDMARKS[name]], axis=0) for name in (plain_landmark(mark), mark))
-    start, end = ends
-    return end - start
+    return _rest_place(LANDMARKS[mark]) - _rest_place(LANDMARKS[plain_landmark(mark)])
 
 
 # Landmark -> the points whose mean it is: two for what lies between left and right, else one.

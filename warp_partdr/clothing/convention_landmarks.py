@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import torch
 
-from ..body.landmarks import CONVENTIONS, LANDMARKS, annotated, plain_landmark, rest_offset, without_side
+from ..body.landmarks import CONVENTIONS, LANDMARKS, plain_landmark, rest_offset, without_side
 from ..body.template import MEAN_STATURE, PART_NAMES
 from .measuring import statures
 from .model import DetailedModel
@@ -39,17 +39,12 @@ def with_conventions(model: DetailedModel) -> DetailedModel:
             place = row.double() @ points + growth * torch.from_numpy(rest_offset(mark)).to(points)
             weights.append(_mean_at(place, carriers[part], points).to(row)[None])
             names.append(mark)
-    for middle in ("coco_neck", "coco_mid_hip"):
-        ends = [end for end in _ends(middle) if end in model.landmark_names]
-        if middle not in names and len(ends) == 2:
+    for middle, joint in (("coco_neck", "shoulder"), ("coco_mid_hip", "hip")):
+        ends = [f"coco_{side}_{joint}" for side in ("left", "right")]
+        if middle not in names and all(end in names for end in ends):
             weights.append(model.weights_of(ends).mean(0, keepdim=True))
             names.append(middle)
     return replace(model, landmark_names=tuple(names), landmark_weights=torch.cat(weights))
-
-
-def _ends(middle: str) -> tuple[str, ...]:
-    ends = {"coco_neck": "shoulder", "coco_mid_hip": "hip"}[middle]
-    return annotated([f"{side}_{ends}" for side in ("left", "right")])
 
 
 def _carriers(model: DetailedModel, part: str) -> torch.Tensor:
