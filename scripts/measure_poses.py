@@ -56,7 +56,7 @@ def main() -> None:
 
 
 def real_poses(folder: Path) -> dict[str, torch.Tensor]:
-    """Of each set, places of limb joints, shape (N, 8, 3)."""
+    """Places of limb joints in each set, shape (N, 8, 3)."""
     with np.load(folder / "sights.npz", allow_pickle=False) as file:
         sights = dict(file)
     sets = {name: sights["joints_world"][sights["set"] == name] for name in np.unique(sights["set"]).tolist()}

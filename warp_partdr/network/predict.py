@@ -209,7 +209,7 @@ def _look(
 
 
 def _size_shares(observations: Sequence[Observation] | StackedObservations, like: torch.Tensor) -> torch.Tensor:
-    """How many times as large people are as the network says, shape (N,); 1 where it was told their stature."""
+    """Factors of people's sizes against what the network says, shape (N,); 1 where it was told their stature."""
     shares = torch.full_like(like, REAL_SIZE)
     if not isinstance(observations, StackedObservations) and any(each.stature is not None for each in observations):
         shares = like.new_tensor([REAL_SIZE if each.stature is None else 1.0 for each in observations])

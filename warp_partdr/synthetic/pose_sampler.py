@@ -213,7 +213,7 @@ class PoseSampler:
 
 
 def _shared_out(shares: dict[str, float], count: int) -> dict[str, int]:
-    """How many of each kind make ``count``."""
+    """Numbers of each kind that make ``count`` together."""
     ends = np.rint(np.cumsum([0.0, *shares.values()]) * count).astype(int)
     return dict(zip(shares, np.diff(ends).tolist(), strict=True))
 

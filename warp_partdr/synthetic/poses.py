@@ -62,7 +62,7 @@ def clear_poses(rotations: torch.Tensor) -> torch.Tensor:
 
 
 def mirrored(poses: Poses) -> Poses:
-    """The same poses with left and right exchanged."""
+    """Poses with left and right exchanged."""
     rotations, ups = poses
     order, sign = (torch.from_numpy(values).to(rotations.device) for values in mirror_features())
     features = torch.cat([rotations[:, list(FREE_PARTS)].flatten(1), ups], dim=1)
@@ -70,7 +70,7 @@ def mirrored(poses: Poses) -> Poses:
 
 
 def mirrored_half(poses: Poses, rng: TorchRng) -> Poses:
-    """The same poses, half of them with left and right exchanged."""
+    """Poses, half of them with left and right exchanged."""
     flip = rng.chance(0.5, len(poses[1]))
     rotations, ups = mirrored(poses)
     return torch.where(flip[:, None, None], rotations, poses[0]), torch.where(flip[:, None], ups, poses[1])

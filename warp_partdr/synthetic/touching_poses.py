@@ -51,7 +51,7 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Gesture:
-    """What two hands do; the second is given as if it were the left one, too, and the first one the right."""
+    """Doing of two hands; the second is given as if it were the left one, too, and the first one the right."""
 
     weight: float
     first: Place
