@@ -224,7 +224,7 @@ def main() -> None:
     shown = several = 0
     for batch in range(-(-options.people // BATCH)):
         seen = source(SIZES[batch // 2 % len(SIZES)], dressed=batch % 2 == 0)
-        for k, found in enumerate(find_people_in(list(seen.pictures))):
+        for k, found in enumerate(find_people_in(list(seen.pictures), landmarks="heavy")):
             shown += 1
             several += len(found) > 1
             true, stature = seen.points[k], float(seen.stature[k])
