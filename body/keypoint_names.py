@@ -25,7 +25,8 @@ from .landmarks import LANDMARKS, annotated, mirror_name, without_side
 from .skeletons import SKELETONS, Skeleton, known_edges
 
 _FEWEST = 2  # landmarks that tell anything
-_TWINS = ("shelf14",)  # formats with the names of another one, in the same order: they must be asked for
+# Formats with the names of another one, in the same order: neither names nor numbers tell them.
+TWINS = ("shelf14",)
 _SURE = 8  # landmarks that make a person of a list of many other points, such as a face's and fingers'
 
 # Words for landmarks without a side, written together.
@@ -255,7 +256,7 @@ def _rows(names: Sequence[str]) -> dict[str, int]:
 def _known_format(rows: dict[str, int]) -> Skeleton | None:
     """Format with the same landmarks: of several, the one in this order, or else one that annotators marked."""
     order = tuple(sorted(rows, key=rows.__getitem__))
-    alike = [form for form in SKELETONS.values() if set(form.landmarks) == set(rows) and form.name not in _TWINS]
+    alike = [form for form in SKELETONS.values() if set(form.landmarks) == set(rows) and form.name not in TWINS]
     return min(alike, key=lambda form: (form.landmarks != order, form.marks == form.landmarks), default=None)
 
 

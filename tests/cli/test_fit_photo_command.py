@@ -27,17 +27,20 @@ def test_a_photo_is_enough(run: Run, files: Path) -> None:
     assert (code, complaint) == (0, "")
     first, last = said.splitlines()
     assert first.startswith("person0: score 0.")
-    assert "m away" in first
+    assert "about " in first
+    assert first.endswith(" m away (a usual lens is assumed)")
     assert Path("out", "people.json").as_posix() in last
     assert {path.name for path in Path("out").iterdir()} == {*PHOTO_FILES, "person0"}
     assert {path.name for path in Path("out", "person0").iterdir()} == EVERY_FILE
     (person,) = json.loads(Path("out", "people.json").read_text())["people"]
-    assert person["distance"] == "for a focal length that was guessed"
+    assert person["distance"] == "for a usual lens, which is assumed"
     code, said, _ = run("fit whole.png --out known --device cpu --focal 900 --person 0")
     assert code == 0
     assert "about" not in said
+    assert "usual" not in said
     (known,) = json.loads(Path("known", "people.json").read_text())["people"]
     assert known["camera"]["focal_px"] == 900
+    assert known["distance"] == "for a known focal length"
 
 
 def test_a_photo_s_own_focal_length_is_taken_unless_none_is_wanted(run: Run, files: Path) -> None:

@@ -84,7 +84,7 @@ def test_everyone_stands_before_the_same_usual_lens_also_who_is_asked_for_alone(
     torch.testing.assert_close(alone.fits[1].camera.intrinsics, found.fits[1].camera.intrinsics)
     np.testing.assert_allclose(alone.fits[1].vertices, found.fits[1].vertices, atol=5e-3)
     report = save_photo_fit(found, tmp_path, photo=photo)
-    assert {person["distance"] for person in report["people"]} == {"for a focal length that was guessed"}
+    assert {person["distance"] for person in report["people"]} == {"for a usual lens, which is assumed"}
 
 
 def test_everyone_is_fitted_where_they_stand(everyone):
@@ -214,6 +214,19 @@ def test_bodies_grow_about_the_camera_to_one_ground(everyone):
             assert place.distance == pytest.approx(other.distance * place.scale)
             here, there = place.of(fit.vertices), other.of(fit.vertices)
             np.testing.assert_allclose(here[:, :2] / here[:, 2:], there[:, :2] / there[:, 2:], atol=1e-5)
+
+
+def test_a_usual_lens_says_how_far_people_of_a_weak_perspective_are():
+    photo = two_people()
+    options = replace(FAST, guess_camera=False, stages=(), search=(), mesh=MeshOptions(iterations=1))
+    found = fit_photo(photo, options=options, person=1)
+    fit = found.fits[1]
+    (place,) = place_on_ground([fit], [found.people[1].keypoints], photo.shape[:2])
+    lens = UsualLens.of_size(photo.shape[:2])
+    scale, _, *centre = fit.camera.intrinsics[0].tolist()
+    assert place.distance == pytest.approx(float(lens.focal[0, 0]) / scale, rel=1e-5)
+    seen = lens.project(torch.as_tensor(place.of(np.zeros((1, 3))), dtype=torch.float32)[None])[0, 0, :2]
+    assert seen.tolist() == pytest.approx(centre, abs=0.01)
 
 
 def test_wrong_arguments_are_named(everyone, tmp_path):

@@ -15,7 +15,7 @@ from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import observe
 from warp_partdr.inputs.sample import Sample
-from warp_partdr.results.save import describe_body
+from warp_partdr.results.save import describe_body, make_report
 
 FAST = FitOptions.at("fast")
 
@@ -43,6 +43,7 @@ def test_a_body_stands_before_a_usual_lens_where_no_camera_is_known(start):
     assert torch.allclose(found.camera.intrinsics, expected.intrinsics, atol=1e-3)
     assert 0.5 < found.posed.joints[0, 0, 2] < 30
     assert describe_body(found)["camera"]["guessed"] is True
+    assert make_report(found)["distance"] == "for a usual lens, which is assumed"
 
 
 def test_no_lens_is_assumed_where_one_is_known_or_none_is_asked_for():
@@ -54,6 +55,8 @@ def test_no_lens_is_assumed_where_one_is_known_or_none_is_asked_for():
     assert not weak.camera_guessed
     assert not weak.camera.perspective
     assert "guessed" not in describe_body(weak)["camera"]
+    assert make_report(given)["distance"] == "for a known focal length"
+    assert make_report(weak)["distance"] == "for a usual lens, which is assumed"
 
 
 def test_keypoints_alone_need_the_pictures_size():

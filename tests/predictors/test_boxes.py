@@ -136,6 +136,18 @@ def test_a_box_leads_to_the_landmarks_that_the_packaged_detector_leads_to() -> N
     assert ((person.mask > 0.5).sum() / (alone.mask > 0.5).sum()) == pytest.approx(1, abs=0.1)
 
 
+def test_people_in_boxes_have_the_keypoints_of_the_network_that_is_asked_for() -> None:
+    (alone,) = find_people(PHOTO, landmarks="heavy")
+    boxes = saying((0, 0, 12, 12, 0.7), (*alone.box, 0.8))
+    (full, corner), (heavy, empty) = (
+        find_people_in_boxes(boxes, Pyramid(PHOTO, "cpu"), 0.5, landmarks=name) for name in ("full", "heavy")
+    )
+    assert (corner.seen, empty.seen) == (False, False)
+    assert torch.equal(full.mask, heavy.mask)
+    off = [np.linalg.norm(person.keypoints.points - alone.keypoints.points, axis=1).mean() for person in (heavy, full)]
+    assert off[0] < 0.7 * off[1]
+
+
 def test_who_is_in_a_box_alone_gets_the_given_keypoints() -> None:
     """Somebody whom the packaged network does not see, in a corner of plain grey."""
     height, width = PHOTO.shape[:2]

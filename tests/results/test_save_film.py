@@ -14,6 +14,7 @@ from scenes.skins import read_glb
 
 from warp_partdr.body.landmarks import annotated
 from warp_partdr.body.skeletons import skeleton
+from warp_partdr.cameras import Perspective, UsualLens
 from warp_partdr.clothing.anny import anny
 from warp_partdr.detection.person import SKELETON
 from warp_partdr.errors import InputError
@@ -122,6 +123,16 @@ def test_who_leaves_is_gone_when_the_next_frame_comes(tmp_path: Path) -> None:
     }
     np.testing.assert_allclose(seen["person0"][:, 0], [0.0, TIMES[gone]], atol=1e-6)
     np.testing.assert_allclose(seen["person1"][:, 0], [0.0, TIMES[LATE]], atol=1e-6)
+
+
+def test_a_film_says_that_its_lens_is_assumed(tmp_path: Path) -> None:
+    fit = made_fit()
+    (film,) = fit.films
+    path = write_film(tmp_path / "walk.mp4", [np.full((*SIZE, 3), 90, np.uint8)] * COUNT, rate=RATE)
+    for lens, guessed in ((UsualLens.of_size(SIZE), True), (Perspective.of_picture(SIZE, focal=max(SIZE)), False)):
+        seen = replace(fit, films=(replace(film, view=replace(film.view, camera=lens)),))
+        (view,) = save_film_fit(seen, tmp_path / "out", films=[path])["views"]
+        assert view.get("guessed", False) == guessed
 
 
 def test_overlays_of_matched_films_show_the_frames_of_each_moment(tmp_path: Path) -> None:

@@ -45,6 +45,17 @@ def test_adults_are_as_tall_as_adults_are(device: str) -> None:
     assert tall[ten].mean().item() == pytest.approx(1.38, abs=0.03)  # WHO: 1.378 m of boys, 1.386 m of girls
 
 
+def test_children_are_as_tall_as_the_tables_of_the_who_say() -> None:
+    """WHO Growth Reference 2007, height for age, medians [m] of boys and girls, between the ages that are stored."""
+    people = population()
+    medians = {7: (1.2173, 1.2081), 10: (1.3778, 1.3864), 13: (1.5604, 1.5637), 16: (1.7290, 1.6252)}
+    for years, tall in medians.items():
+        for sex, wanted in zip((0.25, 0.75), tall, strict=True):
+            child = person(sex=sex, age=(years - 3) / 15 * 0.1)
+            assert people.years(child).item() == pytest.approx(years, abs=0.01)
+            assert -0.025 < people.statures(people.shapes(child)).item() - wanted < 0.01
+
+
 def test_statures_are_those_of_whole_bodies(device: str) -> None:
     people = population(device)
     shape = people.shapes(draws(40).to(device))

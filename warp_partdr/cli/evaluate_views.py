@@ -41,14 +41,30 @@ class ViewOptions:
     ] = None
     step: Annotated[int, Option(help="Only one of N of these rows.", metavar="N")] = 1
     camera: Annotated[
-        str, Option(help="Given to fits: none, true, or a focal length in longer sides of the picture.", metavar="LENS")
+        str,
+        Option(
+            help="What fits know of the camera: none (a usual lens is assumed), true, or a focal length, where 1.0 is "
+            "the picture's longer side.",
+            metavar="LENS",
+        ),
     ] = _NONE
-    stature: Annotated[str, Option(help="Given to fits: none, true, or metres for all.", metavar="HEIGHT")] = _NONE
+    stature: Annotated[
+        str,
+        Option(help="What fits know of people's height: none, true, or the same for everyone [m].", metavar="HEIGHT"),
+    ] = _NONE
     convention: Annotated[
-        str | None, Option(help="Whose joints these are, such as coco; own: the body's.", metavar="NAME")
+        str | None,
+        Option(
+            help="Where on the body the file's joints lie: as coco, h36m or shelf mean them, or own, as this package's "
+            "bodies. Default: by the set's name.",
+            metavar="NAME",
+        ),
     ] = None
     keypoints: Annotated[
-        str | None, Option(help="Give fits those of this format alone, such as coco17, where known.", metavar="FORMAT")
+        str | None,
+        Option(
+            help="Fit only the joints of this format, such as coco17. Default: all that the file has.", metavar="FORMAT"
+        ),
     ] = None
     network: Annotated[Path | None, Option(help="Label network of partdr train.", metavar="FILE")] = None
     by: Annotated[str, Option(help="A table for each set, or for each person.", metavar="set|person")] = _SET

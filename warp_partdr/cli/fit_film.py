@@ -16,7 +16,7 @@ from ..errors import InputError, told_as
 from ..inputs.films import film_facts, is_photo, read_frames
 from ..inputs.part_labels import scan_photo
 from .loading import NO_MODEL, load_mesh_kernels
-from .options import EXIF, CameraOptions, NetworkOptions, PhotoFiles, take_formats, take_whole
+from .options import EXIF, CameraOptions, NetworkOptions, PhotoFiles, say_distance, take_formats, take_whole
 from .register import read_model
 
 if TYPE_CHECKING:
@@ -183,14 +183,18 @@ def _say(sentence: str) -> None:
 def _tell(run: FilmRun, seen: Sequence[SeenFilm], report: dict[str, Any]) -> None:
     """Say in lines what was found, and where it is."""
     from ..body.rotations import rotation_to_axis_angle
+    from ..cameras import UsualLens
     from ..results.save_film import CAMERAS, SCENE, overlay_name
 
     several, films, out = len(seen) > 1, run.films, run.out
-    about = "about " if run.cameras is None and (several or not run.view.given) else ""
+    assumed = any(isinstance(each.view.camera, UsualLens) for each in seen)
+    sure = not assumed and (run.cameras is not None or not several)
     for person in report["people"]:
         frames = f"frames {person['first_frame']} to {person['last_frame']}, seen in {person['frames_seen']}"
         by = f", by {', '.join(person['seen_by'])}" if several else ""
-        typer.echo(f"person{person['person']}: {frames}{by}; {about}{person['distance_m']:.1f} m away")
+        typer.echo(
+            f"person{person['person']}: {frames}{by}; {say_distance(person['distance_m'], sure=sure, assumed=assumed)}"
+        )
     if run.align:
         for film, each in zip(films, seen, strict=True):
             typer.echo(f"{film.name}: from frame {each.skipped} on")

@@ -10,7 +10,7 @@ import typer
 
 from ..errors import InputError, told_as
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
-from .options import CameraOptions, PhotoFiles, read_shown_photo
+from .options import CameraOptions, PhotoFiles, read_shown_photo, say_distance
 from .register import read_model
 
 if TYPE_CHECKING:
@@ -74,6 +74,6 @@ def fit_everyone(
         for warning in person["warnings"]:
             typer.echo(f"partdr: warning: {person['folder']}: {warning}", err=True)
         hidden = "".join(f", hidden by person{place}" for place in person["hidden_by"])
-        about = "" if camera is not None else "about "
-        typer.echo(f"{person['folder']}: score {person['score']:.2f}, {about}{person['distance_m']:.1f} m away{hidden}")
+        away = say_distance(person["distance_m"], sure=camera is not None, assumed=camera is None)
+        typer.echo(f"{person['folder']}: score {person['score']:.2f}, {away}{hidden}")
     typer.echo(f"{out / 'overlay.png'} shows all bodies, {out / 'people.json'} has their measurements")

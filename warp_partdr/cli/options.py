@@ -54,7 +54,9 @@ class LandmarksName(StrEnum):
 
 LandmarksOption = Annotated[
     LandmarksName | None,
-    Option(help="Network of the keypoints: full (default), or heavy, slower and nearer to the truth.", metavar="NAME"),
+    Option(
+        help="Network that finds the joints: full (default), or heavy, slower and nearer to the truth.", metavar="NAME"
+    ),
 ]
 SetOption = Annotated[
     list[str] | None, Option("--set", help="Change one setting; may be given again.", metavar="KEY=VALUE")
@@ -142,10 +144,20 @@ def read_shown_photo(photo: Path) -> np.ndarray:
 class PersonFiles:
     """Options for the files of one person."""
 
-    keypoints: Annotated[Path | None, Option(help="2D keypoints, JSON, or OpenPose's folder.", metavar="FILE")] = None
+    keypoints: Annotated[
+        Path | None,
+        Option(
+            help="The person's joints in the picture, as a network or you found them: JSON, or OpenPose's folder.",
+            metavar="FILE",
+        ),
+    ] = None
     keypoint_format: Annotated[
         str | None,
-        Option("--format", help="Of the keypoints, if the file does not say; or a JSON file.", metavar="NAME"),
+        Option(
+            "--format",
+            help="Which joints the keypoints are, such as coco17, if the file does not say; or a JSON file.",
+            metavar="NAME",
+        ),
     ] = None
     parts: Annotated[
         Path | None, Option(help="Part labels, .png or .npy: ids, masks, probabilities.", metavar="FILE")
@@ -271,13 +283,18 @@ class CameraOptions:
     focal: Annotated[
         str | None,
         Option(
-            help="Focal length; exif: the photo's; none: no lens at all. Default: exif, or a usual lens.", metavar="PX"
+            help="Focal length of the lens [px]; exif: as the photo's file says; none: no perspective. Default: a usual "
+            "lens, as many pixels as the longer side has; of photos in `partdr fit` and `scene` exif, if it is there.",
+            metavar="PX",
         ),
     ] = None
-    fov: Annotated[float | None, Option(help="Or its horizontal angle of view.", metavar="DEGREES")] = None
-    principal: Annotated[str | None, Option(help="Principal point; default: the picture's middle.", metavar="U,V")] = (
-        None
-    )
+    fov: Annotated[
+        float | None,
+        Option(help="Instead of --focal: how wide the picture looks, from left to right.", metavar="DEGREES"),
+    ] = None
+    principal: Annotated[
+        str | None, Option(help="Pixel that the lens's axis goes through; default: the middle.", metavar="U,V")
+    ] = None
 
     @property
     def given(self) -> bool:
@@ -341,6 +358,12 @@ class CameraOptions:
             return float(self.focal)
         except ValueError:
             raise InputError(f"--focal: {shown(self.focal)}; expected pixels, exif or none") from None
+
+
+def say_distance(metres: float, *, sure: bool, assumed: bool) -> str:
+    """Words on how far away somebody is; ``assumed``: for a usual lens, as no focal length is known."""
+    lens = " (a usual lens is assumed)" if assumed else ""
+    return f"{'' if sure else 'about '}{metres:.1f} m away{lens}"
 
 
 def grouped(command: Callable[..., None], *, required: Sequence[str] = ()) -> Callable[..., None]:

@@ -13,8 +13,10 @@ from ..inputs.keypoints import Keypoints2D
 from ..inputs.person import Box
 from ..interop.checks import check_image_size
 from ..interop.torch_threads import one_torch_thread
+from . import LandmarkNetwork
 from .asset import packaged_people_networks
 from .crops import Pyramid, TurnedCrops, cut_crops
+from .heavy import with_heavy_landmarks
 from .look import NUM_LANDMARKS, FoundLandmarks, look
 from .person import SKELETON, FoundPerson
 from .same_person import similarity
@@ -94,7 +96,9 @@ def find_boxes(network: BoxNetwork, picture: Pyramid, min_score: float) -> tuple
 
 
 @one_torch_thread()
-def find_people_in_boxes(network: BoxNetwork, picture: Pyramid, min_score: float) -> list[FoundPerson]:
+def find_people_in_boxes(
+    network: BoxNetwork, picture: Pyramid, min_score: float, *, landmarks: LandmarkNetwork = "full"
+) -> list[FoundPerson]:
     """Find the people of another detector's boxes, largest box first.
 
     The packaged network looks twice at each. Of whom it sees nobody, or somebody else, only the box is known
@@ -104,6 +108,7 @@ def find_people_in_boxes(network: BoxNetwork, picture: Pyramid, min_score: float
         network: Finds the boxes.
         picture: On the network's device.
         min_score: Least confidence of a box, and of the landmarks.
+        landmarks: Network whose keypoints are taken, as in ``find_people``.
 
     Raises:
         InputError: If the network gives something else than ``BoxNetwork`` says.
@@ -117,14 +122,14 @@ def find_people_in_boxes(network: BoxNetwork, picture: Pyramid, min_score: float
         np.zeros(len(boxes)),
         np.zeros(len(boxes), np.int64),
     )
-    networks = packaged_people_networks(str(picture.device))
+    networks = packaged_people_networks(str(picture.device), landmarks=landmarks)
     first = look(networks, [picture], crops)
     looks = [first, look(networks, [picture], first.next_crops)] if len(boxes) else []
     candidates = [_seen(each, scores, picture.size) for each in looks]
     fits = np.zeros((len(candidates), len(boxes)))
-    for index, (landmarks, found) in enumerate(zip(looks, candidates, strict=True)):
+    for index, (looked, found) in enumerate(zip(looks, candidates, strict=True)):
         shared = [_overlap(np.array(person.box), box) for person, box in zip(found, boxes, strict=True)]
-        fits[index] = np.where(landmarks.presence >= min_score, shared, 0.0)
+        fits[index] = np.where(looked.presence >= min_score, shared, 0.0)
     chosen: list[FoundPerson | None] = []
     for row in range(len(boxes)):
         better = 1 if fits[1, row] >= _AGREED else 0  # the second look's crop is about the landmarks
@@ -136,6 +141,12 @@ def find_people_in_boxes(network: BoxNetwork, picture: Pyramid, min_score: float
             chosen[row] = None
         else:
             taken.append(person)
+    if networks.heavy is not None:
+        (nearer,) = with_heavy_landmarks(
+            networks.heavy, [picture], [[person for person in chosen if person is not None]]
+        )
+        rest = iter(nearer)
+        chosen = [person and next(rest) for person in chosen]
     return [
         person or _only_box(boxes[row], float(scores[row]), crops[row : row + 1], picture.device)
         for row, person in enumerate(chosen)

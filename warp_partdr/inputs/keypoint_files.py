@@ -37,7 +37,7 @@ from typing import Any
 
 import numpy as np
 
-from ..body.keypoint_names import left_out_warning, skeleton_of_names
+from ..body.keypoint_names import TWINS, left_out_warning, skeleton_of_names
 from ..body.skeletons import SKELETONS, Skeleton, skeleton
 from ..errors import InputError, shown
 from ..files.json_files import read_json
@@ -79,7 +79,7 @@ _ALIASES: dict[str, str] = {
 }
 _PLAIN_BODY = "coco17"
 # Formats with as many points as another, which the number alone is taken for, and one that few files have.
-_NAMED_ALONE = ("h36m17", "posetrack17", "crowdpose14", "aic14", "shelf14", "body25b", "panoptic19")
+_NAMED_ALONE = (*TWINS, "h36m17", "posetrack17", "crowdpose14", "aic14", "body25b", "panoptic19")
 _BY_COUNT: dict[int, Skeleton] = {form.count: form for name, form in SKELETONS.items() if name not in _NAMED_ALONE}
 _NUMBERS = {int, float}
 _MAX_CONFIDENCE = 1.5  # Heat maps peak a little above 1 now and then; those are taken as 1.

@@ -299,6 +299,13 @@ def describe_body(result: FitResult, mesh: Registered | None = None) -> dict[str
     return described
 
 
+def describe_distance(result: FitResult) -> str:
+    """Words on the lens that a body's distance from the camera is right for."""
+    if not result.camera.perspective or result.camera_guessed:
+        return "for a usual lens, which is assumed"
+    return "for a known focal length"
+
+
 def describe_posed(
     saved: BodyFile, positions: torch.Tensor, camera: Camera, mesh: Registered | None = None
 ) -> dict[str, Any]:
@@ -348,6 +355,7 @@ def make_report(result: FitResult) -> dict[str, Any]:
         "hypotheses": result.hypotheses,
         "start": result.start,
         "depth": _depth_report(result),
+        "distance": describe_distance(result),
         "keypoints": {
             "confident": int(sure.sum()),
             "mean_distance_px": round(distance, 3),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..body.template import LENGTH_NAMES
+from ..cameras import UsualLens
 from ..clothing.clothes import CLOTHED
 from ..clothing.measuring import measure_ellipbody
 from ..detection.film_people import SEEN
@@ -164,6 +165,7 @@ def _view(name: str, seen: SeenFilm) -> dict[str, Any]:
         "size": list(seen.people.image_size[::-1]),
         "focal": float(camera.focal[0, 0]),
         "principal": camera.centre[0].tolist(),
+        **({"guessed": True} if isinstance(camera, UsualLens) else {}),
         "rotation": seen.view.rotation.tolist(),
         "translation": seen.view.translation.tolist(),
         **lens,

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..cameras import Perspective
 from ..errors import check_type
-from ..fit.mesh_stage import MeshFit
 from ..interop.torch_threads import one_torch_thread
 from ..scenes.photo import PhotoFit
 from .ellipbody_files import GLTF_FROM_CAMERA
@@ -25,6 +23,7 @@ from .save import (
     SMPLX_FILE,
     check_photo,
     describe_body,
+    describe_distance,
     draw_detailed,
     save_fit,
     save_registered,
@@ -137,7 +136,7 @@ def _describe(fit: PhotoFit, place: int, placed: ScenePlace) -> dict[str, Any]:
         "box": [round(float(edge), 1) for edge in person.box],
         "distance_m": round(placed.distance, 2),
         "scene_scale": round(placed.scale, 3),
-        "distance": _distance_by(mesh),
+        "distance": describe_distance(mesh.ellipbody),
         "hidden_by": fit.hidden_by(place),
         "sources": fit.sources[place],
         "format": person.keypoints.format.name,
@@ -145,13 +144,6 @@ def _describe(fit: PhotoFit, place: int, placed: ScenePlace) -> dict[str, Any]:
         **describe_body(mesh.ellipbody, mesh.body),
         "warnings": list(mesh.ellipbody.warnings),
     }
-
-
-def _distance_by(fit: MeshFit) -> str:
-    """Sentence on where a body's distance comes from."""
-    if not isinstance(fit.camera, Perspective):
-        return "for a focal length of the diagonal"
-    return "for a focal length that was guessed" if fit.ellipbody.camera_guessed else "measured"
 
 
 def _scene(vertices: dict[int, np.ndarray], fit: PhotoFit) -> trimesh.Scene:

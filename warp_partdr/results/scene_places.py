@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
-from ..cameras import Camera, Perspective
+from ..cameras import Camera, Perspective, UsualLens
 from ..fit.mesh_stage import MeshFit
 from ..inputs.keypoints import Keypoints2D
 from ..scenes.ground import STANDING_LANDMARKS, Standing, feet_seen, find_ground
@@ -38,7 +37,7 @@ def place_on_ground(
 ) -> list[ScenePlace]:
     """Places of people of a picture of (H, W) pixels; of somebody alone, as far as the size says.
 
-    Without a known camera, one whose focal length is the picture's diagonal.
+    Before a camera of weak perspective, which knows no distance, a usual lens is assumed (``UsualLens``).
     """
     offsets = [_offset(fit, size) for fit in fits]
     sizes = np.zeros(len(fits))
@@ -59,7 +58,7 @@ def _offset(fit: MeshFit, size: tuple[int, int]) -> np.ndarray:
     camera: Camera = fit.camera
     if isinstance(camera, Perspective):
         return np.zeros(3)
-    focal = camera.scale.new_full((1,), float(np.hypot(*size)))
-    middle = torch.tensor([[size[1] / 2, size[0] / 2]]).to(camera.scale)
-    offset: np.ndarray = camera.to_perspective(focal, middle)[1][0].detach().cpu().numpy()
+    lens = UsualLens.of_size(size)
+    focal, centre = (values.to(camera.scale) for values in (lens.focal[:, 0], lens.centre))
+    offset: np.ndarray = camera.to_perspective(focal, centre)[1][0].detach().cpu().numpy()
     return offset

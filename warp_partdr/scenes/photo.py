@@ -201,15 +201,17 @@ def _everyone(
     if keypoints_from is None or keypoints_from.boxes is None:
         found = find_people(photo, device=photo.device, min_score=min_score, landmarks=landmarks)
     else:
-        found = _boxed_people(keypoints_from, keypoints_from.boxes, photo, min_score)
+        found = _boxed_people(keypoints_from, keypoints_from.boxes, photo, min_score, landmarks)
     if not found:
         raise InputError("photo: nobody found in it; expected a person, or keypoints of one")
     return found, instance_map(found, photo.size)
 
 
-def _boxed_people(network: KeypointNetwork, boxes: BoxNetwork, photo: Pyramid, min_score: float) -> list[FoundPerson]:
+def _boxed_people(
+    network: KeypointNetwork, boxes: BoxNetwork, photo: Pyramid, min_score: float, landmarks: LandmarkNetwork
+) -> list[FoundPerson]:
     """The people in boxes; whose box alone is known, only with keypoints of the network that nobody else has."""
-    people = find_people_in_boxes(boxes, photo, min_score)
+    people = find_people_in_boxes(boxes, photo, min_score, landmarks=landmarks)
     if all(person.seen for person in people):
         return people
     given = [find_keypoints(network, photo, person) for person in people]

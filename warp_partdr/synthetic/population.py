@@ -2,9 +2,9 @@
 
 A person is a point of the unit cube: a quantile of each of ``QUANTILES``. The logarithms of tape measures have a normal
 distribution for each sex, which ``scripts/learn_population.py`` learned from ANSUR II (US Army, 2012): 4,082 men and
-1,986 women. Children's statures are those of the World Health Organization's growth references. Anny's phenotype
-values alone make arms too short, and no adult as heavy as the population's. So a body is moved from there in shape
-space, as little as its measures demand.
+1,986 women. Children's statures are those of the World Health Organization's growth references (see
+``_CHILD_STATURES``). Anny's phenotype values alone make arms too short, and no adult as heavy as the population's. So
+a body is moved from there in shape space, as little as its measures demand.
 """
 
 from __future__ import annotations
@@ -40,10 +40,13 @@ _MOST = 0.995  # quantile of measures, beyond which nobody is
 # Shares of people up to ages [years]: a tenth are children from 3 on.
 _AGES = (0.0, 0.1, 0.82, 1.0), (3.0, 18.0, 60.0, 80.0)
 _ANNYS_AGES = (1.0, 11.0, 20.0, 90.0), (0.0, 1 / 3, 2 / 3, 1.0)  # [years], and Anny's phenotype value
-# Median statures [m] of boys and girls of ages [years]; WHO Child Growth Standards (2006) and Reference (2007).
+# Median statures [m] of boys and girls of ages [years], to the millimetre. At 3 years (day 1,096): WHO Child Growth
+# Standards (2006), lenanthro.txt of github.com/WorldHealthOrganization/anthro at 272a55e. From 6 years on: WHO Growth
+# Reference (2007), hfawho2007.txt of github.com/WorldHealthOrganization/anthroplus at 4a303d4 (column m). Between these
+# ages the interpolation is up to 20 mm below the tables.
 _CHILD_AGES = (3.0, 6.0, 9.0, 12.0, 15.0, 18.0)
 _CHILD_STATURES = (0.961, 1.160, 1.326, 1.491, 1.690, 1.761), (0.951, 1.151, 1.325, 1.512, 1.617, 1.631)
-_CHILD_SPREAD = 0.045  # standard deviation of the logarithm of their statures
+_CHILD_SPREAD = 0.045  # standard deviation of the logarithm of their statures; the tables' column s: 0.039 to 0.048
 _ADULT = 18.0  # [years]
 _CHILDLIKE = 10.0  # [years]: up to this age trunk, legs and girths are as Anny's children have them
 
