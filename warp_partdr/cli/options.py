@@ -284,7 +284,7 @@ class CameraOptions:
         str | None,
         Option(
             help="Focal length of the lens [px]; exif: as the photo's file says; none: no perspective. Default: a usual "
-            "lens, as many pixels as the longer side has; of photos in `partdr fit` and `scene` exif, if it is there.",
+            "lens, as many pixels as the longer side has; in `partdr fit` and `scene` photos have exif, if there.",
             metavar="PX",
         ),
     ] = None
