@@ -283,8 +283,8 @@ class CameraOptions:
     focal: Annotated[
         str | None,
         Option(
-            help="Focal length of the lens [px]; exif: as the photo's file says; none: no perspective. Default: a usual "
-            "lens, as many pixels as the longer side has; in `partdr fit` and `scene` photos have exif, if there.",
+            help="Focal length of the lens [px]; exif: as the photo's file says; none: no perspective. Default: exif "
+            "in `partdr fit` and `scene` if the photo has it; else a usual lens, as long as the picture's longer side.",
             metavar="PX",
         ),
     ] = None
