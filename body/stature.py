@@ -11,7 +11,7 @@ from .template import LENGTH_NAMES
 
 # Of the bones between sole and crown, how much of each length counts: learned by scripts/learn_stature.py.
 SHARES = {"abdomen": 0.99, "chest": 1.2, "neck": 1.71, "head": 0.81, "upper leg": 1.02, "lower leg": 0.86}
-_LEAST, _MOST = 0.4, 2.8  # [m]
+LEAST_STATURE, MOST_STATURE = 0.4, 2.8  # [m]
 
 
 def bone_statures(lengths: torch.Tensor) -> torch.Tensor:
@@ -33,5 +33,9 @@ def check_stature(stature: float | None) -> None:
     """
     if stature is None:
         return
-    if isinstance(stature, bool) or not isinstance(stature, int | float) or not _LEAST <= stature <= _MOST:
-        raise InputError(f"stature: {stature!r}; expected metres, {_LEAST} to {_MOST}")
+    if (
+        isinstance(stature, bool)
+        or not isinstance(stature, int | float)
+        or not LEAST_STATURE <= stature <= MOST_STATURE
+    ):
+        raise InputError(f"stature: {stature!r}; expected metres, {LEAST_STATURE} to {MOST_STATURE}")

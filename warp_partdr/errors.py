@@ -91,6 +91,17 @@ def told_as(name: str, file: object) -> Iterator[None]:
         raise InputError(f"{file}{str(error).removeprefix(name)}") from error
 
 
+@contextmanager
+def told_of(file: object) -> Iterator[None]:
+    """Let every InputError name the file whose contents are looked at, once."""
+    try:
+        yield
+    except InputError as error:
+        if str(error).startswith(f"{file}: "):
+            raise
+        raise InputError(f"{file}: {error}") from error
+
+
 def check_type(name: str, value: object, kind: type | UnionType, hint: str) -> None:
     """Raise TypeError unless an argument is of a type.
 

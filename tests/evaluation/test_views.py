@@ -87,8 +87,20 @@ def test_the_sets_name_is_the_folders_where_none_is_told(tmp_path):
         ("keypoints", np.full((3, 14, 2), np.inf), "keypoints: inf"),
         ("person", np.array([0.5, 1, 2]), "person: float64; expected text or whole numbers"),
         ("joint_names", np.array(["left_paw", *LSP[1:]]), "joint_names: 'left_paw'; expected landmarks"),
-        ("joint_names", np.array([LSP[1], *LSP[1:]]), "joint_names: .* twice, or without"),
+        ("joint_names", np.array([LSP[1], *LSP[1:]]), "joint_names: 'right_knee' 2 times; expected each name once"),
+        ("joint_names", np.array(["nose", *LSP[1:]]), "joint_names: left_ankle, without right_ankle; expected both sides"),
         ("confidence", np.full((3, 14), np.nan), "confidence: nan in it; expected finite numbers"),
+        ("confidence", np.full((3, 14), 1.5), "confidence: 1.5 in it; expected 0 to 1"),
+        ("joints_camera", 1000 * np.ones((3, 14, 3)), "joints_camera: people of 0 m; expected joints in metres"),
+        ("joints_camera", 1e9 * np.ones((3, 14, 3)), "joints_camera: 1000000000.0 in it; expected -100000 to 100000"),
+        ("keypoint_names", np.array([LSP[1], *LSP[1:]]), "keypoint_names: 'right_knee' 2 times"),
+        ("keypoints", np.full((3, 14, 2), 1e7), "keypoints: 10000000.0 in it"),
+        ("focal", np.full((3, 2), -1000.0), r"focal: -1000.0 in it; expected 1 to 1e\+06"),
+        ("focal", np.zeros((3, 2)), "focal: 0.0 in it"),
+        ("stature", np.full(3, 178.0), "stature: 178.0 in it; expected 0.4 to 2.8"),
+        ("picture_size", np.zeros((3, 2), dtype=int), "picture_size: 0 in it"),
+        ("film_frame", np.full(3, -1), "film_frame: -1 in it; expected 0 or more"),
+        ("person", np.array([b"a", b"b", b"b"]), "person: .S1; expected text or whole numbers"),
         ("focal", None, "focal, centre: one without the other"),
         ("picture_size", np.full((3, 2), 100.5), "picture_size: float64; expected whole numbers"),
         ("baseline", np.array([0, 1, 1]), "baseline: int64; expected true or false"),
@@ -97,6 +109,36 @@ def test_the_sets_name_is_the_folders_where_none_is_told(tmp_path):
 def test_wrong_arrays_are_refused(name, value, error):
     with pytest.raises(InputError, match=error):
         made_views(**{name: value})
+
+
+def test_joints_in_millimetres_and_behind_the_camera_are_refused():
+    joints = made_views().joints_camera
+    with pytest.raises(InputError, match=r"joints_camera: people of 1.*e\+03 m; expected joints in metres"):
+        made_views(joints_camera=1000 * joints)
+    with pytest.raises(InputError, match="joints_camera: row 1 is behind its camera; expected z away"):
+        made_views(joints_camera=joints * np.array([1, -1, 1])[:, None, None])
+    rooted = joints - joints.mean(axis=1, keepdims=True)  # as SPIN has them, whose cameras are not known
+    assert len(made_views(joints_camera=rooted, focal=None, centre=None)) == 3
+
+
+def test_rows_that_nothing_can_be_told_of_are_left_out():
+    views = made_views()
+    joints, confidence = views.joints_camera.copy(), np.ones((3, len(LSP)))
+    joints[0, 2:], confidence[1] = np.nan, 0
+    assert ViewSelection("every").of(replace(views, joints_camera=joints, confidence=confidence)).tolist() == [2]
+
+
+def test_samples_of_one_person_moment_and_camera_have_names_of_their_own():
+    views = made_views(frame=np.array([6, 6, 6]), camera=np.array(["left"] * 3))
+    assert [each.name for each in view_samples(views, np.arange(3))] == ["a/0/6/left", "b/1/6/left", "b/1/6/left (2)"]
+
+
+def test_conventions_are_known_or_refused():
+    views = made_views()
+    assert view_samples(views, np.arange(1), convention="panoptic")[0].body_points[0] == "coco_right_ankle"
+    for wrong in ({"convention": "kinect"}, {}):
+        with pytest.raises(InputError, match="convention: 'kinect'; expected coco, h36m, shelf"):
+            view_samples(replace(views, convention=np.array(["kinect"] * 3)), np.arange(1), **wrong)
 
 
 def test_pickles_and_files_without_what_is_needed_are_refused(tmp_path):
@@ -136,6 +178,9 @@ def test_rows_are_chosen_by_border_name_moment_and_mark():
     assert ViewSelection("every", leave_out=("b/1",)).of(views).tolist() == [0]
     assert ViewSelection("every", frames=("5", "7")).of(views).tolist() == [0, 2]
     assert ViewSelection("every", step=2).of(views).tolist() == [0, 2]
+    assert ViewSelection("every", frames=("0",)).of(replace(views, frame=None)).tolist() == [0, 1, 2]
+    with pytest.raises(ValueError, match="step: 0; expected an integer of 1 or more"):
+        ViewSelection("every", step=0).of(views)
     with pytest.raises(InputError, match="people: 'c'; expected of a/0, b/1"):
         ViewSelection(people=("c",)).of(views)
     with pytest.raises(InputError, match="rows: none of 3 left"):
@@ -286,6 +331,10 @@ def test_trc_files_that_were_turned_are_turned_back(tmp_path, rng):
         (lambda text: "no " + text, "in its first line; expected a .trc file"),
         (lambda text: text.replace("\t60\t0\t", "\t60\t0\t").replace("3\t0.0500", "three\t0.0500"), "frame 0"),
         (lambda text: "".join(text.splitlines(keepends=True)[:5]), "expected a .trc file"),
+        (lambda text: text.replace("LHip", "RHip"), "names: 'RHip' 2 times; expected joints of one person"),
+        (lambda text: text.replace("\t0.0500\t", "\t0.0500\tinf\t"), "points: infinite"),
+        (lambda text: text + text.splitlines()[-1], "frames: 3 after 3; expected rising numbers"),
+        (lambda text: text.rpartition("\t")[0], "frame 3: 26 numbers; expected 27"),
     ],
 )
 def test_trc_files_with_faults_are_refused(tmp_path, rng, change, error):
@@ -293,6 +342,27 @@ def test_trc_files_with_faults_are_refused(tmp_path, rng, change, error):
     file.write_text(change(file.read_text()))
     with pytest.raises(InputError, match=error):
         read_real(file, cameras=cameras(tmp_path / "c.json"))
+
+
+def test_units_in_capitals_and_a_byte_order_mark_are_read(tmp_path, rng):
+    file = trc(tmp_path / "walk.trc", TRC_NAMES, 1000 * (rng.uniform(-0.8, 0.8, (1, len(TRC_NAMES), 3)) + AWAY), "MM")
+    file.write_text("\ufeff" + file.read_text(), encoding="utf-8")
+    assert len(read_real(file, cameras=cameras(tmp_path / "c.json"))) == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ({"joints_world": np.full((2, 14, 3), "1")}, "<U1; expected joints over time"),
+        ({"joint_names": np.array("left_hip")}, "expected joints over time"),
+        ({"frames": np.array([9, 9])}, "frames: 9 after 9; expected rising numbers"),
+    ],
+)
+def test_joints_over_time_with_faults_are_refused(tmp_path, changes, error):
+    arrays = {"joint_names": np.array(LSP), "joints_world": np.ones((2, 14, 3)), "frames": np.arange(2)}
+    np.savez(tmp_path / "trial.npz", **(arrays | changes))
+    with pytest.raises(InputError, match=rf"trial\.npz: .*{error}"):
+        read_real(tmp_path / "trial.npz", cameras=cameras(tmp_path / "c.json"))
 
 
 def test_joints_over_time_come_with_cameras_and_films(tmp_path, rng):
@@ -309,7 +379,7 @@ def test_joints_over_time_come_with_cameras_and_films(tmp_path, rng):
     np.testing.assert_allclose(views.joints_camera[3, 0], [points[1, 0, 2] - 4, points[1, 0, 1], 4 - points[1, 0, 0]])
     samples = view_samples(views, np.arange(4))
     assert [sample.picture for sample in samples] == [
-        FilmPicture(films / f"cam{camera}.mp4", frame) for frame in (0, 1) for camera in (1, 2)
+        FilmPicture(films / f"cam{camera}.mp4", frame) for frame in (0, 2) for camera in (1, 2)
     ]
     assert [sample.name for sample in samples][:2] == ["trial/0/7/cam1", "trial/0/7/cam2"]
     (films / "cam3.mp4").touch()
@@ -393,6 +463,66 @@ def test_spins_arrays_are_views_of_subjects(tmp_path, rng):
     np.testing.assert_allclose(second.joints[0], truth[1, 0, :3])
 
 
+def test_spins_arrays_of_nobody_are_refused_and_bytes_are_text(tmp_path, rng):
+    arrays = {
+        "imgname": np.array([b"images/S9_Eating.1_000001.jpg"]),
+        "center": np.zeros((1, 2)),
+        "scale": np.ones(1),
+        "part": np.ones((1, 24, 3)),
+        "S": np.concatenate([rng.normal(size=(1, 24, 3)), np.ones((1, 24, 1))], axis=2),
+    }
+    np.savez(tmp_path / "h36m.npz", **arrays)
+    assert read_real(tmp_path / "h36m.npz").people().tolist() == ["h36m/S9"]
+    np.savez(tmp_path / "h36m.npz", **{name: values[:0] for name, values in arrays.items()})
+    with pytest.raises(InputError, match=r"h36m\.npz: imgname: nobody; expected at least one person"):
+        read_real(tmp_path / "h36m.npz")
+
+
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ({"annot3": np.ones((4, 17, 3))}, r"annot3: shape \(4, 17, 3\); expected \(4, 1, 17, 3\)"),
+        ({"valid_frame": np.ones((9, 1))}, "annot3: shape"),
+        ({"valid_frame": np.zeros((4, 1))}, "valid_frame: none of them is"),
+        ({"annot3": np.ones((4, 1, 17, 3)) * [1, 1, -1]}, "0 before the camera; expected 6 or more, all before it"),
+        ({"annot3": np.full((4, 1, 17, 3), np.nan)}, "0 known in both"),
+    ],
+)
+def test_mpi_inf_3dhps_test_people_with_faults_are_refused(tmp_path, rng, changes, error):
+    joints = rng.uniform(-800, 800, (4, 1, 17, 3)) + 1000 * AWAY
+    arrays = {"annot2": project(joints), "annot3": joints, "valid_frame": np.ones((4, 1))}
+    write_hdf5(tmp_path / "TS5" / "annot_data.mat", arrays | changes)
+    with pytest.raises(InputError, match=rf"^{tmp_path}/TS5/annot_data\.mat: .*{error}"):
+        read_real(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ({"subject": np.array([9])}, r"subject: int64 \(1,\); expected whole numbers, one a frame"),
+        ({"camera": np.array([5.0, np.nan])}, "camera: float64"),
+        ({"pose/3d": np.ones((2, 32, 3)), "pose/2d": np.zeros((2, 32, 2))}, "expected joints where the keypoints are"),
+        ({"pose/2d": np.ones((3, 32, 2))}, "not 32 joints of each of 2 frames"),
+    ],
+)
+def test_human36ms_hdf5_with_faults_is_refused(tmp_path, rng, changes, error):
+    joints = rng.uniform(-800, 800, (2, 32, 3)) + 1000 * AWAY
+    arrays = {"frame": np.arange(2), "camera": np.full(2, 5), "subject": np.full(2, 9)}
+    arrays |= {"pose/2d": project(joints), "pose/3d": joints}
+    write_hdf5(tmp_path / "S9" / "Eating" / "annot.h5", arrays | changes)
+    with pytest.raises(InputError, match=rf"annot\.h5: .*{error}"):
+        read_real(tmp_path)
+
+
+def test_mpi_inf_3dhps_cells_of_other_shapes_are_refused(tmp_path):
+    cells = {name: np.empty((14, 1), dtype=object) for name in ("annot2", "annot3")}
+    for camera in range(14):
+        cells["annot2"][camera, 0], cells["annot3"][camera, 0] = np.ones((2, 56)), np.ones((2, 83))
+    savemat(tmp_path / "annot.mat", cells)
+    with pytest.raises(InputError, match=r"annot\.mat: annot3: camera 0: shape \(2, 83\); expected \(frames, 84\)"):
+        read_real(tmp_path)
+
+
 def test_the_command_compares_methods_on_people(tmp_path, run):
     """Clusters are people, the better told fits are nearer, and views that were fitted can be kept."""
     write_views(tmp_path / "views.npz", made_views())
@@ -452,9 +582,22 @@ def test_a_focal_length_for_all_is_one_of_longer_sides(tmp_path, run):
     assert abs(figures[2] - figures[0]) > 1
 
 
+def test_a_true_stature_that_nobody_knows_is_refused(tmp_path, run):
+    views = made_views()
+    joints = views.joints_camera.copy()
+    joints[0, :2] = np.nan  # a leg
+    write_views(tmp_path / "views.npz", replace(views, joints_camera=joints))
+    code, _, told = run(f"evaluate real {tmp_path} --stature true --method network")
+    assert code == 2
+    assert "--stature: true, but that of a/0/5/left is not known" in told
+
+
 @pytest.mark.parametrize(
     ("options", "error"),
     [
+        ("--stature 0.3", "stature: 0.3; expected metres, 0.4 to 2.8"),
+        ("--stature -1", "--stature: -1; expected none, true, or a number above 0"),
+        ("--convention kinect", "convention: 'kinect'; expected coco"),
         ("--camera wide", "--camera: wide; expected none, true, or a number"),
         ("--by view", "--by: view; expected set or person"),
         ("--intervals views", "intervals: 'views'; expected people or moments"),

@@ -131,7 +131,8 @@ def _evaluate_views(views: Views, rows: np.ndarray, chosen: ViewOptions, options
         clusters=chosen.intervals,
     )
     if chosen.by == _PERSON:
-        samples = [replace(sample, source=sample.name.rsplit("/", 2)[0]) for sample in samples]
+        people = views.people()[rows].tolist()
+        samples = [replace(sample, source=person) for sample, person in zip(samples, people, strict=True)]
     camera = _number("camera", chosen.camera)
     if isinstance(camera, float):
         samples = _with_lens(samples, camera)
@@ -139,9 +140,13 @@ def _evaluate_views(views: Views, rows: np.ndarray, chosen: ViewOptions, options
         raise InputError(
             "--camera: true, but the file has no focal and centre; expected these arrays, or another camera"
         )
+    stature = _number("stature", chosen.stature)
+    if stature is True and (unknown := [sample.name for sample in samples if sample.stature is None]):
+        told = f"true, but that of {unknown[0]} is not known (nor of {len(unknown) - 1} more)"
+        raise InputError(f"--stature: {told}; expected the array stature, joints from ankles to shoulders, or metres")
     methods = real_methods(
         camera=camera is not False,
-        stature=_number("stature", chosen.stature),
+        stature=stature,
         network=None if chosen.network is None else str(chosen.network),
     )
     served = [name for name, method in methods.items() if any(map(method.serves, samples))]

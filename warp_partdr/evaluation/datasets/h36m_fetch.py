@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...body.skeletons import skeleton
-from ...errors import InputError
+from ...errors import InputError, told_of
 from .hdf5 import read_hdf5
 from .lenses import find_lens
 from .views import Views, concatenate_views
@@ -17,7 +17,8 @@ H36M_FILE = "annot.h5"
 _H36M = skeleton("h36m17")
 _PLACES = [0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27]  # of its joints among Human3.6M's 32
 _JOINTS = 32
-_ARRAYS = ("pose/2d", "frame", "camera", "subject")
+_LISTS = ("frame", "camera", "subject")  # whole numbers, one a row
+_ARRAYS = ("pose/2d", *_LISTS)
 _TRUTH = ("pose/3d", "pose/3d-univ")  # in the camera frame; the second one on a skeleton that all people share
 _EXPECTED = f"{H36M_FILE} of anibali/h36m-fetch, with {', '.join(_ARRAYS)}, {' or '.join(_TRUTH)}"
 _SIZE = (1002, 1000)  # (H, W) of its pictures [px]; two of its four cameras have 1000 rows
@@ -35,16 +36,23 @@ def read_human36m_hdf5(path: str | Path) -> Views:
     files = sorted(Path(path).rglob(H36M_FILE))
     if not files:
         raise InputError(f"{path}: no {H36M_FILE}; expected {_EXPECTED}")
-    return concatenate_views([views for file in files for views in _cameras(file)])
+    found = []
+    for file in files:
+        with told_of(file):
+            found += list(_cameras(file))
+    return concatenate_views(found)
 
 
 def _cameras(file: Path) -> Iterator[Views]:
     """Views of an action, a camera each."""
     held = read_hdf5(file, _ARRAYS, _TRUTH, expected=_EXPECTED)
     truth = next((held[name] for name in _TRUTH if name in held), None)
-    count = len(held["frame"])
+    count = held["frame"].size
     if truth is None or truth.shape != (count, _JOINTS, 3) or held["pose/2d"].shape != (count, _JOINTS, 2):
-        raise InputError(f"{file}: not {_JOINTS} joints of each of {count} frames; expected {_EXPECTED}")
+        raise InputError(f"not {_JOINTS} joints of each of {count} frames; expected {_EXPECTED}")
+    for name in _LISTS:
+        if held[name].shape != (count,) or held[name].dtype.kind not in "iu" or not count:
+            raise InputError(f"{name}: {held[name].dtype} {held[name].shape}; expected whole numbers, one a frame")
     for camera in np.unique(held["camera"]).tolist():
         rows = np.flatnonzero(held["camera"] == camera)
         joints = truth[rows][:, _PLACES].astype(np.float64) / 1000

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...errors import InputError, install_command
+from ...errors import InputError, install_command, told_of
 from .hdf5 import read_hdf5
 from .lenses import find_lens
 from .views import Views, concatenate_views
@@ -46,79 +47,90 @@ def read_mpi_inf_3dhp(path: str | Path) -> Views:
     files = sorted([*folder.rglob(TRAIN_FILE), *folder.rglob(TEST_FILE)])
     if not files:
         raise InputError(f"{folder}: no {TRAIN_FILE} or {TEST_FILE}; expected {_EXPECTED}")
-    read = [views for file in files for views in (_train(file) if file.name == TRAIN_FILE else [_test(file)])]
-    return concatenate_views(read)
+    found = []
+    for file in files:
+        with told_of(file):
+            found += _train(file) if file.name == TRAIN_FILE else [_test(file)]
+    return concatenate_views(found)
+
+
+@dataclass(frozen=True)
+class _Recording:
+    """Recording of one person by one camera."""
+
+    person: str
+    camera: str
+    picture_size: tuple[int, int]  # (H, W) [px]
+    landmarks: tuple[str, ...]  # of the joints of the file
+
+    def views(self, joints: np.ndarray, keypoints: np.ndarray, frames: list[str]) -> Views:
+        """Views of each frame, of joints (T, J, 3) [mm] and keypoints (T, J, 2) [px]."""
+        count = len(frames)
+        kept = [place for place, name in enumerate(self.landmarks) if name]
+        joints, keypoints = joints[:, kept] / 1000, keypoints[:, kept].astype(np.float64)
+        focal, centre = find_lens(joints, keypoints)
+        return Views(
+            joint_names=np.array([self.landmarks[place] for place in kept]),
+            joints_camera=joints,
+            keypoints=keypoints,
+            person=np.full(count, self.person),
+            set=np.full(count, "mpi_inf_3dhp"),
+            frame=np.array(frames),
+            camera=np.full(count, self.camera),
+            focal=np.tile(focal, (count, 1)),
+            centre=np.tile(centre, (count, 1)),
+            picture_size=np.tile(self.picture_size, (count, 1)),
+        )
 
 
 def _train(file: Path) -> list[Views]:
     """Views of a sequence, a camera each."""
-    held = _read_matlab(file)
-    found = []
+    held, found = _read_matlab(file), []
+    person = file.parent.parent.name or file.parent.name
     for camera in range(_CAMERAS):
-        joints, keypoints = (_cell(held, name, camera, file) for name in ("annot3", "annot2"))
-        joints, keypoints = joints.reshape(len(joints), -1, 3), keypoints.reshape(len(keypoints), -1, 2)
-        person = file.parent.parent.name or file.parent.name
-        frames = np.arange(0, len(joints))
-        names = [f"{file.parent.name}_{frame}" for frame in frames]
-        found.append(_views(joints, keypoints, _TRAIN_JOINTS, person, names, str(camera), _SQUARE, file))
+        joints, keypoints = _cell(held, "annot3", camera, 3), _cell(held, "annot2", camera, 2)
+        if len(joints) != len(keypoints):
+            raise InputError(f"annot2, annot3: {len(keypoints)} and {len(joints)} frames; expected as many")
+        names = [f"{file.parent.name}_{frame}" for frame in range(len(joints))]
+        found.append(_Recording(person, str(camera), _SQUARE, _TRAIN_JOINTS).views(joints, keypoints, names))
     return found
 
 
 def _test(file: Path) -> Views:
     """Views of a sequence, of the frames that count."""
     held = read_hdf5(file, ("annot2", "annot3", "valid_frame"), expected=_EXPECTED)
-    joints, keypoints = (np.squeeze(held[name], axis=1) for name in ("annot3", "annot2"))
-    frames = np.flatnonzero(held["valid_frame"].ravel())
+    valid = held["valid_frame"].ravel() > 0
+    for name, size in (("annot3", 3), ("annot2", 2)):
+        expected = (len(valid), 1, len(_TEST_JOINTS), size)
+        if held[name].shape != expected:
+            raise InputError(f"{name}: shape {held[name].shape}; expected {expected}")
+    if not valid.any():
+        raise InputError("valid_frame: none of them is; expected at least one")
     person = file.parent.name
     size = _WIDE if person in _OUTDOORS else _SQUARE
-    names = [str(frame) for frame in frames]
-    return _views(joints[frames], keypoints[frames], _TEST_JOINTS, person, names, "0", size, file)
-
-
-def _views(
-    joints: np.ndarray,
-    keypoints: np.ndarray,
-    landmarks: tuple[str, ...],
-    person: str,
-    frames: list[str],
-    camera: str,
-    size: tuple[int, int],
-    file: Path,
-) -> Views:
-    count = len(frames)
-    if joints.shape != (count, len(landmarks), 3) or keypoints.shape != (count, len(landmarks), 2):
-        raise InputError(f"{file}: joints {joints.shape}, {keypoints.shape}; expected {len(landmarks)} of each frame")
-    kept = [place for place, name in enumerate(landmarks) if name]
-    joints, keypoints = joints[:, kept] / 1000, keypoints[:, kept].astype(np.float64)
-    focal, centre = find_lens(joints, keypoints)
-    return Views(
-        joint_names=np.array([landmarks[place] for place in kept]),
-        joints_camera=joints,
-        keypoints=keypoints,
-        person=np.full(count, person),
-        set=np.full(count, "mpi_inf_3dhp"),
-        frame=np.array(frames),
-        camera=np.full(count, camera),
-        focal=np.tile(focal, (count, 1)),
-        centre=np.tile(centre, (count, 1)),
-        picture_size=np.tile(size, (count, 1)),
-    )
+    names = [str(frame) for frame in np.flatnonzero(valid).tolist()]
+    recording = _Recording(person, "0", size, _TEST_JOINTS)
+    return recording.views(held["annot3"][valid, 0], held["annot2"][valid, 0], names)
 
 
 def _read_matlab(file: Path) -> dict[str, Any]:
     try:
         from scipy.io import loadmat
     except ImportError as error:
-        raise InputError(f"{file}: MATLAB files need SciPy; expected it ({install_command('lsp')})") from error
+        raise InputError(f"MATLAB files need SciPy; expected it ({install_command('lsp')})") from error
     try:
         return dict(loadmat(file, variable_names=["annot2", "annot3"]))
     except Exception as error:  # of many kinds, for a damaged file
-        raise InputError(f"{file}: not readable ({' '.join(str(error).split())}); expected {_EXPECTED}") from error
+        raise InputError(f"not readable ({' '.join(str(error).split())}); expected {_EXPECTED}") from error
 
 
-def _cell(held: dict[str, Any], name: str, camera: int, file: Path) -> np.ndarray:
-    """Numbers of a camera, shape (T, ...), of a cell array."""
+def _cell(held: dict[str, Any], name: str, camera: int, size: int) -> np.ndarray:
+    """Numbers of a camera out of a cell array, ``size`` of each joint, shape (T, 28, size)."""
     cells = np.asarray(held.get(name, np.zeros(0, dtype=object))).ravel()
     if len(cells) != _CAMERAS or not isinstance(cells[camera], np.ndarray) or cells[camera].dtype.kind not in "fiu":
-        raise InputError(f"{file}: {name}: {len(cells)} cells; expected numbers of {_CAMERAS} cameras")
-    return np.asarray(cells[camera], dtype=np.float64)
+        raise InputError(f"{name}: {len(cells)} cells; expected numbers of {_CAMERAS} cameras")
+    values = np.asarray(cells[camera], dtype=np.float64)
+    width = size * len(_TRAIN_JOINTS)
+    if values.ndim != 2 or values.shape[1] != width or not len(values):
+        raise InputError(f"{name}: camera {camera}: shape {values.shape}; expected (frames, {width})")
+    return values.reshape(-1, len(_TRAIN_JOINTS), size)

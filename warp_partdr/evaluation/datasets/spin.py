@@ -142,8 +142,10 @@ def read_spin_arrays(path: str | Path, *, expected: str) -> dict[str, np.ndarray
     """Arrays of an annotation file by name; InputError if one is missing or wrong."""
     optional = tuple(_SHAPES.keys() - set(_REQUIRED))
     arrays = read_npz(path, _REQUIRED, optional, expected=expected, most=MAX_BYTES)
-    for name in arrays:
+    for name, values in arrays.items():
         _check_array(arrays, name, path)
+        if values.dtype.kind == "S":  # of Python 2
+            arrays[name] = np.char.decode(values, "utf-8", "replace")
     return arrays
 
 

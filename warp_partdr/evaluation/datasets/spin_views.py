@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from ...body.skeletons import skeleton
-from ...errors import InputError
+from ...errors import InputError, told_of
 from .spin import SPIN_JOINTS, read_spin_arrays, select_joints
 from .views import Views
 
@@ -28,6 +28,8 @@ def read_spin_views(path: str | Path) -> Views:
     arrays = read_spin_arrays(path, expected=_EXPECTED)
     if "S" not in arrays or not arrays.keys() & {"part", "openpose"}:
         raise InputError(f"{path}: no 3D joints S, or neither part nor openpose; expected {_EXPECTED}")
+    if not len(arrays["imgname"]):
+        raise InputError(f"{path}: imgname: nobody; expected at least one person")
     names = tuple(dict.fromkeys(SPIN_JOINTS))
     truth = np.stack([select_joints(each, names) for each in arrays["S"]])
     if "part" in arrays:
@@ -35,16 +37,17 @@ def read_spin_views(path: str | Path) -> Views:
     else:
         keypoint_names, seen = np.array(skeleton("body25").landmarks), arrays["openpose"]
     pictures = [str(each) for each in arrays["imgname"]]
-    return Views(
-        joint_names=np.array(names),
-        joints_camera=np.where(truth[..., 3:] > 0, truth[..., :3], np.nan),
-        keypoints=np.where(seen[..., 2:] > 0, seen[..., :2], np.nan),
-        confidence=np.clip(seen[..., 2], 0.0, 1.0),
-        keypoint_names=keypoint_names,
-        person=np.array([_person(each) for each in pictures]),
-        set=np.full(len(pictures), Path(path).stem),
-        frame=np.array([PurePosixPath(each).stem for each in pictures]),
-    )
+    with told_of(path):
+        return Views(
+            joint_names=np.array(names),
+            joints_camera=np.where(truth[..., 3:] > 0, truth[..., :3], np.nan),
+            keypoints=np.where(seen[..., 2:] > 0, seen[..., :2], np.nan),
+            confidence=np.clip(seen[..., 2], 0.0, 1.0),
+            keypoint_names=keypoint_names,
+            person=np.array([_person(each) for each in pictures]),
+            set=np.full(len(pictures), Path(path).stem),
+            frame=np.array([PurePosixPath(each).stem for each in pictures]),
+        )
 
 
 def _person(picture: str) -> str:

@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from ...body.keypoint_names import skeleton_of_names
-from ...errors import InputError, cause, shown
+from ...errors import InputError, cause, shown, told_of
 from ...files.array_files import read_npz
 from ...inputs.calibrated_camera import CalibratedCamera
 from ...inputs.camera_files import read_cameras
 from ...inputs.camera_names import assign_cameras
 from ...inputs.films import FILM_SUFFIXES
+from ...inputs.keypoints import LARGEST_PLACE
 from .views import Views
 
 _METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
@@ -34,12 +35,25 @@ class Trajectories:
     Attributes:
         names: Of J joints or markers.
         points: In the world [m], shape (T, J, 3); NaN where unknown.
-        frames: Number of each moment, shape (T,).
+        frames: Number of each moment, rising, shape (T,), whole numbers.
+
+    Raises:
+        InputError: If a name repeats, a point is infinite, or frames do not rise.
     """
 
     names: tuple[str, ...]
     points: np.ndarray
     frames: np.ndarray
+
+    def __post_init__(self) -> None:
+        if twice := [name for name in self.names if self.names.count(name) > 1]:
+            raise InputError(f"names: {shown(twice[0])} {len(twice)} times; expected joints of one person, each once")
+        if np.isinf(self.points).any():
+            raise InputError("points: infinite; expected numbers, or NaN where unknown")
+        if (np.diff(self.frames) <= 0).any():
+            place = int((np.diff(self.frames) <= 0).argmax())
+            told = f"{self.frames[place + 1]} after {self.frames[place]}"
+            raise InputError(f"frames: {told}; expected rising numbers")
 
 
 def read_trc(path: str | Path) -> Trajectories:
@@ -49,13 +63,13 @@ def read_trc(path: str | Path) -> Trajectories:
         InputError: If it can't be read, or is no such file.
     """
     try:
-        lines = Path(path).read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = Path(path).read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
         raise InputError(f"{path}: {cause(error)}; expected {_EXPECTED_TRC}") from error
     if len(lines) <= _HEADER_LINES or not lines[0].startswith("PathFileType"):
         raise InputError(f"{path}: {shown(lines[0] if lines else '')} in its first line; expected {_EXPECTED_TRC}")
     facts = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
-    unit = facts.get("Units", "").strip()
+    unit = facts.get("Units", "").strip().lower()
     if unit not in _METRES:
         raise InputError(f"{path}: Units: {shown(unit)}; expected {', '.join(_METRES)}")
     names = tuple(name.strip() for name in lines[3].split("\t")[2:] if name.strip())
@@ -71,8 +85,11 @@ def read_trc(path: str | Path) -> Trajectories:
             values = [float(cell) if cell.strip() else np.nan for cell in cells[2 : 2 + width]]
         except ValueError as error:
             raise InputError(f"{path}: frame {place}: {cause(error)}; expected numbers between tabs") from error
+        if len(values) % 3:  # cells at a row's end may be missing, those of whole joints
+            raise InputError(f"{path}: frame {frames[place]}: {len(values)} numbers; expected {width}")
         numbers[place, : len(values)] = values
-    return Trajectories(names, _METRES[unit] * numbers.reshape(len(rows), len(names), 3), frames)
+    with told_of(path):
+        return Trajectories(names, _METRES[unit] * numbers.reshape(len(rows), len(names), 3), frames)
 
 
 def read_joint_arrays(path: str | Path) -> Trajectories:
@@ -83,13 +100,16 @@ def read_joint_arrays(path: str | Path) -> Trajectories:
     """
     arrays = read_npz(path, ("joint_names", "joints_world"), ("frames",), expected=_EXPECTED_NPZ)
     names, points = arrays["joint_names"], arrays["joints_world"]
-    if names.dtype.kind not in "US" or points.ndim != 3 or points.shape[1:] != (len(names), 3):
-        told = f"joint_names, joints_world: {names.dtype} {names.shape}, {points.shape}"
+    if names.dtype.kind != "U" or names.ndim != 1 or points.dtype.kind not in "fiu":
+        raise InputError(f"{path}: joint_names, joints_world: {names.dtype}, {points.dtype}; expected {_EXPECTED_NPZ}")
+    if points.ndim != 3 or points.shape[1:] != (len(names), 3):
+        told = f"joint_names, joints_world: {names.shape}, {points.shape}"
         raise InputError(f"{path}: {told}; expected {_EXPECTED_NPZ}")
     frames = arrays.get("frames", np.arange(len(points)))
     if frames.shape != points.shape[:1] or frames.dtype.kind not in "iu":
         raise InputError(f"{path}: frames: {frames.dtype} {frames.shape}; expected {len(points)} whole numbers")
-    return Trajectories(tuple(map(str, names)), points.astype(np.float64), frames)
+    with told_of(path):
+        return Trajectories(tuple(map(str, names)), points.astype(np.float64), frames)
 
 
 def read_trajectories(
@@ -100,7 +120,8 @@ def read_trajectories(
     Args:
         path: A ``.trc`` file, or an ``.npz`` of ``read_joint_arrays``.
         cameras: File of calibrated cameras (``read_cameras``), in the world of the joints.
-        films: Folder of the cameras' films, whose frames are the rows of the file; their names tell the cameras.
+        films: Folder of the cameras' films, whose names tell the cameras. Their first frame is the first row's, and
+            where the file leaves out a frame's number, the films' frame is left out as well.
         axes: Axes of the file that are x, y and z of the cameras' world, such as "x -z y"; None: as it is, or as
             Pose2Sim turns it ("z x y"), whichever puts more joints into pictures.
 
@@ -123,21 +144,22 @@ def read_trajectories(
     stem = Path(path).stem
     names = np.array(list(known))
     of_film = None if films is None else _films(Path(films), list(known))
-    return Views(
-        joint_names=np.array(form.landmarks),
-        joints_camera=joints,
-        keypoints=keypoints,
-        person=np.full(len(joints), "0"),
-        set=np.full(len(joints), stem),
-        frame=np.repeat(found.frames, len(known)),
-        camera=np.tile(names, count),
-        convention=np.full(len(joints), "" if form.marks == form.landmarks else "coco"),
-        focal=np.tile([camera.focal for camera in known.values()], (count, 1)),
-        centre=np.tile([camera.principal for camera in known.values()], (count, 1)),
-        picture_size=None if None in sizes else np.tile(np.array(sizes), (count, 1)),
-        film=None if of_film is None else np.tile(of_film, count),
-        film_frame=None if of_film is None else np.repeat(np.arange(count), len(known)),
-    )
+    with told_of(path):
+        return Views(
+            joint_names=np.array(form.landmarks),
+            joints_camera=joints,
+            keypoints=keypoints,
+            person=np.full(len(joints), "0"),
+            set=np.full(len(joints), stem),
+            frame=np.repeat(found.frames, len(known)),
+            camera=np.tile(names, count),
+            convention=np.full(len(joints), "" if form.marks == form.landmarks else "coco"),
+            focal=np.tile([camera.focal for camera in known.values()], (count, 1)),
+            centre=np.tile([camera.principal for camera in known.values()], (count, 1)),
+            picture_size=None if None in sizes else np.tile(np.array(sizes), (count, 1)),
+            film=None if of_film is None else np.tile(of_film, count),
+            film_frame=None if of_film is None else np.repeat(found.frames - found.frames[0], len(known)),
+        )
 
 
 def _axes(text: str) -> np.ndarray:
@@ -162,7 +184,7 @@ def _views(points: np.ndarray, cameras: Mapping[str, CalibratedCamera]) -> tuple
     focal, principal = (np.array([getattr(each, name) for each in cameras.values()]) for name in ("focal", "principal"))
     with np.errstate(all="ignore"):
         seen = joints[..., :2] / joints[..., 2:] * focal[:, None] + principal[:, None]
-        before = joints[..., 2] > 0
+        before = (joints[..., 2] > 0) & (np.abs(seen) <= LARGEST_PLACE).all(axis=-1)
         size = np.array([each.size or (np.inf, np.inf) for each in cameras.values()])[:, None, ::-1]
         inside = before & ((seen >= 0) & (seen < size)).all(axis=-1)
     seen[~before] = np.nan

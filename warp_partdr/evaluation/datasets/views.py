@@ -6,21 +6,25 @@ A row is a person, a moment and a camera. ``Views`` says what each array holds; 
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ...body.keypoint_names import skeleton_of_names
-from ...body.landmarks import LANDMARKS, annotated, mirror_name
+from ...body.landmarks import CONVENTIONS, LANDMARKS, annotated, mirror_name
 from ...body.skeletons import MPJPE_JOINTS, Skeleton, known_edges, skeleton
+from ...body.stature import LEAST_STATURE, MOST_STATURE
 from ...cameras import Perspective
-from ...errors import InputError, cause, shown
+from ...errors import InputError, cause, check_whole, shown, told_of
 from ...files.array_files import read_npz
 from ...inputs.films import FilmPicture
-from ...inputs.keypoints import Keypoints2D
+from ...inputs.keypoints import LARGEST_PLACE, Keypoints2D
 from ...inputs.sample import Sample
 from ..sizes import trunk_and_legs
 
@@ -29,27 +33,37 @@ CLUSTERS = ("people", "moments")
 FILE_NAMES = ("views.npz", "sights.npz")
 
 _MAX_BYTES = 4 << 30  # of a file's arrays when unpacked
-_NUMBERS, _WHOLE, _TEXT, _FLAGS, _NAMES = "fiu", "iu", "US", "b", "USiu"  # kinds of dtypes
-# Kinds and shape of each array: N rows, J joints, K keypoints.
-_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
-    "joint_names": (_TEXT, ("J",)),
-    "joints_camera": (_NUMBERS, ("N", "J", 3)),
-    "keypoints": (_NUMBERS, ("N", "K", 2)),
-    "person": (_NAMES, ("N",)),
-    "keypoint_names": (_TEXT, ("K",)),
-    "confidence": (_NUMBERS, ("N", "K")),
-    "set": (_TEXT, ("N",)),
-    "frame": (_NAMES, ("N",)),
-    "camera": (_NAMES, ("N",)),
-    "convention": (_TEXT, ("N",)),
-    "focal": (_NUMBERS, ("N", 2)),
-    "centre": (_NUMBERS, ("N", 2)),
-    "picture_size": (_WHOLE, ("N", 2)),
-    "stature": (_NUMBERS, ("N",)),
-    "baseline": (_FLAGS, ("N",)),
-    "picture": (_TEXT, ("N",)),
-    "film": (_TEXT, ("N",)),
-    "film_frame": (_WHOLE, ("N",)),
+_NUMBERS, _WHOLE, _TEXT, _FLAGS, _NAMES = "fiu", "iu", "U", "b", "Uiu"  # kinds of dtypes
+
+
+class _Rule(NamedTuple):
+    """Rule for an array: kinds of dtypes, shape (N rows, J joints, K keypoints), and the range of its numbers."""
+
+    kinds: str
+    shape: tuple[str | int, ...]
+    least: float = -math.inf
+    most: float = math.inf
+
+
+_ARRAYS = {
+    "joint_names": _Rule(_TEXT, ("J",)),
+    "joints_camera": _Rule(_NUMBERS, ("N", "J", 3), -1e5, 1e5),
+    "keypoints": _Rule(_NUMBERS, ("N", "K", 2), -LARGEST_PLACE, LARGEST_PLACE),
+    "person": _Rule(_NAMES, ("N",)),
+    "keypoint_names": _Rule(_TEXT, ("K",)),
+    "confidence": _Rule(_NUMBERS, ("N", "K"), 0.0, 1.0),
+    "set": _Rule(_TEXT, ("N",)),
+    "frame": _Rule(_NAMES, ("N",)),
+    "camera": _Rule(_NAMES, ("N",)),
+    "convention": _Rule(_TEXT, ("N",)),
+    "focal": _Rule(_NUMBERS, ("N", 2), 1.0, 1e6),
+    "centre": _Rule(_NUMBERS, ("N", 2), -1e6, 1e6),
+    "picture_size": _Rule(_WHOLE, ("N", 2), 1, LARGEST_PLACE),
+    "stature": _Rule(_NUMBERS, ("N",), LEAST_STATURE, MOST_STATURE),
+    "baseline": _Rule(_FLAGS, ("N",)),
+    "picture": _Rule(_TEXT, ("N",)),
+    "film": _Rule(_TEXT, ("N",)),
+    "film_frame": _Rule(_WHOLE, ("N",), 0),
 }
 _MAY_BE_NAN = ("joints_camera", "keypoints", "stature")
 _REQUIRED = ("joint_names", "joints_camera", "keypoints", "person")
@@ -57,6 +71,10 @@ _EXPECTED = "views of people with 3D truth: views.npz or sights.npz with the arr
 # Sets whose joints are another convention's: Panoptic's are triangulated from detections of a network that learned from
 # COCO, and Campus was annotated as Shelf.
 _CONVENTION_OF_SET = {"panoptic": "coco", "campus": "shelf"}
+_KNOWN_CONVENTIONS = ("coco", *CONVENTIONS)
+_SMALLEST, _LARGEST = 0.1, 10.0  # [m], extent of what is known of people, by which other units than metres are seen
+_FEW = 4  # joints that tell an extent
+_FEWEST = 3  # joints that can be aligned with a body's
 # Share of the stature from ankles by knees to hips, and from there up to the shoulders: Drillis and Contini (1966).
 _STANDING_SHARE = 0.779
 
@@ -89,7 +107,8 @@ class Views:
         folder: Folder that files are relative to.
 
     Raises:
-        InputError: If an array has another shape or kind, holds NaN where it must not, or a name is no landmark.
+        InputError: If an array has another shape or kind, holds NaN or numbers that can't be, or a name is no landmark;
+            or if people are of another size than people's, or stand behind their cameras.
     """
 
     joint_names: np.ndarray
@@ -121,7 +140,13 @@ class Views:
         for one, other in (("focal", "centre"), ("film", "film_frame")):
             if (getattr(self, one) is None) != (getattr(self, other) is None):
                 raise InputError(f"{one}, {other}: one without the other; expected both, or neither")
+        _check_names("joint_names", self.joint_names)
         _check_landmarks(self.joint_names)
+        if self.keypoint_names is not None:
+            _check_names("keypoint_names", self.keypoint_names)
+        _check_metres(self.joints_camera)
+        if self.focal is not None:
+            _check_before_cameras(self.joints_camera, self.keypoints)
 
     def __len__(self) -> int:
         """N, the number of views."""
@@ -145,10 +170,19 @@ class Views:
                 there &= ((self.keypoints >= 0) & (self.keypoints < self.picture_size[:, None, ::-1])).all(axis=-1)
         return there
 
+    def usable(self) -> np.ndarray:
+        """Rows that can be fitted and compared: a keypoint is seen and three joints are known, shape (N,), bool."""
+        seen = self.inside() if self.confidence is None else self.inside() & (self.confidence > 0)
+        return seen.any(axis=1) & (np.isfinite(self.joints_camera).all(axis=-1).sum(axis=1) >= _FEWEST)
+
     def people(self) -> np.ndarray:
         """Name of each row's person, with the set's, such as "shelf/0", shape (N,)."""
         person = self.person.astype(str)
         return person if self.set is None else np.char.add(np.char.add(self.set.astype(str), "/"), person)
+
+    def frames(self) -> np.ndarray:
+        """Name of each row's moment, shape (N,); "0" where none is told."""
+        return np.full(len(self), "0") if self.frame is None else self.frame.astype(str)
 
 
 def read_views(path: str | Path) -> Views:
@@ -165,10 +199,8 @@ def read_views(path: str | Path) -> Views:
         file = next((path / name for name in FILE_NAMES if (path / name).is_file()), path / FILE_NAMES[0])
     optional = tuple(name for name in _ARRAYS if name not in _REQUIRED)
     arrays = read_npz(file, _REQUIRED, optional, expected=_EXPECTED, most=_MAX_BYTES)
-    try:
+    with told_of(file):
         views = Views(**arrays, folder=file.parent)
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from error
     if views.set is None:
         name = path.resolve().name if path.is_dir() else path.stem
         views = replace(views, set=np.full(len(views), name))
@@ -179,10 +211,15 @@ def concatenate_views(several: Sequence[Views]) -> Views:
     """Join views of the same joints, with the same arrays, into one.
 
     Raises:
-        InputError: If some are of other joints than the first.
+        InputError: If there are none, or some are of other joints or have other arrays than the first.
     """
+    if not several:
+        raise InputError("views: none; expected at least one")
     first, whole = several[0], ("joint_names", "keypoint_names")
     for views in several:
+        if views.arrays().keys() != first.arrays().keys():
+            only = sorted(views.arrays().keys() ^ first.arrays().keys())
+            raise InputError(f"{first.folder}: {', '.join(only)}: in some files alone; expected it in all, or none")
         if not np.array_equal(views.joint_names, first.joint_names):
             counts = f"{len(first.joint_names)} and {len(views.joint_names)}"
             raise InputError(f"{first.folder}: files with {counts} joints; expected one kind of file a folder")
@@ -235,6 +272,7 @@ class ViewSelection:
         Raises:
             InputError: If a person is unknown, the file marks no baseline, or no row is left.
         """
+        check_whole("step", self.step, 1)
         if self.rows not in ROWS:
             raise InputError(f"rows: {shown(self.rows)}; expected {', '.join(ROWS)}")
         known = np.isfinite(views.keypoints).all(axis=-1)
@@ -243,13 +281,13 @@ class ViewSelection:
             if views.baseline is None:
                 raise InputError("rows: baseline, but there is no array baseline; expected it, or rows inside or every")
             kept = views.baseline.copy()
-        kept &= views.inside().any(axis=1)
+        kept &= views.usable()
         if self.people:
             kept &= _named(views, self.people)
         if self.leave_out:
             kept &= ~_named(views, self.leave_out)
         if self.frames:
-            kept &= np.isin(np.zeros(len(views)) if views.frame is None else views.frame.astype(str), self.frames)
+            kept &= np.isin(views.frames(), self.frames)
         found = np.flatnonzero(kept)[:: self.step]
         if not len(found):
             raise InputError(f"rows: none of {len(views)} left; expected at least one (rows inside, baseline or every)")
@@ -269,27 +307,33 @@ def view_samples(
     Args:
         views: Of ``read_views``, or of a data set's reader.
         rows: Their numbers.
-        convention: Instead of that of the rows; "": joints mark the body's own.
+        convention: Instead of that of the rows, such as "coco" or "h36m"; "": joints mark the body's own.
         keypoints: Format, such as "coco17". Views that know all of its keypoints give these alone, at its own marks;
             others, or all for None, give what they know.
         clusters: Samples of one of these are not independent: "people", or people's "moments".
 
     Raises:
-        InputError: If there are no such clusters or format, or names of keypoints tell nothing.
+        InputError: If there are no such clusters, convention or format, or names of keypoints tell nothing.
     """
     if clusters not in CLUSTERS:
         raise InputError(f"intervals: {shown(clusters)}; expected {' or '.join(CLUSTERS)}")
-    inside, statures, people = views.inside(), _statures(views), views.people()
-    frames = np.full(len(views), "0") if views.frame is None else views.frame.astype(str)
+    inside, statures, people, frames = views.inside(), _statures(views), views.people(), views.frames()
     cameras = np.arange(len(views)).astype(str) if views.camera is None else views.camera.astype(str)
+    if convention is not None:
+        convention = _known_convention(convention)
+    times: Counter[str] = Counter()
     samples = []
     for row in rows.tolist():
         told = _convention(views, row) if convention is None else convention
         person, moment = str(people[row]), f"{people[row]}/{frames[row]}"
+        name = f"{moment}/{cameras[row]}"
+        times[name] += 1
+        if times[name] > 1:  # methods are compared on samples of the same name
+            name = f"{name} ({times[name]})"
         samples.append(
             Sample(
                 source="people" if views.set is None else str(views.set[row]),
-                name=f"{moment}/{cameras[row]}",
+                name=name,
                 keypoints=_keypoints(views, row, inside[row], told, keypoints),
                 joints=_take(views.joints_camera[row], _landmarks(views.joint_names), MPJPE_JOINTS),
                 joint_marks=annotated(MPJPE_JOINTS, convention=told),
@@ -303,7 +347,7 @@ def view_samples(
 
 
 def _check_array(name: str, values: object, sizes: dict[str, int]) -> None:
-    kinds, shape = _ARRAYS[name]
+    kinds, shape, least, most = _ARRAYS[name]
     expected = tuple(sizes[each] if isinstance(each, str) else each for each in shape)
     if not isinstance(values, np.ndarray) or values.dtype.kind not in kinds:
         told = {_TEXT: "text", _FLAGS: "true or false", _NAMES: "text or whole numbers", _WHOLE: "whole numbers"}
@@ -317,6 +361,43 @@ def _check_array(name: str, values: object, sizes: dict[str, int]) -> None:
         if wrong.any():
             also = ", or NaN" if name in _MAY_BE_NAN else ""
             raise InputError(f"{name}: {values[wrong][0]} in it; expected finite numbers{also}")
+    if kinds in (_NUMBERS, _WHOLE):
+        wrong = (values < least) | (values > most)
+        if wrong.any():
+            bounds = f"{least:g} or more" if math.isinf(most) else f"{least:g} to {most:g}"
+            raise InputError(f"{name}: {values[wrong][0]} in it; expected {bounds}")
+
+
+def _check_names(name: str, names: np.ndarray) -> None:
+    """Raise InputError unless there are names, each of them once."""
+    if not len(names):
+        raise InputError(f"{name}: none; expected at least one")
+    most, times = Counter(names.tolist()).most_common(1)[0]
+    if times > 1:
+        raise InputError(f"{name}: {shown(most)} {times} times; expected each name once")
+
+
+def _check_metres(joints: np.ndarray) -> None:
+    """Raise InputError if most people of joints (N, J, 3) are as large as none is in metres."""
+    known = np.isfinite(joints).all(axis=-1)
+    rows = known.sum(axis=1) >= _FEW
+    if not rows.any():
+        return
+    some = joints[rows].astype(np.float64)
+    low, high = (np.where(known[rows][..., None], some, end) for end in (np.inf, -np.inf))
+    extent = float(np.median(np.linalg.norm(high.max(axis=1) - low.min(axis=1), axis=-1)))
+    if not _SMALLEST <= extent <= _LARGEST:
+        raise InputError(f"joints_camera: people of {extent:.3g} m; expected joints in metres")
+
+
+def _check_before_cameras(joints: np.ndarray, keypoints: np.ndarray) -> None:
+    """Raise InputError if a row of joints (N, J, 3) that is seen lies behind its camera with all that is known."""
+    depths = joints[..., 2]
+    known = np.isfinite(depths)
+    behind = known.any(axis=1) & ~(known & (depths > 0)).any(axis=1) & np.isfinite(keypoints).all(axis=-1).any(axis=1)
+    if behind.any():
+        row = int(behind.argmax())
+        raise InputError(f"joints_camera: row {row} is behind its camera; expected z away from the viewer")
 
 
 def _check_landmarks(names: np.ndarray) -> None:
@@ -324,8 +405,8 @@ def _check_landmarks(names: np.ndarray) -> None:
     for name in listed:
         if name not in LANDMARKS:
             raise InputError(f"joint_names: {shown(name)}; expected landmarks of body/landmarks.py, such as left_hip")
-        if listed.count(name) > 1 or mirror_name(name) not in listed:
-            raise InputError(f"joint_names: {name} twice, or without {mirror_name(name)}; expected both sides, once")
+        if mirror_name(name) not in listed:
+            raise InputError(f"joint_names: {name}, without {mirror_name(name)}; expected both sides")
 
 
 def _named(views: Views, names: Sequence[str]) -> np.ndarray:
@@ -345,18 +426,27 @@ def _named(views: Views, names: Sequence[str]) -> np.ndarray:
 
 def _convention(views: Views, row: int) -> str:
     if views.convention is not None:
-        return str(views.convention[row])
+        return _known_convention(str(views.convention[row]))
     if views.set is None:
         return ""
     name = str(views.set[row]).lower().partition("_")[0]
     return _CONVENTION_OF_SET.get(name, name)
 
 
+def _known_convention(name: str) -> str:
+    """Convention of this name, or of the data set of this name; "" is the body's own."""
+    found = _CONVENTION_OF_SET.get(name, name)
+    if found not in ("", *_KNOWN_CONVENTIONS):
+        known = ", ".join((*_KNOWN_CONVENTIONS, *_CONVENTION_OF_SET))
+        raise InputError(f"convention: {shown(name)}; expected {known}, or the body's own")
+    return found
+
+
 def _keypoints(views: Views, row: int, there: np.ndarray, convention: str, wanted: str | None) -> Keypoints2D:
     """Keypoints of a view that are ``there``, in a format that is wanted, or else in the file's own."""
     confidence = there.astype(np.float32)
     if views.confidence is not None:
-        confidence *= np.clip(views.confidence[row], 0.0, 1.0).astype(np.float32)
+        confidence *= views.confidence[row].astype(np.float32)
     if views.keypoint_names is None:
         form = _skeleton(_landmarks(views.joint_names), convention)
     else:
