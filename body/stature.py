@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import numpy as np
 import torch
 
 from ..errors import InputError
@@ -25,17 +26,15 @@ def _shares(device: torch.device, dtype: torch.dtype) -> torch.Tensor:
         return torch.tensor([SHARES.get(name, 0.0) for name in LENGTH_NAMES], device=device, dtype=dtype)
 
 
-def check_stature(stature: float | None) -> None:
-    """Check that a known stature, if there is one, is somebody's.
+def check_stature(stature: float | None) -> float | None:
+    """Check that a known stature, if there is one, is somebody's; returns it as a plain number.
 
     Raises:
         InputError: If it is no number of metres that a person can have.
     """
     if stature is None:
-        return
-    if (
-        isinstance(stature, bool)
-        or not isinstance(stature, int | float)
-        or not LEAST_STATURE <= stature <= MOST_STATURE
-    ):
+        return None
+    number = isinstance(stature, int | float | np.number) and not isinstance(stature, bool)
+    if not (number and LEAST_STATURE <= stature <= MOST_STATURE):
         raise InputError(f"stature: {stature!r}; expected metres, {LEAST_STATURE} to {MOST_STATURE}")
+    return float(stature)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from .errors import check_type
+from .errors import check_type, check_whole
 from .interop.checks import FLOATS, check_tensor
 from .interop.derivatives import is_transformed
 from .interop.movable import Movable
@@ -221,8 +221,14 @@ class UsualLens(Perspective):
 
     @classmethod
     def of_size(cls, image_size: tuple[int, int]) -> UsualLens:
-        """Camera of a picture of (H, W) pixels, B = 1: its focal length is ``USUAL_FOCAL`` of the longer side."""
-        camera = cls.of_picture(image_size, focal=USUAL_FOCAL * max(image_size))
+        """Camera of a picture of (H, W) pixels, B = 1: its focal length is ``USUAL_FOCAL`` of the longer side.
+
+        Raises:
+            TypeError: If ``image_size`` is no sequence.
+            ValueError: If these are not two whole numbers from 1 to a million.
+        """
+        height, width = (check_whole("image_size", side, 1, int(_MOST_PIXELS)) for side in image_size)
+        camera = cls.of_picture((height, width), focal=USUAL_FOCAL * max(height, width))
         assert isinstance(camera, cls)
         return camera
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
-from warp_partdr.body.stature import bone_statures
+from warp_partdr.body.stature import bone_statures, check_stature
 from warp_partdr.body.template import MEAN_STATURE, template
 from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.measuring import measure_ellipbody, statures
 from warp_partdr.clothing.registration import ungrown
+from warp_partdr.errors import InputError
 from warp_partdr.synthetic import people
 
 
@@ -27,3 +29,15 @@ def test_bones_say_how_tall_somebody_stands():
 def test_the_mean_body_is_as_tall_as_the_mean_adult():
     lengths = torch.from_numpy(template().mean_lengths)[None].float()
     torch.testing.assert_close(bone_statures(lengths), torch.tensor([MEAN_STATURE]), rtol=5e-3, atol=0)
+
+
+def test_known_statures_are_plain_numbers_of_metres():
+    """NumPy's numbers would make tensors of double precision of those that they are multiplied by."""
+    for stature in (1.75, np.float64(1.75), np.float32(1.75), 2, np.int64(2)):
+        found = check_stature(stature)
+        assert type(found) is float
+        assert found == stature
+    assert check_stature(None) is None
+    for stature in (0, -1, 0.3, 9, 178, True, np.nan, np.bool_(True), "1.75", 1.7j):
+        with pytest.raises(InputError, match=r"stature: .*; expected metres, 0.4 to 2.8"):
+            check_stature(stature)

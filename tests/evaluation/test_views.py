@@ -88,7 +88,11 @@ def test_the_sets_name_is_the_folders_where_none_is_told(tmp_path):
         ("person", np.array([0.5, 1, 2]), "person: float64; expected text or whole numbers"),
         ("joint_names", np.array(["left_paw", *LSP[1:]]), "joint_names: 'left_paw'; expected landmarks"),
         ("joint_names", np.array([LSP[1], *LSP[1:]]), "joint_names: 'right_knee' 2 times; expected each name once"),
-        ("joint_names", np.array(["nose", *LSP[1:]]), "joint_names: left_ankle, without right_ankle; expected both sides"),
+        (
+            "joint_names",
+            np.array(["nose", *LSP[1:]]),
+            "joint_names: left_ankle, without right_ankle; expected both sides",
+        ),
         ("confidence", np.full((3, 14), np.nan), "confidence: nan in it; expected finite numbers"),
         ("confidence", np.full((3, 14), 1.5), "confidence: 1.5 in it; expected 0 to 1"),
         ("joints_camera", 1000 * np.ones((3, 14, 3)), "joints_camera: people of 0 m; expected joints in metres"),

@@ -71,7 +71,31 @@ def test_keypoints_alone_need_the_pictures_size():
     assert observe(sized.keypoints, None)[0].lens_assumed
 
 
-@pytest.mark.parametrize("size", [(0, 10), (3,), (5, -1)])
+_NO_SIZES = [(0, 10), (3,), (5, -1), (float("nan"), 10), (10.5, 10), ("a", "b"), (True, 9), (None, 5), 7, (10**7, 5)]
+
+
+@pytest.mark.parametrize("size", _NO_SIZES)
 def test_sizes_that_no_picture_has(size):
-    with pytest.raises(InputError, match="image_size"):
+    with pytest.raises(InputError, match=r"image_size: .*; expected .H, W. in whole pixels"):
         Keypoints2D("coco17", np.zeros((17, 2), np.float32), np.ones(17, np.float32), image_size=size)
+    if size != 7:
+        with pytest.raises(ValueError, match=r"image_size|unpack"):
+            UsualLens.of_size(size)
+
+
+def test_sizes_are_plain_numbers_whatever_they_were():
+    points, confidence = np.zeros((17, 2), np.float32), np.ones(17, np.float32)
+    keypoints = Keypoints2D("coco17", points, confidence, image_size=np.array([480, 640]))
+    assert keypoints.image_size == (480, 640)
+    assert type(keypoints.image_size[0]) is int
+
+
+def test_keypoints_of_another_picture_are_refused():
+    """A usual lens would look past a person who is far out of its picture."""
+    keypoints = make_sample(2, "realistic").keypoints
+    options = replace(FitOptions(), stages=(), search=())
+    for wrong in (replace(keypoints, points=keypoints.points + 5e4), replace(keypoints, image_size=(9, 9))):
+        with pytest.raises(
+            InputError, match=r"keypoints: .* expected it in the picture's \d+x\d+ pixels, or near them"
+        ):
+            fit_body(wrong, options=options)

@@ -21,6 +21,7 @@ from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.observation import Observation, crop_evidence, usual_lens
 from ..inputs.part_labels import PartLabels
+from ..inputs.person import check_inside
 from ..interop.gradient_mode import with_gradients
 from ..interop.torch_threads import one_torch_thread
 from ..network.checkpoint import known_network
@@ -74,13 +75,16 @@ def fit_body(
         The body, its camera, and how it went.
 
     Raises:
-        InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
+        InputError: If no keypoint is visible, all lie in one point, none lies in a picture of ``image_size``, or labels
+            and keypoints do not meet.
         TypeError: If an argument is of another type.
         ValueError: If there is not one camera with square pixels.
     """
     check_type("options", options, FitOptions | None, "such as FitOptions.at('fast')")
     options = options or FitOptions.at(quality)
     readings = weigh_evidence(keypoints, parts, others)
+    if parts is None and keypoints.image_size is not None:
+        check_inside(keypoints, keypoints.image_size)
     return fit_evidence(readings, options, device=device, progress=progress, camera=camera)
 
 

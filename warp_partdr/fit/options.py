@@ -62,7 +62,7 @@ class FitOptions:
     def __post_init__(self) -> None:
         if self.start not in STAGES:
             raise ValueError(f"start: {self.start!r}; expected {', '.join(STAGES)}")
-        check_stature(self.stature)
+        object.__setattr__(self, "stature", check_stature(self.stature))
         check_landmark_network(self.landmarks)
 
     @classmethod

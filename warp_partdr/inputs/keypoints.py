@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import SupportsIndex
 
 import numpy as np
 
 from ..body.skeletons import Skeleton, skeleton
-from ..errors import InputError, check_each, check_type, check_whole
+from ..errors import InputError, check_each, check_type, check_whole, shown
 
 LARGEST_PLACE = 1e6  # [px] of a keypoint that is there
 MIN_CONFIDENCE = 0.3  # Below it, a keypoint's position is unreliable.
@@ -33,7 +34,7 @@ class Keypoints2D:
             None: it is not known, or part labels tell it.
 
     Raises:
-        InputError: If a shape is wrong, or a confidence is none.
+        InputError: If a shape is wrong, a confidence is none, or no picture has this size.
     """
 
     skeleton: str | Skeleton
@@ -50,8 +51,8 @@ class Keypoints2D:
                 raise InputError(f"{name}: {np.shape(values)}; expected floats {shape}, as {self.format.name}")
         if not ((self.confidence >= 0) & (self.confidence <= 1)).all():
             raise InputError("confidence: holds numbers that are not from 0 to 1")
-        if self.image_size is not None and (len(self.image_size) != 2 or min(self.image_size) < 1):
-            raise InputError(f"image_size: {self.image_size}; expected (H, W) in pixels")
+        if self.image_size is not None:
+            object.__setattr__(self, "image_size", _check_size(self.image_size))
 
     @property
     def format(self) -> Skeleton:
@@ -71,6 +72,17 @@ class Keypoints2D:
     def confident(self) -> np.ndarray:
         """Mask of the keypoints of confidence 0.3 and more, or of all visible ones if none has that, shape (J,)."""
         return confident(self.confidence[None])[0]
+
+
+def _check_size(size: Sequence[SupportsIndex]) -> tuple[int, int]:
+    """(H, W) of a picture as two ints; InputError if these are none."""
+    try:
+        height, width = (check_whole("image_size", side, 1, LARGEST_PLACE) for side in size)
+    except (TypeError, ValueError):  # also if they are not two
+        raise InputError(
+            f"image_size: {shown(size)}; expected (H, W) in whole pixels, up to {LARGEST_PLACE:g}"
+        ) from None
+    return height, width
 
 
 def measure_heights(people: Sequence[Keypoints2D]) -> None:

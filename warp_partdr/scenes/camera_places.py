@@ -58,7 +58,7 @@ def place_cameras(
     Raises:
         InputError: If views have no moment in common, or the stature is of several people.
     """
-    check_stature(stature)
+    stature = check_stature(stature)
     if stature is not None and scene.num_people > 1:
         raise InputError(f"stature: {stature:g} m, of {scene.num_people} people; expected one")
     if len(scene.views) == 1:

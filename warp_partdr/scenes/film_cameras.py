@@ -58,7 +58,7 @@ def place_film_cameras(
         TypeError: If an argument is of another type.
     """
     check_films(films)
-    check_stature(stature)
+    stature = check_stature(stature)
     tell = progress or (lambda name, done, total: None)
     tell("cameras", 0, len(films))
     looks = _look(films, device)

@@ -59,7 +59,7 @@ class SceneOptions:
         for name in ("apart", "ground", "sliding"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: {getattr(self, name)}; expected 0 or a positive number")
-        check_stature(self.stature)
+        object.__setattr__(self, "stature", check_stature(self.stature))
         check_whole("together", self.together, 1, math.isqrt(MAX_PICTURE) - 1)
         check_whole("window", self.window, 1)
         check_whole("overlap", self.overlap, 0, self.window - 1)
