@@ -571,6 +571,11 @@ def test_of_everybody_in_a_photo_the_person_counts_who_is_where_the_truth_is(mon
     people[1] = people[0] = SimpleNamespace(keypoints=Keypoints2D(form, here + height, confidence))
     with pytest.raises(InputError, match="nobody found there"):
         methods["photo alone"].fit_sample(sample, "cpu")
+    crown = skeleton("lsp14")  # of whose landmarks a detector in COCO's format knows neither neck nor crown
+    shown = np.isin(crown.landmarks, ("neck", "head_top")).astype(np.float32)
+    alone = Keypoints2D(crown, sample.keypoints.points, shown)
+    with pytest.raises(InputError, match="nobody found there, inf heights off"):
+        methods["photo alone"].fit_sample(replace(sample, keypoints=alone), "cpu")
 
 
 def test_a_focal_length_for_all_is_one_of_longer_sides(tmp_path, run):

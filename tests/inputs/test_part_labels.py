@@ -287,6 +287,8 @@ def test_the_focal_length_of_a_photo(tmp_path, size):
     ("size", "focal", "says"),
     [
         ((400, 300), 0, "no focal length in its EXIF data; expected the one on 35 mm film"),
+        ((400, 300), 65535, "65535 mm on 35 mm film in its EXIF data; expected 4 to 3000"),
+        ((400, 300), 1, "1 mm on 35 mm film in its EXIF data; expected 4 to 3000"),
         ((400, 300), "wide", "no focal length in its EXIF data"),
         ((300, 300), 28, "300x300, but 400x300 in its EXIF data; expected a photo that was not cut"),
     ],

@@ -106,3 +106,10 @@ def test_extreme_people_are_people() -> None:
     shape = population().shapes(torch.from_numpy(corners))
     assert shape.isfinite().all()
     assert population().statures(shape).min() > 0.8
+
+
+def test_quantiles_of_other_shapes_and_dtypes_are_refused() -> None:
+    assert population().shapes(torch.rand(0, len(QUANTILES))).shape == (0, 20)
+    for wrong in (torch.rand(2, 3), torch.rand(2, len(QUANTILES), dtype=torch.float64)):
+        with pytest.raises(ValueError, match="quantiles: "):
+            population().shapes(wrong)

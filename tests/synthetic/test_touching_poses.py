@@ -98,3 +98,24 @@ def test_mirroring_twice_changes_nothing(device: str) -> None:
     centres, others = (mean_body(rotation_from_axis_angle(each[0])).centres for each in (poses, mirrored(poses)))
     flipped = centres[:, mirror_order(PART_NAMES)] * centres.new_tensor([-1.0, 1.0, 1.0])
     torch.testing.assert_close(others, flipped, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_few_bodies_touch_themselves_as_well(count):
+    rotations, ups = untouched(4, "cpu")
+    (found, _), which = touching(
+        (rotations[:count], ups[:count]), joint_limits(torch.device("cpu")), TorchRng(0, "cpu")
+    )
+    assert (len(found), len(which)) == (count, count)
+
+
+def test_poses_of_other_shapes_and_dtypes_are_refused():
+    rotations, ups = untouched(4, "cpu")
+    limits, rng = joint_limits(torch.device("cpu")), TorchRng(0, "cpu")
+    for wrong, name in (
+        ((rotations.double(), ups), "rotations"),
+        ((rotations[:, :3], ups), "rotations"),
+        ((rotations, ups[:2]), "ups"),
+    ):
+        with pytest.raises(ValueError, match=f"{name}: "):
+            touching(wrong, limits, rng)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from ..errors import InputError
 from ..fit.mesh_stage import MeshFit
 from ..fit.options import FitOptions
-from ..inputs.keypoints import person_height
+from ..inputs.keypoints import Keypoints2D, person_height
 from ..inputs.sample import Sample
 from ..scenes.photo import fit_photo
 from .evaluate import Fitting, Method, no_labels
@@ -43,15 +44,7 @@ class PhotoMethod:
         options = replace(self.options, stature=sample.stature) if self.stature else self.options
         camera = sample.camera if self.camera else None
         found = fit_photo(sample.read_picture(), options=options, device=device, camera=camera)
-        names = sample.keypoints.format.landmarks
-        apart = {}
-        for place, person in enumerate(found.people):
-            theirs = person.keypoints.format.landmarks
-            both = [(names.index(name), theirs.index(name)) for name in names if name in theirs]
-            own, other = (list(places) for places in zip(*both, strict=True))
-            seen = sample.keypoints.visible[own]
-            off = np.linalg.norm(sample.keypoints.points[own] - person.keypoints.points[other], axis=1)
-            apart[place] = float(off[seen].mean())
+        apart = {place: _mean_distance(sample.keypoints, person.keypoints) for place, person in enumerate(found.people)}
         nearest = min(apart, key=apart.__getitem__)
         share = apart[nearest] / max(person_height(sample.keypoints), 1.0)
         if not share < _NOBODY:
@@ -61,6 +54,17 @@ class PhotoMethod:
     def score(self, sample: Sample, name: str, result: MeshFit, seconds: float) -> Score:
         """Compare the result with what is known of the sample."""
         return score_fit(sample, name, result, seconds)
+
+
+def _mean_distance(keypoints: Keypoints2D, other: Keypoints2D) -> float:
+    """Mean distance of the visible keypoints to another person's of the same names [px]; infinite if none has one."""
+    theirs = other.format.landmarks
+    names = list(zip(keypoints.format.landmarks, keypoints.visible.tolist(), strict=True))
+    own = [row for row, (name, visible) in enumerate(names) if visible and name in theirs]
+    if not own:
+        return math.inf
+    rows = [theirs.index(names[row][0]) for row in own]
+    return float(np.linalg.norm(keypoints.points[own] - other.points[rows], axis=1).mean())
 
 
 def real_methods(

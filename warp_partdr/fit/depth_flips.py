@@ -102,6 +102,8 @@ def repair_depth_orders(
         everyone: What was seen, where it is stacked already, and the first of ``seen`` alone is looked at.
         said: How sure the network was of its bodies, which leaves out flips that it does not believe.
     """
+    if not seen:
+        return bodies, []
     count, lens = bodies.batch_size, seen[0].lens
     lenses = None
     if lens is not None:

@@ -46,6 +46,7 @@ _DNG_VERSION = 50706  # tag of TIFF that a raw photo has
 _DEVELOPED = "it developed, such as to JPEG"
 
 _FILM_DIAGONAL = math.hypot(36.0, 24.0)  # [mm]
+_SHORTEST, _LONGEST = 4, 3000  # [mm], focal lengths of photos on 35 mm film; others are none that lenses have
 _CUT = 0.01  # change of the sides' ratio that says a photo was cut
 
 _JPEG_END = b"\xff\xd9"  # not among the bytes of pixels
@@ -180,8 +181,11 @@ def read_focal(path: PhotoFile) -> float:
         tags = ExifTags.Base.FocalLengthIn35mmFilm, ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight
         focal, *was = (_number(said.get(tag)) for tag in tags)
         size = image.size
-    if not 0 < focal < math.inf:
+    if not focal > 0:
         raise InputError(f"{path}: no focal length in its EXIF data; expected the one on 35 mm film")
+    if not _SHORTEST <= focal <= _LONGEST:
+        told = f"{focal:g} mm on 35 mm film in its EXIF data"
+        raise InputError(f"{path}: {told}; expected {_SHORTEST} to {_LONGEST}")
     if all(was) and abs(min(size) / max(size) - min(was) / max(was)) > _CUT:
         now, then = (f"{width:g}x{height:g}" for width, height in (size, was))
         raise InputError(f"{path}: {now}, but {then} in its EXIF data; expected a photo that was not cut")

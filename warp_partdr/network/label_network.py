@@ -157,7 +157,7 @@ def network_conditions(
     if statures is not None:
         known = statures > 0
         logarithms = _STATURE_SCALE * (statures / _STATURE).log()
-        tall = torch.stack([known.to(rays), torch.where(known, logarithms, 0.0)], dim=1)
+        tall = torch.stack([known.to(rays), torch.where(known, logarithms, 0.0).to(rays)], dim=1)
     return torch.cat([certainty[:, None].to(rays), rays, tall], dim=1)
 
 

@@ -16,6 +16,7 @@ from importlib import resources
 import torch
 
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
+from ..interop.checks import check_tensor
 
 # Tape measures, in the order in which each has a normal quantile of its own, given those before it.
 MEASURES = (
@@ -108,8 +109,18 @@ class Population:
         """Shape values for ``anny().pose`` of people, shape (B, 20).
 
         Args:
-            quantiles: One of each of ``QUANTILES``, 0 to 1, shape (B, 15). The lower half of the sexes are men.
+            quantiles: One of each of ``QUANTILES``, 0 to 1, shape (B, 15), float32. Men have the lower half of sexes.
+
+        Raises:
+            ValueError: If the shape, dtype or device differs.
         """
+        check_tensor(
+            "quantiles",
+            quantiles,
+            (None, len(QUANTILES)),
+            dtypes=(torch.float32,),
+            like=("population", self.measure_model),
+        )
         woman = quantiles[:, 0] >= 0.5
         sex = woman.long()
         years = self.years(quantiles)

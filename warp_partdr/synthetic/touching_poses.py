@@ -15,6 +15,7 @@ import torch
 from ..body.posing import Posed
 from ..body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
 from ..body.template import JOINT_NAMES, PART_NAMES
+from ..interop.checks import check_tensor
 from .poses import JointLimits, Poses, mean_body, mirrored
 from .rng import TorchRng
 
@@ -111,8 +112,13 @@ def touching(poses: Poses, limits: JointLimits, rng: TorchRng) -> tuple[Poses, t
         poses: Rotation vectors (N, 20, 3) and up directions (N, 3) of bodies, whose other parts stay as they are.
         limits: The joints' limits, which the arms keep.
         rng: Source of chance.
+
+    Raises:
+        ValueError: If a shape, dtype or device differs.
     """
     rotations, ups = poses
+    check_tensor("rotations", rotations, (None, len(PART_NAMES), 3), dtypes=(torch.float32,))
+    check_tensor("ups", ups, (len(rotations), 3), dtypes=(torch.float32,), like=("rotations", rotations))
     gestures = tuple(GESTURES.values())
     which = rng.choice([gesture.weight for gesture in gestures], len(ups))
     rotations, reached = _reach_places(rotations, [gesture.first for gesture in gestures], which, limits, rng)

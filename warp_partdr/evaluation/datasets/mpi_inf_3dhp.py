@@ -100,8 +100,8 @@ def _test(file: Path) -> Views:
     """Views of a sequence, of the frames that count."""
     held = read_hdf5(file, ("annot2", "annot3", "valid_frame"), expected=_EXPECTED)
     valid = held["valid_frame"].ravel() > 0
-    for name, size in (("annot3", 3), ("annot2", 2)):
-        expected = (len(valid), 1, len(_TEST_JOINTS), size)
+    for name, numbers in (("annot3", 3), ("annot2", 2)):
+        expected = (len(valid), 1, len(_TEST_JOINTS), numbers)
         if held[name].shape != expected:
             raise InputError(f"{name}: shape {held[name].shape}; expected {expected}")
     if not valid.any():
