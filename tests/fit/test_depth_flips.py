@@ -130,6 +130,11 @@ def test_flips_farther_than_the_network_believes_are_not_tried(device):
         assert [each.flipped for each in orders] == [order.flipped] * 2
 
 
+def test_nobody_has_no_flips():
+    bodies = BodyParameters.mean(0)
+    assert repair_depth_orders(bodies, [], PosePrior()) == (bodies, [])
+
+
 def test_an_arm_of_whose_joints_labels_show_nothing_is_taken_behind_the_trunk(device):
     """Seen from behind, an arm before the chest is hidden; the start has it before the camera, and is sure of it."""
     front, prior = arm_before_trunk(device, seed=3), PosePrior().to(device)

@@ -220,6 +220,8 @@ def test_a_camera_is_seen_by_its_rays_and_only_where_it_is_known(network):
     conditions = network_conditions(lenses, torch.tensor([KNOWN_LENS, 0.0, USUAL_LENS]), statures)
     expected = torch.tensor([[1.0, 0.5, 0.25, -0.5, 1.0, 0.0], [0.0] * 6, [0.5, 0.125, 0.0, 0.0, 1.0, 0.5]])
     assert torch.allclose(conditions, expected, atol=1e-6)
+    precise = network_conditions(lenses, torch.tensor([KNOWN_LENS, 0.0, USUAL_LENS]), statures.double())
+    assert precise.dtype == torch.float32
     keypoints, parts = seen_by(walker())
     seen = replace(observe(keypoints, parts)[0], lens=None, lens_assumed=False)
     known = replace(seen, lens=lenses[0], stature=1.7)

@@ -44,7 +44,9 @@ class PhotoMethod:
         options = replace(self.options, stature=sample.stature) if self.stature else self.options
         camera = sample.camera if self.camera else None
         found = fit_photo(sample.read_picture(), options=options, device=device, camera=camera)
-        apart = {place: _mean_distance(sample.keypoints, person.keypoints) for place, person in enumerate(found.people)}
+        apart = {
+            place: _keypoint_distance(sample.keypoints, person.keypoints) for place, person in enumerate(found.people)
+        }
         nearest = min(apart, key=apart.__getitem__)
         share = apart[nearest] / max(person_height(sample.keypoints), 1.0)
         if not share < _NOBODY:
@@ -56,7 +58,7 @@ class PhotoMethod:
         return score_fit(sample, name, result, seconds)
 
 
-def _mean_distance(keypoints: Keypoints2D, other: Keypoints2D) -> float:
+def _keypoint_distance(keypoints: Keypoints2D, other: Keypoints2D) -> float:
     """Mean distance of the visible keypoints to another person's of the same names [px]; infinite if none has one."""
     theirs = other.format.landmarks
     names = list(zip(keypoints.format.landmarks, keypoints.visible.tolist(), strict=True))
