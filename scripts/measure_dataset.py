@@ -157,7 +157,7 @@ def add_file(tar: tarfile.TarFile, name: str, data: bytes) -> None:
 def sample(index: int) -> dict[str, bytes]:
     """Files of a person by their endings; the picture shows the labels."""
     person = make_person(index)
-    points = [[float(x), float(y), 1.0] for x, y in person.keypoints]
+    points = [[float(x), float(y), 1.0] for x, y in person.keypoints()]
     files = {"keypoints.json": json.dumps({"format": "coco17", "keypoints": points}).encode()}
     for ending, image in (("png", Image.fromarray(person.parts * 12)), ("parts.png", Image.fromarray(person.parts))):
         buffer = BytesIO()

@@ -85,7 +85,7 @@ class View:
 def partbench_views(first: int, last: int) -> Iterator[View]:
     for index in range(first, last + 1):
         person = make_person(index)
-        points = person.keypoints[[COCO.landmarks.index(name) for name in JOINTS]]
+        points = person.keypoints()[[COCO.landmarks.index(name) for name in JOINTS]]
         joints = person.joints[[LSP.index(name) for name in JOINTS]]
         yield View(shade_person(index), index, joints, points, person.height)
 

@@ -36,8 +36,8 @@ def test_clean_samples_hold_the_truth_alone() -> None:
     person = make_person(0)
     np.testing.assert_array_equal(sample.parts.groups, sample.target)
     there = sample.keypoints.visible
-    np.testing.assert_allclose(sample.keypoints.points[there], person.keypoints[there], rtol=1e-6)
-    np.testing.assert_array_equal(sample.keypoints.confidence[there], np.where(person.hidden, 0.5, 1.0)[there])
+    np.testing.assert_allclose(sample.keypoints.points[there], person.keypoints()[there], rtol=1e-6)
+    np.testing.assert_array_equal(sample.keypoints.confidence[there], np.where(person.hidden(), 0.5, 1.0)[there])
 
 
 def test_each_level_is_farther_from_the_truth() -> None:

@@ -31,7 +31,7 @@ def test_photos_show_the_people_of_other_levels_and_nothing_else_is_given() -> N
         assert (mine & true).sum() > 0.85 * (mine | true).sum()
         person, names = make_person(index), sample.keypoints.format.landmarks
         found = sample.keypoints.points[[names.index(name) for name in COCO.landmarks]]
-        off = np.linalg.norm(found - person.keypoints, axis=1) / person.height
+        off = np.linalg.norm(found - person.keypoints(), axis=1) / person.height
         assert 0 < np.median(off) < 0.04
 
 

@@ -26,12 +26,12 @@ def test_a_person_is_the_same_every_time_and_drawn_by_the_camera_with_sides_kept
     finally:
         torch.set_num_threads(threads)
     np.testing.assert_array_equal(person.parts, again.parts)
-    np.testing.assert_array_equal(person.keypoints, again.keypoints)
+    np.testing.assert_array_equal(person.marks, again.marks)
     labels, _ = draw_anny(torch.from_numpy(person.vertices)[None], person.camera, person.parts.shape)
     assert (labels[0].numpy() == person.parts).mean() > 0.985  # half-size pixels differ at edges
     height, width = person.parts.shape
     tested = 0
-    for name, (u, v), hidden in zip(COCO.landmarks, person.keypoints, person.hidden, strict=True):
+    for name, (u, v), hidden in zip(COCO.landmarks, person.keypoints(), person.hidden(), strict=True):
         side, _, joint = name.partition("_")
         if hidden or joint not in ("elbow", "knee") or not (0 <= u < width and 0 <= v < height):
             continue
@@ -113,8 +113,8 @@ def test_near_and_far_people_are_the_same_before_another_camera(setting: Setting
 def test_who_walks_away_shows_the_back_of_the_head() -> None:
     walking = [index for index in range(20) if pose_kind(index) == "walking away"]
     person = make_person(walking[0])
-    assert person.hidden[COCO.landmarks.index("nose")]
-    left, right = (person.keypoints[COCO.landmarks.index(f"{side}_hip"), 0] for side in ("left", "right"))
+    assert person.hidden()[COCO.landmarks.index("nose")]
+    left, right = (person.keypoints()[COCO.landmarks.index(f"{side}_hip"), 0] for side in ("left", "right"))
     assert left < right  # from behind, the person's left is the picture's
 
 

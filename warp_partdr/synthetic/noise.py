@@ -48,6 +48,7 @@ class Level:
     strength: float  # of jitter, wandering boundaries, lost small parts, confused hands and feet; 0 leaves all as it is
     dropout: float = 0.0  # chance of each keypoint to be missing; twice that for hidden ones
     guessed: float = 0.0  # chance of each hidden keypoint to be as confident as those seen
+    others: float = 0.0  # chance of a person's keypoints to lie where another data set than COCO marks them
     swap: float = 0.0  # chance that a limb's keypoints change sides; the same for a limb's labels
     growth: int = 0  # the most by which labels are dilated or eroded [px]
     holes: float = 0.0  # mean number of holes in the labels
@@ -60,8 +61,12 @@ class Level:
 LEVELS: dict[str, Level] = {
     "clean": Level(0.0),
     "mild": Level(0.5, dropout=0.02, guessed=0.1, growth=1, holes=0.3),
-    "realistic": Level(1.0, dropout=0.05, guessed=0.35, swap=0.03, growth=2, holes=1.0, missing=0.05, stranger=0.1),
-    "hard": Level(2.0, dropout=0.15, guessed=0.5, swap=0.15, growth=4, holes=3.0, missing=0.25, stranger=0.4),
+    "realistic": Level(
+        1.0, dropout=0.05, guessed=0.35, others=0.4, swap=0.03, growth=2, holes=1.0, missing=0.05, stranger=0.1
+    ),
+    "hard": Level(
+        2.0, dropout=0.15, guessed=0.5, others=0.4, swap=0.15, growth=4, holes=3.0, missing=0.25, stranger=0.4
+    ),
 }
 
 

@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 import torch
 
-from ..body.landmarks import annotated
+from ..body.landmarks import plain_landmark
 from ..body.rotations import rotation_from_axis_angle
-from ..body.skeletons import MPJPE_JOINTS, skeleton
+from ..body.skeletons import MPJPE_JOINTS, Skeleton, skeleton
 from ..body.template import MEAN_STATURE
 from ..cameras import Camera, Perspective, WeakPerspective
 from ..clothing.anny import anny
@@ -47,11 +47,20 @@ _OFFSET = 0.03  # of the picture's size: how far the person is off its middle, a
 _CUT = 0.15  # share of people of whom the border cuts off
 _CUT_SHARE = (0.05, 0.2)  # of their height or width
 _PLACINGS = 4  # steps: who stands aside is seen from aside
-_CLOTHES = 18  # of the seed of a person's clothes, whose draws leave all others as they are
+# Of the seeds of a person's clothes and of their keypoints' format, whose draws leave all others as they are.
+_CLOTHES, _FORMAT = 18, 19
 
 COCO = skeleton("coco17")
+# Formats whose joints lie elsewhere (``CONVENTIONS``), each as often as the other.
+OTHER_FORMATS = tuple(map(skeleton, ("h36m17", "shelf14")))
+_MARKS = tuple(dict.fromkeys(mark for form in (COCO, *OTHER_FORMATS) for mark in form.marks))
 Setting = Literal["usual", "near", "far", "tilted", "clothed"]
 _PRIOR_EVERY = (0, 2, 4)  # of five people, these have poses from the prior
+
+
+def _rows(form: Skeleton) -> list[int]:
+    """Rows of a format's keypoints among ``_MARKS``."""
+    return [_MARKS.index(mark) for mark in form.marks]
 
 
 @dataclass(frozen=True)
@@ -61,12 +70,21 @@ class Person:
     name: str  # such as "person 007"
     kind: str  # of pose: "prior" or a key of ``POSES``
     parts: np.ndarray  # part labels, 0 = background, shape (H, W), uint8
-    keypoints: np.ndarray  # COCO-17 in the picture, as COCO's annotators place them [px], shape (17, 2)
-    hidden: np.ndarray  # which of them are behind something, shape (17,), bool
+    marks: np.ndarray  # points of the body that keypoints of ``COCO`` and ``OTHER_FORMATS`` mark [px], shape (M, 2)
+    covered: np.ndarray  # which of them are behind something, shape (M,), bool
+    stature: float  # standing [m]
     height: float  # of the person standing, in the picture [px]
     joints: np.ndarray  # LSP's 14 joints, camera frame [m], shape (14, 3)
     vertices: np.ndarray  # Anny's, camera frame [m], shape (V, 3), float32
     camera: Camera  # that drew the labels, B = 1
+
+    def keypoints(self, form: Skeleton = COCO) -> np.ndarray:
+        """Keypoints where the data set of ``form``, COCO or one of ``OTHER_FORMATS``, marks them [px], shape (J, 2)."""
+        return self.marks[_rows(form)]
+
+    def hidden(self, form: Skeleton = COCO) -> np.ndarray:
+        """True for ``keypoints`` that are behind something, shape (J,), bool."""
+        return self.covered[_rows(form)]
 
 
 def pose_kind(index: int, setting: Setting = "usual") -> str:
@@ -89,6 +107,12 @@ def draw_shape(index: int) -> tuple[torch.Tensor, np.random.Generator]:
     """A person's shape values, shape (1, 20), and the source of chance that goes on from there."""
     quantiles, rng = draw_quantiles(index)
     return population().shapes(torch.from_numpy(quantiles)[None].float()), rng
+
+
+def draw_format(index: int, others: float) -> Skeleton:
+    """Format of a person's keypoints: COCO's, or with a chance of ``others`` one of ``OTHER_FORMATS``."""
+    rng = np.random.default_rng([SEED, index, _FORMAT])
+    return OTHER_FORMATS[rng.integers(len(OTHER_FORMATS))] if rng.random() < others else COCO
 
 
 @lru_cache(maxsize=NUM_PEOPLE)
@@ -132,16 +156,17 @@ def make_person(index: int, setting: Setting = "usual") -> Person:
     def landmarks(names: tuple[str, ...]) -> torch.Tensor:
         return model.landmarks(body, names) + torch.from_numpy(offset)
 
-    points = landmarks(annotated(COCO.landmarks, model.landmark_names))
+    points = landmarks(_MARKS)
     pixels = camera.project(points)[..., :2]
-    cover = stature / MEAN_STATURE * torch.from_numpy(people.cover_of(COCO.landmarks))
+    cover = stature / MEAN_STATURE * torch.from_numpy(people.cover_of(tuple(map(plain_landmark, _MARKS))))
     at = people.pixel_indices(pixels, size)
     return Person(
         name=f"person {index:03d}",
         kind=kind,
         parts=shown.labels[0].numpy(),
-        keypoints=pixels[0].numpy(),
-        hidden=people.behind_something(points[..., 2], at, drawn.depth, cover)[0].numpy(),
+        marks=pixels[0].numpy(),
+        covered=people.behind_something(points[..., 2], at, drawn.depth, cover)[0].numpy(),
+        stature=stature,
         height=stature * float(camera.intrinsics[0, 0]) / (1.0 if weak else float(offset[2])),
         joints=landmarks(MPJPE_JOINTS)[0].numpy(),
         vertices=vertices + offset,

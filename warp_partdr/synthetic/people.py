@@ -100,6 +100,7 @@ def cover_of(landmarks: tuple[str, ...]) -> np.ndarray:
     """
     first = [template().mean_thicknesses[indices[1]] for indices in SHAPE_INDICES]
     thickness = dict(zip(JOINT_NAMES[1:], first, strict=True))
+    thickness["mid_hip"] = thickness["left_hip"]
     return np.array([thickness.get(name, _FACE_COVER) for name in landmarks])
 
 

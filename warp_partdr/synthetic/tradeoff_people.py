@@ -84,7 +84,7 @@ def make_people(num_ellipbodies: int, num_annys: int) -> tuple[People, People]:
     persons = [make_person(index) for index in range(max(num_ellipbodies, num_annys))]
     generator = torch.Generator().manual_seed(_SEED)
     crops = [_crop(person) for person in persons]
-    keypoints = [torch.from_numpy(person.keypoints).float() for person in persons]
+    keypoints = [torch.from_numpy(person.keypoints()).float() for person in persons]
     points = torch.stack([crop.to_crop(each) for each, crop in zip(keypoints, crops, strict=True)])
     points = points / (TRUTH_SIZE / 2) - 1
     joints = torch.stack([torch.from_numpy(person.joints).float() for person in persons])

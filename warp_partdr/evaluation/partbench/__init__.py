@@ -4,4 +4,4 @@
 compared, ``report`` shows the result. docs/evaluation.md has the rules and the figures.
 """
 
-VERSION = 3  # of people, poses, views and noise: figures of two versions can't be compared
+VERSION = "3.1"  # of people, poses, views and noise: figures of two versions can't be compared

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from ...body.labels import label_set
+from ...body.skeletons import Skeleton
 from ...cameras import Perspective
 from ...errors import InputError
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.part_labels import PartLabels
 from ...inputs.sample import Sample
 from ...synthetic.noise import HIDDEN_CONFIDENCE, LEVELS, noisy_keypoints, noisy_labels
-from ...synthetic.partbench_people import COCO, NUM_PEOPLE, SEED, Person, Setting, make_person
+from ...synthetic.partbench_people import NUM_PEOPLE, SEED, Person, Setting, draw_format, make_person
 from . import VERSION
 from .photos import PHOTO, find_in_photo
 
@@ -57,6 +58,9 @@ def check_people(indices: Sequence[int]) -> None:
 def make_sample(index: int, name: str) -> Sample:
     """Person ``index`` at a level: seen with its noise, and the truth without.
 
+    Some people's keypoints lie where another data set than COCO marks them, and say so by their format. Joints are the
+    body's own. A stranger's keypoints are of the person's format, as one detector finds both.
+
     At "clothed", keypoints and noise are those of "realistic", so that only labels tell of clothes. The true labels
     show clothes, as annotators' do; joints and vertices are those of the body beneath. At "turned", all is that of
     "realistic", turned by one to three quarters, as photos are whose EXIF data were lost. At "photo", keypoints and
@@ -67,28 +71,32 @@ def make_sample(index: int, name: str) -> Sample:
     if name == TURNED:
         return _turn(make_sample(index, "realistic"), 1 + index % 3)
     setting: Setting = name if name in SETTINGS else "usual"  # type: ignore[assignment]
-    person, level = make_person(index, setting), LEVELS["realistic" if name in SETTINGS else name]
+    level = LEVELS["realistic" if name in SETTINGS else name]
+    form = draw_format(index, level.others)
+    person = make_person(index, setting)
     noise = "realistic" if name == CLOTHED else name
     rng = np.random.default_rng([SEED, index, zlib.crc32(noise.encode())])
     truth = LABELS.from_parts(person.parts)
-    groups, hidden, others = truth, person.hidden, np.zeros((len(COCO), 3))
+    groups, hidden, others = truth, person.hidden(form), np.zeros((len(form), 3))
     if rng.random() < level.stranger:
-        groups, hidden, others = _add_stranger(person, truth, make_person((index + 1) % NUM_PEOPLE, setting), rng)
+        stranger = make_person((index + 1) % NUM_PEOPLE, setting)
+        groups, hidden, others = _add_stranger(person, truth, stranger, form, rng)
     groups = noisy_labels(groups, LABELS, person.height, level, rng)
     keypoints = noisy_keypoints(
-        person.keypoints, hidden, COCO.landmarks, person.height, truth.shape, level=level, rng=rng
+        person.keypoints(form), hidden, form.landmarks, person.height, truth.shape, level=level, rng=rng
     )
     return Sample(
         source=source_name(name),
         name=f"{person.name}, {person.kind}",
         # Labels of another outline may take more or fewer draws, after which the keypoints' would differ.
-        keypoints=make_sample(index, noise).keypoints if name == CLOTHED else _keypoints(keypoints, truth.shape),
+        keypoints=make_sample(index, noise).keypoints if name == CLOTHED else _keypoints(form, keypoints, truth.shape),
         parts=PartLabels(LABELS, groups),
-        others=(_keypoints(others, truth.shape),) if np.count_nonzero(others[:, 2]) > 1 else (),
+        others=(_keypoints(form, others, truth.shape),) if np.count_nonzero(others[:, 2]) > 1 else (),
         target=truth,
         joints=person.joints,
         vertices=person.vertices,
         camera=person.camera if isinstance(person.camera, Perspective) else None,
+        stature=person.stature,
     )
 
 
@@ -105,6 +113,7 @@ def _in_photo(index: int) -> Sample:
         vertices=person.vertices,
         picture=found.photo,
         camera=person.camera if isinstance(person.camera, Perspective) else None,
+        stature=person.stature,
         label_set=LABELS,
     )
 
@@ -141,16 +150,16 @@ def _turn(sample: Sample, quarters: int) -> Sample:
     )
 
 
-def _keypoints(values: np.ndarray, size: tuple[int, ...]) -> Keypoints2D:
+def _keypoints(form: Skeleton, values: np.ndarray, size: tuple[int, ...]) -> Keypoints2D:
     height, width = size
     values = values.astype(np.float32)
-    return Keypoints2D(COCO.name, values[:, :2], values[:, 2], image_size=(height, width))
+    return Keypoints2D(form.name, values[:, :2], values[:, 2], image_size=(height, width))
 
 
 def _add_stranger(
-    person: Person, truth: np.ndarray, stranger: Person, rng: np.random.Generator
+    person: Person, truth: np.ndarray, stranger: Person, form: Skeleton, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Group ids with somebody before the person's one side, keypoints that are hidden now, and the other's, (17, 3).
+    """Group ids with somebody before the person's one side, keypoints that are hidden now, and the other's, (J, 3).
 
     Their lowest points are at the same height in the picture.
     """
@@ -166,8 +175,8 @@ def _add_stranger(
     seen, before = truth.copy(), np.zeros(truth.shape, dtype=bool)
     seen[rows, columns + shift] = LABELS.from_parts(stranger.parts)[rows - lower, columns]
     before[rows, columns + shift] = True
-    u, v = np.clip(person.keypoints.astype(int), 0, [width - 1, height - 1]).T
-    points = stranger.keypoints + np.array([shift, lower])
+    u, v = np.clip(person.keypoints(form).astype(int), 0, [width - 1, height - 1]).T
+    points = stranger.keypoints(form) + np.array([shift, lower])
     found = ((points >= 0) & (points <= [width, height])).all(axis=1, keepdims=True)
-    values = np.column_stack([points, np.where(stranger.hidden, HIDDEN_CONFIDENCE, 1.0)])
-    return seen, person.hidden | before[v, u], np.where(found, values, 0.0)
+    values = np.column_stack([points, np.where(stranger.hidden(form), HIDDEN_CONFIDENCE, 1.0)])
+    return seen, person.hidden(form) | before[v, u], np.where(found, values, 0.0)
