@@ -28,7 +28,7 @@ from warp_partdr.evaluation.partbench.samples import (
 )
 from warp_partdr.evaluation.scoring import Pixels, Score, score_fit
 from warp_partdr.synthetic.noise import LEVELS
-from warp_partdr.synthetic.partbench_people import NUM_PEOPLE, make_person
+from warp_partdr.synthetic.partbench_people import NUM_PEOPLE, draw_format, make_person
 
 
 def test_clean_samples_hold_the_truth_alone() -> None:
@@ -46,6 +46,41 @@ def test_each_level_is_farther_from_the_truth() -> None:
     assert wrong[0] == 0
     assert wrong == sorted(wrong)
     assert wrong[-1] > 2 * wrong[1]
+
+
+def test_some_realistic_people_have_keypoints_where_other_data_sets_mark_them_and_say_so() -> None:
+    found: dict[str, list[float]] = {}
+    for index in range(8):
+        sample, clean = make_sample(index, "realistic"), make_sample(index, "clean")
+        form = sample.keypoints.format
+        assert form == draw_format(index, LEVELS["realistic"].others)
+        assert clean.keypoints.skeleton == "coco17"
+        np.testing.assert_array_equal(sample.joints, clean.joints)  # the body's own, whatever the keypoints mark
+        assert sample.body_points == sample.joint_names == clean.joint_names
+        person, sure = make_person(index), sample.keypoints.confident
+        sure &= ~person.hidden(form)
+        off = np.linalg.norm(sample.keypoints.points - person.keypoints(form), axis=1)[sure]
+        found.setdefault(form.name, []).append(float(np.median(off)) / person.height)
+    assert set(found) == {"coco17", "h36m17", "shelf14"}
+    assert all(np.mean(off) < 0.02 for off in found.values())  # near their own data set's places, but for the noise
+    assert all(make_sample(index, "mild").keypoints.skeleton == "coco17" for index in range(8))
+
+
+def test_a_stranger_has_keypoints_of_the_persons_format() -> None:
+    formats = set()
+    for index in range(12):
+        sample = make_sample(index, "hard")
+        for other in sample.others:
+            assert other.format == sample.keypoints.format
+            formats.add(other.format.name)
+    assert len(formats) > 1
+
+
+def test_statures_are_scored() -> None:
+    sample, person = make_sample(1, "clean"), make_person(1)
+    assert sample.stature == make_sample(1, TURNED).stature == person.stature
+    score = score_fit(sample, "", METHODS["network"].fit_sample(sample, "cpu"), 0.0)
+    assert 0.8 < score.stature_share < 1.2
 
 
 def test_near_people_come_with_their_camera() -> None:
@@ -157,9 +192,9 @@ def test_the_command_writes_table_and_figures(tmp_path: Path) -> None:
     arguments = ["partbench", "--people", "2", "--level", "mild", "--method", "keypoints only", "--jobs", "1"]
     result = CliRunner().invoke(evaluate, [*arguments, "--device", "cpu", "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
-    assert "PartBench 3, mild: 2 people" in result.output
+    assert f"{source_name('mild')}: 2 people" in result.output
     figures = json.loads((tmp_path / "out" / "partbench.json").read_text())
-    row = figures["pooled"]["PartBench 3, mild"]["keypoints only"]
+    row = figures["pooled"][source_name("mild")]["keypoints only"]
     assert row["people"] == 2
     assert {"foreground_f1", "part_f1", "mpjpe_mm", "pa_mpjpe_mm", "pve_mm", "seconds"} <= row.keys()
     assert (tmp_path / "out" / "partbench.html").stat().st_size > 10_000

@@ -18,7 +18,7 @@ from warp_partdr.cli.evaluate import evaluate as command
 from warp_partdr.evaluation.evaluate import METHODS, Report
 from warp_partdr.evaluation.partbench.crossed import CROSSED_METHODS, CrossedMethod, CrossedSample, crossed_samples
 from warp_partdr.evaluation.partbench.report import compare_methods, draw_case
-from warp_partdr.evaluation.partbench.samples import make_sample
+from warp_partdr.evaluation.partbench.samples import make_sample, source_name
 from warp_partdr.evaluation.scoring import score_fit
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.result import FitResult
@@ -96,7 +96,7 @@ def test_the_command_tells_the_depth_order(tmp_path: Path) -> None:
     arguments = ["partbench", "--level", "crossed", "--people", "1", "--method", FLIPS, "--method", ALONE]
     result = CliRunner().invoke(command, [*arguments, "--jobs", "1", "--device", "cpu", "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
-    pooled = json.loads((tmp_path / "partbench.json").read_text())["pooled"]["PartBench 3, crossed"]
+    pooled = json.loads((tmp_path / "partbench.json").read_text())["pooled"][source_name("crossed")]
     assert {name: row["order_right"] for name, row in pooled.items()} == {FLIPS: 1.0, ALONE: 0.0}
     assert 0 <= pooled[FLIPS]["depth_within_spread"] <= 1
 

@@ -197,7 +197,7 @@ def test_scenes_are_fitted_scored_and_reported(tmp_path: Path) -> None:
     assert [table.title.plain.rpartition(": ")[2] for table in tables(report)] == ["1 scene", "1 scene", "1 person"]
     write_report(tmp_path / "report.html", report, samples[:2], {"scene": methods["scene"]}, {})
     assert (tmp_path / "report.html").read_text(encoding="utf-8").count("data:image/png;base64,") == 1
-    with pytest.raises(InputError, match="methods: each alone; expected one that fits PartBench 3, clean"):
+    with pytest.raises(InputError, match=f"methods: each alone; expected one that fits {source_name('clean')}"):
         evaluate(samples[2:], {"each alone": methods["each alone"]})
 
 
@@ -231,7 +231,7 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "--mocap: missing, but --level clip needs motion" in str(missing.exception)
     result = CliRunner().invoke(command, [*arguments, "--mocap", str(tmp_path), "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
-    row = json.loads((tmp_path / "out" / "partbench.json").read_text())["pooled"]["PartBench 3, clip"]["scene"]
+    row = json.loads((tmp_path / "out" / "partbench.json").read_text())["pooled"][source_name("clip")]["scene"]
     assert {"world_mpjpe_mm", "acceleration_mm", "part_f1", "pa_mpjpe_mm", "mpjpe_mm"} <= row.keys()
     assert "order_right" not in row
 

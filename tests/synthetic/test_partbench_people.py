@@ -6,13 +6,22 @@ import numpy as np
 import pytest
 import torch
 
+from warp_partdr.body.landmarks import CONVENTIONS
 from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.body.rotations import rotation_from_axis_angle
-from warp_partdr.body.skeletons import MPJPE_JOINTS
+from warp_partdr.body.skeletons import MPJPE_JOINTS, Skeleton
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cameras import Perspective
-from warp_partdr.synthetic.partbench_people import COCO, NUM_PEOPLE, Setting, make_person, pose_kind
-from warp_partdr.synthetic.people import draw_anny
+from warp_partdr.synthetic.partbench_people import (
+    COCO,
+    NUM_PEOPLE,
+    OTHER_FORMATS,
+    Setting,
+    draw_format,
+    make_person,
+    pose_kind,
+)
+from warp_partdr.synthetic.people import cover_of, draw_anny
 from warp_partdr.synthetic.pose_recipes import POSES, TILTED_POSES, draw_pose
 from warp_partdr.synthetic.poses import clear_poses, mean_body
 
@@ -116,6 +125,41 @@ def test_who_walks_away_shows_the_back_of_the_head() -> None:
     assert person.hidden()[COCO.landmarks.index("nose")]
     left, right = (person.keypoints()[COCO.landmarks.index(f"{side}_hip"), 0] for side in ("left", "right"))
     assert left < right  # from behind, the person's left is the picture's
+
+
+def test_keypoints_of_other_data_sets_lie_where_their_table_says() -> None:
+    person, (h36m, shelf) = make_person(10), OTHER_FORMATS  # stands upright
+    joints = person.camera.project(torch.from_numpy(person.joints)[None])[0, :, :2].numpy()
+
+    def away(form: Skeleton, name: str) -> np.ndarray:
+        """Way from the body's own joint to the keypoint, to the picture's right and down [mm]."""
+        keypoint = person.keypoints(form)[form.landmarks.index(name)]
+        return 1000 * (keypoint - joints[MPJPE_JOINTS.index(name)]) * person.stature / person.height
+
+    for form, convention, name in (
+        (h36m, "h36m", "head_top"),
+        (h36m, "h36m", "neck"),
+        (shelf, "shelf", "neck"),
+        (shelf, "shelf", "left_hip"),
+    ):
+        _, (_, up, _) = CONVENTIONS[convention][name.removeprefix("left_")]
+        np.testing.assert_allclose(-away(form, name)[1], up, atol=20.0)
+    for form in OTHER_FORMATS:
+        np.testing.assert_allclose(away(form, "left_knee"), 0.0, atol=0.1)  # which stands in no table
+    assert 5.0 < np.linalg.norm(away(COCO, "left_knee")) < 30.0
+
+
+def test_people_have_formats_of_their_own_with_the_chance_of_a_level() -> None:
+    drawn = [draw_format(index, 0.4) for index in range(NUM_PEOPLE)]
+    assert drawn == [draw_format(index, 0.4) for index in range(NUM_PEOPLE)]
+    shares = [drawn.count(form) / NUM_PEOPLE for form in (COCO, *OTHER_FORMATS)]
+    np.testing.assert_allclose(shares, [0.6, 0.2, 0.2], atol=0.08)
+    assert all(draw_format(index, 0.0) is COCO for index in range(20))
+
+
+def test_the_middle_of_the_hips_is_no_more_hidden_than_the_hips() -> None:
+    middle, left = cover_of(("mid_hip", "left_hip"))
+    assert middle == left > 0.1
 
 
 def test_partbench_keeps_its_people() -> None:
