@@ -2,30 +2,31 @@
 
     python scripts/measure_beside_real.py VIEWS [--leave-out SET] [--levels clean realistic ...] [--people FIRST LAST]
 
-VIEWS are a folder or file of `partdr evaluate real`; their rows "baseline" count. Levels that spoil keypoints spoil those
-of the views likewise, as if none were hidden. Statures are shares of the true ones, children's, too. Intervals are of
-95 %, over people.
+VIEWS is a folder or file as `partdr evaluate real` takes it; its rows "baseline" count. Their keypoints get the errors
+of a level, too, as if none were hidden. No camera is given. Statures are shares of the true ones, also of children.
+Intervals are of 95 %, over people.
 """
 
 from __future__ import annotations
 
 import argparse
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from warp_partdr.evaluation.datasets import ViewSelection, read_real, view_samples
-from warp_partdr.evaluation.evaluate import Method, all_parts, evaluate, one_thread
+from warp_partdr.evaluation.evaluate import Fitting, Method, all_parts, evaluate, one_thread
 from warp_partdr.evaluation.pairs import compare_pairs
-from warp_partdr.evaluation.partbench.samples import make_sample, source_name
+from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.evaluation.real import MESH, NETWORK, real_methods
 from warp_partdr.inputs.keypoints import person_height
 from warp_partdr.inputs.sample import Sample
-from warp_partdr.synthetic.noise import LEVELS, Level, noisy_keypoints
+from warp_partdr.synthetic.noise import LEVELS, noisy_keypoints
 
+_UNKNOWN_SIZE = (10**6, 10**6)  # (H, W) [px]: nothing lies beyond the border
 _FIGURES = (("pa_mpjpe_mm", 1), ("mpjpe_mm", 1), ("stature_share", 100))
 
 
@@ -40,33 +41,31 @@ def main() -> None:
     one_thread()
     alone = {name: real_methods(network=given.network)[name] for name in (NETWORK, MESH)}
     labelled = {f"{name}, labels": _with_labels(method) for name, method in alone.items()}
-    pair = (MESH, NETWORK)
-    pairs = [pair, tuple(f"{name}, labels" for name in pair)]
+    pairs = [(MESH, NETWORK), (f"{MESH}, labels", f"{NETWORK}, labels")]
 
     print("| people | given | network: PA-MPJPE [mm] | MPJPE [mm] | stature [%] | mesh: PA-MPJPE | MPJPE | stature |")
     print("|---|---|---:|---:|---:|---:|---:|---:|")
     views = read_real(given.views)
     rows = ViewSelection("baseline", leave_out=tuple(given.leave_out)).of(views)
     real = view_samples(views, rows)
-    told: list[str] = []
+    compared: list[str] = []
     for name in given.levels:
         people = [make_sample(index, name) for index in range(given.people[0], given.people[1] + 1)]
-        told += _measure(name, people, alone | labelled, pairs)
+        compared += _measure(name, people, alone | labelled, pairs)
         if name in LEVELS:
-            told += _measure(f"real, {name}", [_spoil(sample, name) for sample in real], alone, pairs)
+            compared += _measure(f"real, {name}", [_spoil(sample, name) for sample in real], alone, pairs)
     print()
-    print("\n".join(told))
+    print("\n".join(compared))
 
 
-def _with_labels(method: Any) -> Method:
+def _with_labels(method: Fitting) -> Method:
     """The same with part labels."""
     assert isinstance(method, Method)
     return replace(method, see=all_parts)
 
 
 def _spoil(sample: Sample, name: str) -> Sample:
-    """A view with keypoints as a detector of this level gives them, none of whom is hidden."""
-    level: Level = LEVELS[name]
+    """A view whose keypoints have a level's errors, as if none were hidden."""
     keypoints = sample.keypoints
     rng = np.random.default_rng(zlib.crc32(f"{name} {sample.name}".encode()))
     noisy = noisy_keypoints(
@@ -74,8 +73,8 @@ def _spoil(sample: Sample, name: str) -> Sample:
         np.zeros(len(keypoints.points), dtype=bool),
         keypoints.format.landmarks,
         person_height(keypoints),
-        keypoints.image_size or (10**6, 10**6),
-        level=level,
+        keypoints.image_size or _UNKNOWN_SIZE,
+        level=LEVELS[name],
         rng=rng,
     ).astype(np.float32)
     noisy[~keypoints.visible] = 0.0
@@ -84,13 +83,13 @@ def _spoil(sample: Sample, name: str) -> Sample:
 
 
 def _measure(
-    title: str, samples: Sequence[Sample], methods: dict[str, Any], pairs: Sequence[tuple[str, str]]
+    title: str, samples: Sequence[Sample], methods: Mapping[str, Fitting], pairs: Sequence[tuple[str, str]]
 ) -> list[str]:
     """Print a row for each input of some people, and return how the mesh compares with the network."""
     together = [replace(sample, source=title) for sample in samples]
     report = evaluate(together, methods)
     figures = report.pooled()[title]
-    for _, (mesh, network) in enumerate(pairs):
+    for mesh, network in pairs:
         if network in figures:
             given = "keypoints, labels" if network.endswith("labels") else "keypoints"
             cells = [_cell(figures[each], *figure) for each in (network, mesh) for figure in _FIGURES]
