@@ -1,10 +1,14 @@
 """Measure PartBench's levels beside views of real people, and print the rows of docs/evaluation.md.
 
     python scripts/measure_beside_real.py VIEWS [--leave-out SET] [--levels clean realistic ...] [--people FIRST LAST]
+    python scripts/measure_beside_real.py --formats [--levels realistic] [--people FIRST LAST]
 
 VIEWS is a folder or file as `partdr evaluate real` takes it; its rows "baseline" count. Their keypoints get the errors
 of a level, too, as if none were hidden. No camera is given. Statures are shares of the true ones, also of children.
 Intervals are of 95 %, over people.
+
+With --formats only people count whose keypoints lie where another data set than COCO marks them. Fits are told so, or
+take the keypoints for the body's own joints.
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ from warp_partdr.evaluation.real import MESH, NETWORK, real_methods
 from warp_partdr.inputs.keypoints import person_height
 from warp_partdr.inputs.sample import Sample
 from warp_partdr.synthetic.noise import LEVELS, noisy_keypoints
+from warp_partdr.synthetic.partbench_people import OTHER_FORMATS
 
 _UNKNOWN_SIZE = (10**6, 10**6)  # (H, W) [px]: nothing lies beyond the border
 _FIGURES = (("pa_mpjpe_mm", 1), ("mpjpe_mm", 1), ("stature_share", 100))
@@ -32,12 +37,15 @@ _FIGURES = (("pa_mpjpe_mm", 1), ("mpjpe_mm", 1), ("stature_share", 100))
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("views")
+    parser.add_argument("views", nargs="?")
+    parser.add_argument("--formats", action="store_true")
     parser.add_argument("--leave-out", action="append", default=[])
     parser.add_argument("--levels", nargs="+", default=["clean", "mild", "realistic", "hard", "clothed"])
     parser.add_argument("--people", nargs=2, type=int, default=(200, 235))
     parser.add_argument("--network", help="file of `partdr train`; default: the packaged one")
     given = parser.parse_args()
+    if (given.views is None) != given.formats:
+        parser.error("expected VIEWS or --formats")
     one_thread()
     alone = {name: real_methods(network=given.network)[name] for name in (NETWORK, MESH)}
     labelled = {f"{name}, labels": _with_labels(method) for name, method in alone.items()}
@@ -45,12 +53,18 @@ def main() -> None:
 
     print("| people | given | network: PA-MPJPE [mm] | MPJPE [mm] | stature [%] | mesh: PA-MPJPE | MPJPE | stature |")
     print("|---|---|---:|---:|---:|---:|---:|---:|")
-    views = read_real(given.views)
-    rows = ViewSelection("baseline", leave_out=tuple(given.leave_out)).of(views)
-    real = view_samples(views, rows)
+    real: list[Sample] = []
+    if given.views is not None:
+        views = read_real(given.views)
+        real = view_samples(views, ViewSelection("baseline", leave_out=tuple(given.leave_out)).of(views))
     compared: list[str] = []
     for name in given.levels:
         people = [make_sample(index, name) for index in range(given.people[0], given.people[1] + 1)]
+        if given.formats:
+            told = [sample for sample in people if sample.keypoints.format in OTHER_FORMATS]
+            compared += _measure(f"{name}, told", told, alone, pairs)
+            compared += _measure(f"{name}, not told", [_untold(sample) for sample in told], alone, pairs)
+            continue
         compared += _measure(name, people, alone | labelled, pairs)
         if name in LEVELS:
             compared += _measure(f"real, {name}", [_spoil(sample, name) for sample in real], alone, pairs)
@@ -62,6 +76,12 @@ def _with_labels(method: Fitting) -> Method:
     """The same with part labels."""
     assert isinstance(method, Method)
     return replace(method, see=all_parts)
+
+
+def _untold(sample: Sample) -> Sample:
+    """The same with keypoints that are taken for the body's own joints."""
+    form = sample.keypoints.format
+    return replace(sample, keypoints=replace(sample.keypoints, skeleton=replace(form, marks=form.landmarks)))
 
 
 def _spoil(sample: Sample, name: str) -> Sample:
