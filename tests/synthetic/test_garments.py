@@ -160,7 +160,7 @@ def test_clothed_people_have_the_truth_of_the_body_beneath_and_cover_more():
     grown = []
     for index in range(6):
         nude, clothed = make_person(index), make_person(index, "clothed")
-        for name in ("keypoints", "hidden", "joints", "vertices", "height", "kind"):
+        for name in ("marks", "covered", "stature", "joints", "vertices", "height", "kind"):
             np.testing.assert_array_equal(getattr(nude, name), getattr(clothed, name))
         assert (clothed.parts[nude.parts > 0] > 0).mean() > 0.999
         grown.append((clothed.parts > 0).sum() / (nude.parts > 0).sum())
