@@ -11,8 +11,8 @@ COCO's annotators marked what they saw, OpenPose learned from them, and Halpe an
 ``marks`` nearer the skin than joints. PoseTrack's, CrowdPose's and AI Challenger's (``aic14``) people were marked in
 photos, too, and are taken likewise, and so are CMU Panoptic's, which are triangulated from detections of a network that
 learned from COCO. Human3.6M's joints, and those of Shelf and Campus, are ``CONVENTIONS`` of their own. BlazePose's
-joints are taken as the body's own. In pictures of synthetic people they lie nearer to COCO's marks, but a fit that takes
-them so is no nearer to these people's true joints. Of LSP's and MPII's nothing is known here.
+joints are taken as the body's own. In pictures of synthetic people they lie nearer to COCO's marks, but a fit that
+takes them so is no nearer to these people's true joints. Of LSP's and MPII's nothing is known here.
 
 Points of a format that are no landmark, such as a cheek or a fingertip, which bends, are left out: ``places`` tells
 where in a file's rows the others are.
