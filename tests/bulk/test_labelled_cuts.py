@@ -63,7 +63,9 @@ def test_those_cut_out_together_are_as_alone(size: int, monkeypatch: pytest.Monk
     monkeypatch.setattr(cutting, "cut_labels", lambda *_: (_ for _ in ()).throw(MemoryError("no memory")))
     same = cutter.cut(held, {})
     assert told(cut) == told(same)
-    assert len(cut.people) == len(same.people) == 2  # with labels and without
+    kinds = [(people.skeleton, people.seen.labels is None) for _, people in cut.people]
+    assert len(kinds) == len(set(kinds)) == len(same.people)  # a batch for each format, with labels and without
+    assert {without for _, without in kinds} == {True, False}
     for (places, people), (others, expected) in zip(cut.people, same.people, strict=True):
         np.testing.assert_array_equal(places, others)
         assert (people.crops, people.windows, people.warnings) == (expected.crops, expected.windows, expected.warnings)
