@@ -3,13 +3,12 @@
     python scripts/average_networks.py FIRST SECOND --share 0.7 --out FILE
 
 The weights are (1 - share) times FIRST's plus share times SECOND's ("Robust fine-tuning of zero-shot models",
-Wortsman et al., 2022). Such a mean errs less than either on people who are unlike those of the training.
+Wortsman et al., 2022). Such a mean may err less than either on people who are unlike those of the training.
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -27,13 +26,14 @@ def average(first: LabelNetwork, second: LabelNetwork, share: float) -> dict[str
     """
     if not 0 <= share <= 1:
         raise InputError(f"share: {share}; expected a number from 0 to 1")
-    if replace(first.config, regressor=second.config.regressor) != second.config:
+    if first.config != second.config:
         raise InputError(f"second: a network of {second.config}; expected {first.config}")
     ours, theirs = first.state_dict(), second.state_dict()
-    # Counters of batches are no weights: they are those of the second network.
-    return {
-        name: ours[name].lerp(value, share) if value.is_floating_point() else value for name, value in theirs.items()
-    }
+    weights = dict(theirs)
+    for name, value in theirs.items():
+        if value.is_floating_point():  # counters of batches are no weights
+            weights[name] = ours[name].lerp(value, share)
+    return weights
 
 
 def main() -> None:

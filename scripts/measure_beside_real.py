@@ -73,13 +73,13 @@ def main() -> None:
 
 
 def _with_labels(method: Fitting) -> Method:
-    """The same with part labels."""
+    """Method that sees part labels, too."""
     assert isinstance(method, Method)
     return replace(method, see=all_parts)
 
 
 def _untold(sample: Sample) -> Sample:
-    """The same with keypoints that are taken for the body's own joints."""
+    """Sample whose keypoints are taken for the body's own joints."""
     form = sample.keypoints.format
     return replace(sample, keypoints=replace(sample.keypoints, skeleton=replace(form, marks=form.landmarks)))
 

@@ -142,11 +142,11 @@ def find_people_in_boxes(
         else:
             taken.append(person)
     if networks.heavy is not None:
-        (nearer,) = with_heavy_landmarks(
-            networks.heavy, [picture], [[person for person in chosen if person is not None]]
-        )
-        rest = iter(nearer)
-        chosen = [person and next(rest) for person in chosen]
+        there = [person for person in chosen if person is not None]
+        rows = [row for row, person in enumerate(chosen) if person is not None]
+        nearer = with_heavy_landmarks(networks.heavy, [picture], [there])[0]
+        for row, person in zip(rows, nearer, strict=True):
+            chosen[row] = person
     return [
         person or _only_box(boxes[row], float(scores[row]), crops[row : row + 1], picture.device)
         for row, person in enumerate(chosen)
