@@ -28,12 +28,12 @@ def test_a_photo_is_enough(run: Run, files: Path) -> None:
     first, last = said.splitlines()
     assert first.startswith("person0: score 0.")
     assert "about " in first
-    assert first.endswith(" m away (a usual lens is assumed)")
+    assert first.endswith(" m away (the lens is assumed)")
     assert Path("out", "people.json").as_posix() in last
     assert {path.name for path in Path("out").iterdir()} == {*PHOTO_FILES, "person0"}
     assert {path.name for path in Path("out", "person0").iterdir()} == EVERY_FILE
     (person,) = json.loads(Path("out", "people.json").read_text())["people"]
-    assert person["distance"] == "for a usual lens, which is assumed"
+    assert person["distance"] == "for an assumed lens"
     code, said, _ = run("fit whole.png --out known --device cpu --focal 900 --person 0")
     assert code == 0
     assert "about" not in said

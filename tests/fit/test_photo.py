@@ -84,7 +84,7 @@ def test_everyone_stands_before_the_same_usual_lens_also_who_is_asked_for_alone(
     torch.testing.assert_close(alone.fits[1].camera.intrinsics, found.fits[1].camera.intrinsics)
     np.testing.assert_allclose(alone.fits[1].vertices, found.fits[1].vertices, atol=5e-3)
     report = save_photo_fit(found, tmp_path, photo=photo)
-    assert {person["distance"] for person in report["people"]} == {"for a usual lens, which is assumed"}
+    assert {person["distance"] for person in report["people"]} == {"for an assumed lens"}
 
 
 def test_everyone_is_fitted_where_they_stand(everyone):

@@ -362,7 +362,7 @@ class CameraOptions:
 
 def say_distance(metres: float, *, sure: bool, assumed: bool) -> str:
     """Words on how far away somebody is; ``assumed``: for a usual lens, as no focal length is known."""
-    lens = " (a usual lens is assumed)" if assumed else ""
+    lens = " (the lens is assumed)" if assumed else ""
     return f"{'' if sure else 'about '}{metres:.1f} m away{lens}"
 
 

@@ -14,6 +14,7 @@ from ..inputs.keypoints import Keypoints2D
 from ..inputs.observation import REFERENCE_SIZE, Observation, observe
 from ..inputs.part_labels import PartLabels
 from ..render.renderers import Renderer, RendererEllipsoids, RendererMesh
+from .far_people import shows_parts
 from .mesh_energy import drawn_vertices
 from .mesh_options import MeshOptions
 from .options import FitOptions, stages_of
@@ -52,7 +53,7 @@ def explain(
     stages = stages_of(options, parts)
     choices = [
         _keypoints(keypoints),
-        _camera(camera, assumed=seen.lens_assumed and options.guess_camera),
+        _camera(camera, assumed=seen.lens_assumed and options.guess_camera, labelled=shows_parts(seen)),
         _size(options.stature),
         _start(options),
     ]
@@ -117,9 +118,11 @@ def _keypoints(keypoints: Keypoints2D) -> Choice:
     )
 
 
-def _camera(camera: Perspective | None, *, assumed: bool) -> Choice:
+def _camera(camera: Perspective | None, *, assumed: bool, labelled: bool) -> Choice:
     if camera is None and assumed:
         lens = f"a usual lens, {USUAL_FOCAL:g} times as long as the picture's longer side"
+        if labelled:
+            lens += ", or a longer one if part labels show the person far away"
         return Choice("camera", lens, "the true one", "no focal length was given")
     if camera is None:
         left_out = "distance; rays beside the axis"

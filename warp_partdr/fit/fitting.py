@@ -31,6 +31,7 @@ from ..network.predicted import Predicted
 from ..refinement.energy import Energy
 from ..refinement.refine import refine
 from .depth_flips import repair_depth_order
+from .far_people import shows_parts, with_longer_lens
 from .options import FitOptions, drawn_or_not, stages_of
 from .plausibility import choose_sides, complaints, poor_labels
 from .result import FitResult
@@ -68,8 +69,9 @@ def fit_body(
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
         camera: The picture's, such as ``Perspective.of_picture(size, focal=1500)``, with square pixels: the body then
-            stands where it is seen, in metres from the camera. None: a usual lens (``FitOptions.guess_camera``). Where
-            neither labels nor ``keypoints.image_size`` tell the picture's size, that is weak perspective.
+            stands where it is seen, in metres from the camera. None: a usual lens (``FitOptions.guess_camera``), or a
+            longer one where part labels show that the person is far away. Where neither labels nor
+            ``keypoints.image_size`` tell the picture's size, that is weak perspective.
 
     Returns:
         The body, its camera, and how it went.
@@ -104,14 +106,15 @@ def fit_evidence(
     From ``body``, in the crop of ``crop_evidence``, instead of the network's, of which only its uncertainty is used.
     """
     _check_camera(camera)
-    if camera is None and options.guess_camera and body is None:
+    assumed = camera is None and options.guess_camera and body is None
+    if assumed:
         camera = usual_lens(readings[0])
     prior, parts = packaged_prior(str(device)), readings[0].picture
 
     def start(evidence: Evidence, options: FitOptions, progress: Progress | None = None) -> _Fit:
         trust = options.trust_background
         seen, crop = crop_evidence(evidence, trust_background=trust, device=device, camera=camera)
-        return _Fit(seen, crop, prior, options, stages_of(options, parts), evidence, progress, body)
+        return _Fit(seen, crop, prior, options, stages_of(options, parts), evidence, progress, body, assumed)
 
     def glance(evidence: Evidence) -> FitResult:
         fit = start(evidence, replace(options, stages=STAGES["network"]["fast"], start="network"))
@@ -123,7 +126,7 @@ def fit_evidence(
     found = fit.from_network() if from_network else fit.search()
     told = fit.complaints(found)
     if told and from_network and options.search:
-        fit, found = fit.better(found, replace(plain, stages=drawn_or_not(options.search, parts)))
+        fit, found = fit.better(found, replace(fit, stages=drawn_or_not(options.search, parts)))
         told = fit.complaints(found)
     return fit.warn(found, told)
 
@@ -140,6 +143,7 @@ class _Fit:
     evidence: Evidence
     progress: Progress | None
     body: BodyParameters | None
+    own_lens: bool  # True if the lens is assumed for this person alone, and not for everybody in the picture
     predicted: Predicted | None = None  # by the network, of ``looked_at``
     seconds: float = 0.0  # that the network took
 
@@ -163,11 +167,15 @@ class _Fit:
         return bodies if self.seen.lens is None else turn_to_rays(bodies, self.seen.lens)
 
     def looked_at(self) -> _Fit:
-        """Returns a copy with the network's prediction."""
+        """Returns a copy with the network's prediction, and with a longer lens for a person who is far away."""
         network = known_network(self.options.network, str(self.seen.points.device))
         started = time.perf_counter()
-        predicted = self._ask(network)
-        return replace(self, predicted=predicted, seconds=time.perf_counter() - started)
+        fit, predicted = self, self._ask(network)
+        longer = with_longer_lens(self.seen, predicted) if self.own_lens else None
+        if longer is not None:
+            fit = replace(self, seen=longer)
+            predicted = fit._ask(network)
+        return replace(fit, predicted=predicted, seconds=time.perf_counter() - started)
 
     def _ask(self, network: LabelNetwork) -> Predicted:
         told = replace(self.seen, stature=self.options.stature)
@@ -182,7 +190,7 @@ class _Fit:
         seen = replace(self.seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])
         said, order = predicted.uncertainty, None
         assert said is not None
-        several = seen.label_set is not None and seen.label_set.num_groups > 1  # of one, nothing hides another
+        several = shows_parts(seen)  # within one part, nothing hides another
         if self.stages and several and self.options.depth_flips:
             started = time.perf_counter()
             # What the network says of its own body it does not say of others.
@@ -255,7 +263,6 @@ class _Fit:
             finalists=finalists,
             start=start,
             evidence=self.evidence,
-            camera_guessed=self.seen.lens_assumed,
             before_outline=None if before_outline is None else self._sized(before_outline.select(chosen)),
             stature=self.options.stature,
         )

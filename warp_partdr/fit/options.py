@@ -35,7 +35,8 @@ class FitOptions:
             lower energy wins. Empty: never.
         depth_flips: Try the network's body with limbs mirrored in depth, where parts overlap (``repair_depth_order``).
         guess_camera: Where no camera is known, assume a usual lens (``UsualLens``), if labels or
-            ``Keypoints2D.image_size`` tell the picture's size. Otherwise the camera is one of weak perspective.
+            ``Keypoints2D.image_size`` tell the picture's size. Otherwise the camera is one of weak perspective. Where
+            part labels show that the person is much farther away, a longer lens (``with_longer_lens``).
         stature: The person's height, standing [m], which the body then has; one picture does not tell sizes. None: the
             network's guess. Of one person (``fit_body``, ``fit_photo``).
         mirror: Ask the network about the mirror image, too; without, it is asked in half the time.

@@ -43,7 +43,6 @@ class FitResult(Movable):
         warnings: Faults of the input or the body, a sentence each.
         depth_order: Limbs that were tried mirrored in depth; None of a search, or without labels.
         uncertainty: How sure the network was of its body, before any stage; None of a search.
-        camera_guessed: True if the camera is not known, and a usual lens is assumed (``UsualLens``).
         before_outline: The body where the outline stage began, nearer in 3D; None without that stage.
         stature: The person's height that was given [m], which the body has; None: sizes are guessed.
     """
@@ -62,7 +61,6 @@ class FitResult(Movable):
     warnings: tuple[str, ...] = ()
     depth_order: DepthOrder | None = None
     uncertainty: Uncertainty | None = None
-    camera_guessed: bool = False
     before_outline: BodyParameters | None = None
     stature: float | None = None
 
@@ -70,6 +68,11 @@ class FitResult(Movable):
     def camera(self) -> Camera:
         """The camera in pixels of the full picture: perspective if it was given or assumed, else weak perspective."""
         return find_camera(self.parameters, self.observation.lens, self.crop.size[0])[0].in_full(self.crop)
+
+    @property
+    def camera_guessed(self) -> bool:
+        """True if the camera is not known, and a lens is assumed: a usual one (``UsualLens``), or a longer one."""
+        return self.observation.lens_assumed
 
     @property
     def posed(self) -> Posed:

@@ -29,6 +29,7 @@ from ..refinement.captured import refine_captured
 from ..refinement.energy import SEG, Energy
 from .cut_people import CutPeople, CutPerson, stack_alike
 from .depth_flips import DepthOrder, repair_depth_orders
+from .far_people import shows_parts, with_longer_lens
 from .options import FitOptions, stages_of
 from .plausibility import MOST_OFF, MOST_WRONG, describe_misfit, person_pixels
 from .result import FitResult
@@ -151,21 +152,25 @@ def fit_together(people: Sequence[CutPerson], options: FitOptions, network: Labe
 
 
 def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) -> BatchFits:
-    first, seen = people.seen[0], people.seen
-    prior = packaged_prior(str(first.points.device))
+    seen = people.seen
+    prior = packaged_prior(str(seen.points.device))
     predicted = ask_network(seen, network, mirror=options.mirror, half=options.half)
+    longer = with_longer_lens(seen, predicted)
+    if longer is not None:
+        seen, people = longer, replace(people, seen=longer)
+        predicted = ask_network(seen, network, mirror=options.mirror, half=options.half)
     said = predicted.uncertainty
     assert said is not None
     bodies = predicted.parameters()
     if seen.lens is not None:
         bodies = turn_to_rays(bodies, seen.lens)
     lengths, thicknesses = bodies.lengths, bodies.thicknesses
-    first = replace(first, lengths=lengths[0], thicknesses=thicknesses[0])
+    first = replace(seen[0], lengths=lengths[0], thicknesses=thicknesses[0])
     # Of a person alone, what is drawn differs from stage to stage.
     everyone = replace(Batch.of_stacked(seen, Energy(first, 1, prior=prior)), lengths=lengths, thicknesses=thicknesses)
     stages = stages_of(options, first.label_set)
     orders: Sequence[DepthOrder | None] = [None] * len(people)
-    several = first.label_set is not None and first.label_set.num_groups > 1
+    several = shows_parts(seen)
     if stages and several and options.depth_flips:
         bodies, orders = repair_depth_orders(bodies, [first], prior, everyone, said=said)
     depths, spreads = bodies.posed().centres[..., 2], said.centre_depths()

@@ -302,7 +302,7 @@ def describe_body(result: FitResult, mesh: Registered | None = None) -> dict[str
 def describe_distance(result: FitResult) -> str:
     """Words on the lens that a body's distance from the camera is right for."""
     if not result.camera.perspective or result.camera_guessed:
-        return "for a usual lens, which is assumed"
+        return "for an assumed lens"
     return "for a known focal length"
 
 
