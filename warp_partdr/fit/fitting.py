@@ -37,6 +37,7 @@ from .plausibility import choose_sides, complaints, poor_labels
 from .result import FitResult
 from .stages import OUTLINE, STAGES, Quality, Stage, Start
 from .start_search import LiftEnergy, distinct, hypothesize
+from .wrong_keypoints import doubt_keypoints
 
 Progress = Callable[[str, int, int], None]
 Sized = TypeVar("Sized", BodyParameters, Predicted)
@@ -118,7 +119,7 @@ def fit_evidence(
 
     def glance(evidence: Evidence) -> FitResult:
         fit = start(evidence, replace(options, stages=STAGES["network"]["fast"], start="network"))
-        return fit.looked_at().from_network()
+        return fit.looked_at().from_network(doubt=False)  # or a wrong reading would seem to fit
 
     evidence = choose_sides(readings, glance)
     plain, from_network = start(evidence, options, progress), options.start == "network"
@@ -181,13 +182,17 @@ class _Fit:
         told = replace(self.seen, stature=self.options.stature)
         return self._sized(ask_network([told], network, mirror=self.options.mirror, half=self.options.half))
 
-    def from_network(self) -> FitResult:
-        """Fit from the body of ``looked_at``, whose sizes then are the expected ones."""
+    def from_network(self, *, doubt: bool = True) -> FitResult:
+        """Fit from the body of ``looked_at``, whose sizes then are the expected ones.
+
+        With ``doubt``, keypoints far from that body count less (``doubt_keypoints``).
+        """
         predicted = self.predicted
         assert predicted is not None
         body = self._turned(predicted.parameters()) if self.body is None else self._sized(self.body)
         seconds = {"network": self.seconds}
-        seen = replace(self.seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])
+        seen = doubt_keypoints(self.seen, predicted) if doubt else self.seen
+        seen = replace(seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])
         said, order = predicted.uncertainty, None
         assert said is not None
         several = shows_parts(seen)  # within one part, nothing hides another

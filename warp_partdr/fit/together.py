@@ -34,6 +34,7 @@ from .options import FitOptions, stages_of
 from .plausibility import MOST_OFF, MOST_WRONG, describe_misfit, person_pixels
 from .result import FitResult
 from .stages import OUTLINE, Stage
+from .wrong_keypoints import doubt_keypoints
 
 JUDGED_SIZE = 128  # [px], side of the crop in which bodies are compared with labels in the end
 
@@ -165,6 +166,8 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
     if seen.lens is not None:
         bodies = turn_to_rays(bodies, seen.lens)
     lengths, thicknesses = bodies.lengths, bodies.thicknesses
+    given, seen = seen, doubt_keypoints(seen, predicted)
+    people = replace(people, seen=seen)
     first = replace(seen[0], lengths=lengths[0], thicknesses=thicknesses[0])
     # Of a person alone, what is drawn differs from stage to stage.
     everyone = replace(Batch.of_stacked(seen, Energy(first, 1, prior=prior)), lengths=lengths, thicknesses=thicknesses)
@@ -188,7 +191,8 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
         bodies, terms = refined.parameters, refined.terms
         history.append(refined.history.T.cpu().numpy())
     judge = Energy(first, JUDGED_SIZE, prior=prior)
-    told = _complaints(bodies, everyone.drawn_at(JUDGED_SIZE), judge, skeleton(people.skeleton))
+    judged = everyone.believing(given).drawn_at(JUDGED_SIZE)
+    warnings = _complaints(bodies, judged, judge, skeleton(people.skeleton))
     return BatchFits(
         people=people,
         stages=stages,
@@ -197,7 +201,7 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
         hints={"lengths": lengths, "thicknesses": thicknesses, "depths": depths, "depth_spreads": spreads},
         energy={name: term.cpu().numpy() for name, term in terms.items()},
         history=history,
-        told=told,
+        told=warnings,
         depth_orders=orders,
         uncertainty=said,
         before_outline=before_outline,

@@ -13,12 +13,9 @@ from dataclasses import replace
 import torch
 
 from ..body.landmarks import CONVENTIONS
-from ..body.lens import place_bodies, turn_to_rays
 from ..inputs.observation import Observation
 from ..inputs.stacked import StackedObservations
-from .predicted import Predicted, posed_landmarks
-
-_SIDE = 2  # of the crop
+from .predicted import Predicted, landmarks_in_crop
 
 
 def lies_elsewhere(marks: Sequence[str]) -> bool:
@@ -56,9 +53,4 @@ def _moves(
     landmarks: tuple[str, ...], marks: tuple[str, ...], predicted: Predicted, lenses: torch.Tensor | None
 ) -> torch.Tensor:
     """Ways from landmarks to marks as bodies are seen, shape (N, L, 2)."""
-    bodies = predicted.parameters()
-    if lenses is not None:
-        bodies = turn_to_rays(bodies, lenses)
-    posed, camera = place_bodies(bodies, bodies.posed(), lenses, _SIDE)
-    ends, starts = (camera.project(posed_landmarks(posed, names))[..., :2] for names in (marks, landmarks))
-    return ends - starts
+    return landmarks_in_crop(predicted, marks, lenses) - landmarks_in_crop(predicted, landmarks, lenses)

@@ -7,12 +7,15 @@ from functools import lru_cache
 
 import torch
 
+from ..body.lens import place_bodies, turn_to_rays
 from ..body.parameters import BodyParameters, crop_camera, resized_numbers
 from ..body.posing import LandmarkGather, Posed, pose
 from ..body.rotations import rotation_to_6d, rotation_to_axis_angle
 from ..cameras import WeakPerspective
 from ..render.ellipsoids import draw_ellipsoids
 from .uncertainty import Uncertainty
+
+_SIDE = 2  # of a crop from -1 to 1
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,15 @@ class Predicted:
 def posed_landmarks(posed: Posed, names: tuple[str, ...]) -> torch.Tensor:
     """Landmarks of posed bodies, shape (B, L, 3) [m]."""
     return _gather(names, posed.joints.device)(posed)
+
+
+def landmarks_in_crop(predicted: Predicted, names: tuple[str, ...], lenses: torch.Tensor | None) -> torch.Tensor:
+    """Landmarks of predicted bodies as their crops' lenses (B, 3) show them, from -1 to 1, shape (B, L, 2)."""
+    bodies = predicted.parameters()
+    if lenses is not None:
+        bodies = turn_to_rays(bodies, lenses)
+    posed, camera = place_bodies(bodies, bodies.posed(), lenses, _SIDE)
+    return camera.project(posed_landmarks(posed, names))[..., :2] - _SIDE / 2
 
 
 @lru_cache(maxsize=8)

@@ -84,28 +84,26 @@ class Batch:
     @classmethod
     def of_stacked(cls, people: StackedObservations, energy: Energy) -> Batch:
         """Of people who are stacked already; sizes and depths are the energy's usual ones."""
-        columns, parts = (
-            torch.from_numpy(rows).to(people.points.device) for rows in _places(people.landmarks, people.marks)
-        )
-        sure = people.confidence.new_zeros(len(people), len(LANDMARK_NAMES))
-        sure[:, columns] = people.confidence
-        on_parts = torch.zeros_like(sure, dtype=torch.int64)
-        on_parts[:, columns] = parts
-        points = sure.new_zeros(*sure.shape, 2)
+        votes, columns = _stacked_votes(people)
+        points = votes.new_zeros(*votes.shape, 2)
         points[:, columns] = people.points
         labels = None if energy.target is None else people.labels
         return cls(
             points=points,
-            votes=split_votes(sure, on_parts),
+            votes=votes,
             lengths=energy.usual_lengths.repeat(len(people), 1),
             thicknesses=energy.usual_thicknesses.repeat(len(people), 1),
-            depths=sure.new_zeros(len(people), NUM_PARTS),
+            depths=votes.new_zeros(len(people), NUM_PARTS),
             depth_scales=energy.depth_scales.repeat(len(people), 1),
-            lenses=sure.new_zeros(len(people), 3) if people.lens is None else people.lens,
+            lenses=votes.new_zeros(len(people), 3) if people.lens is None else people.lens,
             targets=None if labels is None else resize_nearest(labels, energy.size),
             seen=frozenset(np.array(people.marks)[people.visible.any(axis=0)].tolist()),
             labels=labels,
         )
+
+    def believing(self, people: StackedObservations) -> Batch:
+        """The same people with the confidence in keypoints that these observations of them have."""
+        return replace(self, votes=_stacked_votes(people)[0])
 
     def __len__(self) -> int:
         """N."""
@@ -149,6 +147,18 @@ def _stack_labels(people: Sequence[Observation]) -> torch.Tensor:
 
 
 @lru_cache(maxsize=256)
+def _stacked_votes(people: StackedObservations) -> tuple[torch.Tensor, torch.Tensor]:
+    """Votes of all landmarks, shape (N, ``LANDMARK_NAMES``), and the landmarks that the keypoints mark."""
+    columns, parts = (
+        torch.from_numpy(rows).to(people.points.device) for rows in _places(people.landmarks, people.marks)
+    )
+    sure = people.confidence.new_zeros(len(people), len(LANDMARK_NAMES))
+    sure[:, columns] = people.confidence
+    on_parts = torch.zeros_like(sure, dtype=torch.int64)
+    on_parts[:, columns] = parts
+    return split_votes(sure, on_parts), columns
+
+
 def _places(landmarks: tuple[str, ...], body_points: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Place of each keypoint in ``LANDMARK_NAMES``, and its part, shape (L,) each."""
     columns = np.array([LANDMARK_NAMES.index(name) for name in body_points], dtype=np.int64)
