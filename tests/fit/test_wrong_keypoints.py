@@ -81,3 +81,12 @@ def test_a_body_that_follows_few_keypoints_is_still_judged_by_all():
     points = np.random.default_rng(0).uniform(0, 400, sample.keypoints.points.shape).astype(np.float32)
     wild = replace(sample.keypoints, points=points)
     assert any("the body ends" in warning for warning in fit_body(wild, options=FAST).warnings)
+
+
+def test_a_body_that_is_far_from_doubted_keypoints_alone_starts_no_search():
+    """The arms' sides are swapped. A search would follow them; the body's distance from them is told all the same."""
+    sample = make_sample(222, "realistic")
+    found = fit_body(sample.keypoints, options=FitOptions.at("fast"))
+    assert found.start == "network"
+    assert found.hypotheses == 1
+    assert any("the body ends" in warning for warning in found.warnings)

@@ -125,11 +125,10 @@ def fit_evidence(
     plain, from_network = start(evidence, options, progress), options.start == "network"
     fit = plain.looked_at() if from_network else plain
     found = fit.from_network() if from_network else fit.search()
-    told = fit.complaints(found)
-    if told and from_network and options.search:
+    # Far from keypoints that the network itself doubts, its body may be right: a search would follow them.
+    if from_network and options.search and fit.complaints(found, found.observation):
         fit, found = fit.better(found, replace(fit, stages=drawn_or_not(options.search, parts)))
-        told = fit.complaints(found)
-    return fit.warn(found, told)
+    return fit.warn(found)
 
 
 @dataclass(frozen=True)
@@ -272,21 +271,20 @@ class _Fit:
             stature=self.options.stature,
         )
 
-    def complaints(self, found: FitResult) -> list[str]:
+    def complaints(self, found: FitResult, seen: Observation) -> list[str]:
         """Warnings of what the body is too far from; none if it lies where keypoints and labels are."""
-        return complaints(found.parameters, self._judge(), self.evidence.keypoints.format)
+        return complaints(found.parameters, self._judge(seen), self.evidence.keypoints.format)
 
-    def warn(self, found: FitResult, told: Sequence[str]) -> FitResult:
-        """Result with all warnings: of the input, of the body and of its parts."""
-        poor = poor_labels(found.parameters, self._judge())
-        return replace(found, warnings=(*self.evidence.warnings, *told, *poor))
+    def warn(self, found: FitResult) -> FitResult:
+        """Result with all warnings: of the input, of the body and of its parts. All keypoints count as they are."""
+        poor = poor_labels(found.parameters, self._judge(self.seen))
+        return replace(found, warnings=(*self.evidence.warnings, *self.complaints(found, self.seen), *poor))
 
     def better(self, found: FitResult, other: _Fit) -> tuple[_Fit, FitResult]:
         """The fit whose result has the lower energy, this one's or the other's search; with times of both."""
         again = other.search()
         losses = [
-            sum(float(term) for term in fit._judge()(result.parameters).values())
-            for fit, result in ((self, found), (other, again))
+            sum(float(term) for term in self._judge(self.seen)(result.parameters).values()) for result in (found, again)
         ]
         seconds = {
             f"{name}, {each.start}": value for each in (found, again) for name, value in each.stage_seconds.items()
@@ -294,9 +292,9 @@ class _Fit:
         fit, best = (other, again) if losses[1] < losses[0] else (self, found)
         return fit, replace(best, stage_seconds=seconds, hypotheses=found.hypotheses + again.hypotheses)
 
-    def _judge(self) -> Energy:
+    def _judge(self, seen: Observation) -> Energy:
         """Energy by which results of all starts are compared."""
-        return Energy(self.seen, weights=self.options.weights, prior=self.prior, renderer=self.options.renderer)
+        return Energy(seen, weights=self.options.weights, prior=self.prior, renderer=self.options.renderer)
 
 
 def _check_camera(camera: Perspective | None) -> None:
