@@ -16,7 +16,7 @@ from ..network.predicted import Predicted, landmarks_in_crop
 Seen = TypeVar("Seen", Observation, StackedObservations)
 
 # Of PartBench's first 40 people at the level "hard", 20 to 40 px give the same errors within 0.6 mm. Real people, of
-# whom few keypoints are wrong, have the same errors with all of these and without (docs/accuracy.md).
+# whom few keypoints are wrong, have the same errors with all of these and without (docs/evaluation.md).
 GROSS_ERROR = 30.0  # [px of a crop of 256 px], about 15 cm of an adult; a keypoint this far off counts a quarter
 
 
