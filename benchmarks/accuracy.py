@@ -27,21 +27,21 @@ from typing import Any
 
 import numpy as np
 
-from warp_partdr.bench.machine import about, in_words
-from warp_partdr.bench.report import make_table, save_figures, wide_console
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import MPJPE_JOINTS, MPJPE_SKELETON
 from warp_partdr.cli.progress import FitProgress
-from warp_partdr.evaluation.datasets import read_folder
-from warp_partdr.evaluation.evaluate import Method, evaluate, no_labels, one_thread, silhouette
-from warp_partdr.evaluation.partbench.methods import fit_anny
-from warp_partdr.evaluation.scoring import summarise
-from warp_partdr.fit.mesh_options import MeshOptions
-from warp_partdr.fit.options import FitOptions
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import choose_person
 from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.inputs.sample import Sample
+from warp_partdr.lab.bench.machine import about, in_words
+from warp_partdr.lab.bench.report import make_table, save_figures, wide_console
+from warp_partdr.lab.evaluation.datasets import read_folder
+from warp_partdr.lab.evaluation.evaluate import Method, evaluate, no_labels, one_thread, silhouette
+from warp_partdr.lab.evaluation.partbench.methods import fit_anny
+from warp_partdr.lab.evaluation.scoring import summarise
+from warp_partdr.solve.ellipsoids.options import FitOptions
+from warp_partdr.solve.mesh.mesh_options import MeshOptions
 
 LABELS = label_set("cdcl14")
 

@@ -35,17 +35,17 @@ from measure_mean_body import Silhouettes, fit_thicknesses
 from warp_partdr.body.posing import Posed, pose
 from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, SHAPE_INDICES
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.clothing.anny import anny, anny_shape
-from warp_partdr.clothing.model import Detailed, DetailedModel, detailed_mesh
-from warp_partdr.clothing.registration import Registered, RegistrationOptions, RegistrationWeights, register
-from warp_partdr.clothing.surfaces import skin_vertices
+from warp_partdr.lab.synthetic.mocap import Clip
+from warp_partdr.lab.synthetic.mocap_files import held_out_frames
+from warp_partdr.lab.synthetic.people import PHENOTYPE_RANGES, pose_anny, rotations_along
+from warp_partdr.lab.synthetic.poses import mean_body
+from warp_partdr.models.anny import anny, anny_shape
+from warp_partdr.models.model import Detailed, DetailedModel, detailed_mesh
+from warp_partdr.models.registration import Registered, RegistrationOptions, RegistrationWeights, register
+from warp_partdr.models.surfaces import skin_vertices
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.results.palette import PART_COLOURS
 from warp_partdr.results.pictures import blend, shade_mesh
-from warp_partdr.synthetic.mocap import Clip
-from warp_partdr.synthetic.mocap_files import held_out_frames
-from warp_partdr.synthetic.people import PHENOTYPE_RANGES, pose_anny, rotations_along
-from warp_partdr.synthetic.poses import mean_body
 
 DEPTH = 0.002  # [m] inside an ellipsoid that counts
 INSIDE = 0.005  # share of the true person's vertices that may be so deep in an inscribed body
@@ -154,7 +154,7 @@ def tile(mesh: PartMesh, truth: np.ndarray, found: np.ndarray, title: str) -> Im
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("mocap", type=Path, help="folder that warp_partdr/synthetic/mocap_files.py reads")
+    parser.add_argument("mocap", type=Path, help="folder that warp_partdr/lab/synthetic/mocap_files.py reads")
     parser.add_argument("--out", type=Path, required=True, help="folder to write to")
     parser.add_argument("--count", type=int, default=30, help="how many people")
     parser.add_argument("--seed", type=int, default=0)

@@ -23,10 +23,10 @@ from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import Posed
 from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PART_NAMES, SIZE_COLUMNS
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.growth import MEASURES, UNGROWN
-from warp_partdr.clothing.registration import Registered, register
-from warp_partdr.clothing.surfaces import vertex_parts
+from warp_partdr.models.anny import anny
+from warp_partdr.models.growth import MEASURES, UNGROWN
+from warp_partdr.models.registration import Registered, register
+from warp_partdr.models.surfaces import vertex_parts
 from warp_partdr.results.pictures import blend, shade_body, shade_detailed
 from warp_partdr.viewer.targets import read_body
 

@@ -35,7 +35,7 @@ class ThingArrays:
 
 @wp.struct
 class OccluderArrays:
-    """Pixels with something before B people, see ``synthetic.occluders.Occluders``."""
+    """Pixels with something before B people, see ``lab.synthetic.occluders.Occluders``."""
 
     mask: wp.array3d[wp.bool]  # (B, S, S)
     hiding: wp.array3d[wp.bool]  # (B, S, S)

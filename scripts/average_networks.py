@@ -14,8 +14,8 @@ from pathlib import Path
 import torch
 
 from warp_partdr.errors import InputError
-from warp_partdr.network.checkpoint import load_label_network, save_label_network
-from warp_partdr.network.label_network import LabelNetwork
+from warp_partdr.networks.regression.checkpoint import load_label_network, save_label_network
+from warp_partdr.networks.regression.label_network import LabelNetwork
 
 
 def average(first: LabelNetwork, second: LabelNetwork, share: float) -> dict[str, torch.Tensor]:

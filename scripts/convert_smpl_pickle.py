@@ -20,9 +20,9 @@ from typing import IO, Any
 
 import numpy as np
 
-from warp_partdr.clothing.load import MAX_BYTES
-from warp_partdr.clothing.skel import SKEL_ARRAYS, check_skel
-from warp_partdr.clothing.smpl import ARRAYS, check_smpl
+from warp_partdr.models.load import MAX_BYTES
+from warp_partdr.models.skel import SKEL_ARRAYS, check_skel
+from warp_partdr.models.smpl import ARRAYS, check_smpl
 
 
 class Shell:

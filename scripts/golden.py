@@ -25,21 +25,21 @@ from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import Posed
 from warp_partdr.cameras import Camera, Perspective, ScreenCamera, WeakPerspective
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.registration import register
-from warp_partdr.evaluation.partbench.samples import make_sample
-from warp_partdr.evaluation.scoring import score_fit
-from warp_partdr.fit.fitting import fit_body
-from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.stages import Quality, Start
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import choose_person
 from warp_partdr.inputs.part_labels import read_parts
+from warp_partdr.lab.evaluation.partbench.samples import make_sample
+from warp_partdr.lab.evaluation.scoring import score_fit
+from warp_partdr.models.anny import anny
+from warp_partdr.models.registration import register
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.options import Gradient
 from warp_partdr.render.part_mesh import ellipbody_mesh
 from warp_partdr.render.renderers import RendererMesh
+from warp_partdr.solve.ellipsoids.fitting import fit_body
+from warp_partdr.solve.ellipsoids.options import FitOptions
+from warp_partdr.solve.ellipsoids.stages import Quality, Start
 
 SCENES = 8
 SIZE = (120, 150)

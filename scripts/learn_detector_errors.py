@@ -1,4 +1,4 @@
-"""Learn how the packaged detector errs, for ``synthetic/detector_errors.py``, and print it.
+"""Learn how the packaged detector errs, for ``lab/synthetic/detector_errors.py``, and print it.
 
     python scripts/learn_detector_errors.py MOCAP [--people 3328] [--out FILE.npz] [--pictures FOLDER]
 
@@ -24,21 +24,21 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.body.template import MEAN_STATURE
 from warp_partdr.cameras import Perspective
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.measuring import statures
-from warp_partdr.clothing.pose import pose_from_ellipbody
-from warp_partdr.detection.masks import instance_map
-from warp_partdr.detection.people import find_people_in
-from warp_partdr.detection.person import SKELETON, FoundPerson
-from warp_partdr.network.landmarks import LANDMARKS, network_keypoints
-from warp_partdr.synthetic import people
-from warp_partdr.synthetic.detector_errors import BEYOND, HIDDEN, SEEN
-from warp_partdr.synthetic.pose_sampler import PoseBank, PoseSampler
-from warp_partdr.synthetic.poses import mean_body
-from warp_partdr.synthetic.rng import TorchRng
-from warp_partdr.synthetic.shading import SAMPLES, shade_people
-from warp_partdr.synthetic.training_people import PeopleMaker
-from warp_partdr.synthetic.wardrobe import wardrobe
+from warp_partdr.lab.synthetic import people
+from warp_partdr.lab.synthetic.detector_errors import BEYOND, HIDDEN, SEEN
+from warp_partdr.lab.synthetic.pose_sampler import PoseBank, PoseSampler
+from warp_partdr.lab.synthetic.poses import mean_body
+from warp_partdr.lab.synthetic.rng import TorchRng
+from warp_partdr.lab.synthetic.shading import SAMPLES, shade_people
+from warp_partdr.lab.synthetic.training_people import PeopleMaker
+from warp_partdr.lab.synthetic.wardrobe import wardrobe
+from warp_partdr.models.anny import anny
+from warp_partdr.models.measuring import statures
+from warp_partdr.models.pose import pose_from_ellipbody
+from warp_partdr.networks.detection.masks import instance_map
+from warp_partdr.networks.detection.people import find_people_in
+from warp_partdr.networks.detection.person import SKELETON, FoundPerson
+from warp_partdr.networks.regression.landmarks import LANDMARKS, network_keypoints
 
 DEFAULT = Path(__file__).parents[1] / "warp_partdr" / "assets" / "detector_errors.npz"
 SEED = 5_407

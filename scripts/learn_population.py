@@ -1,4 +1,4 @@
-"""Learn what ``synthetic/population.py`` knows of people's measures, and write ``warp_partdr/assets/population.json``.
+"""Learn what ``lab.synthetic.population`` knows of people's measures, and write its ``population.json``.
 
     python scripts/learn_population.py ANSUR
 
@@ -21,9 +21,9 @@ import numpy as np
 import torch
 
 from warp_partdr.body.template import JOINT_NAMES
-from warp_partdr.clothing.anny import anny, anny_shape
-from warp_partdr.clothing.measuring import _TRUNK, _edges, _girths, measure_body
-from warp_partdr.synthetic.population import MEASURES
+from warp_partdr.lab.synthetic.population import MEASURES
+from warp_partdr.models.anny import anny, anny_shape
+from warp_partdr.models.measuring import _TRUNK, _edges, _girths, measure_body
 
 ASSET = Path(__file__).resolve().parents[1] / "warp_partdr/assets/population.json"
 _DOWN, _INWARD, _ELBOW, _WRIST = 0.0199, 0.0114, 0.0057, 0.0028  # of the stature: joints from tapes' landmarks

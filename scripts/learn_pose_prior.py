@@ -22,7 +22,7 @@ from rich.table import Table
 from warp_partdr.body.landmarks import without_side
 from warp_partdr.body.pose_prior import FREE_PARTS, PosePrior, mirror_features
 from warp_partdr.body.template import NUM_PARTS, PART_NAMES, template
-from warp_partdr.synthetic import mocap, mocap_files
+from warp_partdr.lab.synthetic import mocap, mocap_files
 
 ORDER, SIGN = mirror_features()
 

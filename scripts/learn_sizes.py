@@ -1,4 +1,4 @@
-"""Learn how far the mean of a clip's sizes lies from the mean person, for ``scenes/clip_sizes.py``, and print it.
+"""Learn how far the mean of a clip's sizes lies from the mean person, for ``solve/scene/clip_sizes.py``, and print it.
 
     python scripts/learn_sizes.py MOCAP [FIRST LAST]
 
@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from warp_partdr.evaluation.evaluate import one_thread
-from warp_partdr.scenes.looks import look_at
-from warp_partdr.synthetic.mocap import Clip, is_held_out, smooth_windows
-from warp_partdr.synthetic.mocap_files import FRAME_RATE, load_clips
-from warp_partdr.synthetic.scene_people import make_clip
+from warp_partdr.lab.evaluation.evaluate import one_thread
+from warp_partdr.lab.synthetic.mocap import Clip, is_held_out, smooth_windows
+from warp_partdr.lab.synthetic.mocap_files import FRAME_RATE, load_clips
+from warp_partdr.lab.synthetic.scene_people import make_clip
+from warp_partdr.solve.scene.looks import look_at
 
 _FRAMES, _EVERY = 60, 4
 _COUNTS = (1, 2, 4, 8, 15)

@@ -15,10 +15,10 @@ import torch
 
 from warp_partdr.body.stature import SHARES
 from warp_partdr.body.template import LENGTH_NAMES
-from warp_partdr.clothing.anny import anny, anny_shape
-from warp_partdr.clothing.measuring import measure_ellipbody, statures
-from warp_partdr.clothing.registration import ungrown
-from warp_partdr.synthetic import people
+from warp_partdr.lab.synthetic import people
+from warp_partdr.models.anny import anny, anny_shape
+from warp_partdr.models.measuring import measure_ellipbody, statures
+from warp_partdr.models.registration import ungrown
 
 _BATCH = 250
 _OFF = 0.03  # share of a length

@@ -3,7 +3,7 @@
     python scripts/make_anny_asset.py
 
 Needs the ``anny`` extra; its first construction takes minutes.
-``warp_partdr/clothing/anny.py`` reads the file and says what is in it.
+``warp_partdr/models/anny.py`` reads the file and says what is in it.
 
 * **Shape.** Principal components of random people in Anny's reference pose, in which everybody's bones have the same
   directions: half of the people drawn as Anny's own distribution draws them (uniform in age from 0 to 90 years, heights
@@ -32,7 +32,7 @@ from measure_mean_body import TORSO, measure_joints, rest_pose
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.landmarks import LANDMARKS, landmark_positions
 from warp_partdr.body.template import PART_NAMES
-from warp_partdr.clothing.anny import FORMAT, PHENOTYPE_ANCHORS, corner_weights
+from warp_partdr.models.anny import FORMAT, PHENOTYPE_ANCHORS, corner_weights
 
 Solids = tuple[np.ndarray, np.ndarray, np.ndarray]  # centres (20, 3), axes (20, 3, 3), semi-axes (20, 3) of ellipsoids
 

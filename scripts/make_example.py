@@ -22,9 +22,9 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cameras import Perspective
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.model import parts_at_joints
-from warp_partdr.clothing.normals import vertex_normals
+from warp_partdr.models.anny import anny
+from warp_partdr.models.model import parts_at_joints
+from warp_partdr.models.normals import vertex_normals
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 

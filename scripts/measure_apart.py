@@ -21,16 +21,16 @@ from scipy.sparse.csgraph import connected_components
 
 from warp_partdr import FitOptions, fit_body
 from warp_partdr.body.template import NUM_PARTS
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.capsules import measure_capsules
-from warp_partdr.evaluation.evaluate import Fitting, evaluate, tables
-from warp_partdr.evaluation.partbench.samples import PAIRS, make_sample
-from warp_partdr.evaluation.partbench.scenes import SCENE_METHODS, SceneMethod, fit_all_together, partbench_scenes
-from warp_partdr.evaluation.scoring import Score, score_fit, summarise
-from warp_partdr.evaluation.volumes import STEP, point_grid, shared_volume, windings
-from warp_partdr.fit.mesh_options import MeshOptions
-from warp_partdr.fit.mesh_stage import refine_mesh
-from warp_partdr.scenes.options import SceneOptions
+from warp_partdr.lab.evaluation.evaluate import Fitting, evaluate, tables
+from warp_partdr.lab.evaluation.partbench.samples import PAIRS, make_sample
+from warp_partdr.lab.evaluation.partbench.scenes import SCENE_METHODS, SceneMethod, fit_all_together, partbench_scenes
+from warp_partdr.lab.evaluation.scoring import Score, score_fit, summarise
+from warp_partdr.lab.evaluation.volumes import STEP, point_grid, shared_volume, windings
+from warp_partdr.models.anny import anny
+from warp_partdr.models.capsules import measure_capsules
+from warp_partdr.solve.mesh.mesh_options import MeshOptions
+from warp_partdr.solve.mesh.mesh_stage import refine_mesh
+from warp_partdr.solve.scene.options import SceneOptions
 
 
 def measure_people(first: int, last: int, weights: list[float]) -> None:

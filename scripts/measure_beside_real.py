@@ -21,15 +21,15 @@ from typing import Any
 
 import numpy as np
 
-from warp_partdr.evaluation.datasets import ViewSelection, read_real, view_samples
-from warp_partdr.evaluation.evaluate import Fitting, Method, all_parts, evaluate, one_thread
-from warp_partdr.evaluation.pairs import compare_pairs
-from warp_partdr.evaluation.partbench.samples import make_sample
-from warp_partdr.evaluation.real import MESH, NETWORK, real_methods
 from warp_partdr.inputs.keypoints import person_height
 from warp_partdr.inputs.sample import Sample
-from warp_partdr.synthetic.noise import LEVELS, noisy_keypoints
-from warp_partdr.synthetic.partbench_people import OTHER_FORMATS
+from warp_partdr.lab.evaluation.datasets import ViewSelection, read_real, view_samples
+from warp_partdr.lab.evaluation.evaluate import Fitting, Method, all_parts, evaluate, one_thread
+from warp_partdr.lab.evaluation.pairs import compare_pairs
+from warp_partdr.lab.evaluation.partbench.samples import make_sample
+from warp_partdr.lab.evaluation.real import MESH, NETWORK, real_methods
+from warp_partdr.lab.synthetic.noise import LEVELS, noisy_keypoints
+from warp_partdr.lab.synthetic.partbench_people import OTHER_FORMATS
 
 _UNKNOWN_SIZE = (10**6, 10**6)  # (H, W) [px]: nothing lies beyond the border
 _FIGURES = (("pa_mpjpe_mm", 1), ("mpjpe_mm", 1), ("stature_share", 100))

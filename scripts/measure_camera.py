@@ -14,9 +14,9 @@ import numpy as np
 import warp as wp
 
 from warp_partdr import FitOptions, fit_body, metrics
-from warp_partdr.evaluation.partbench.samples import FAR, NEAR, make_sample
-from warp_partdr.evaluation.scoring import score_fit
 from warp_partdr.inputs.sample import Sample
+from warp_partdr.lab.evaluation.partbench.samples import FAR, NEAR, make_sample
+from warp_partdr.lab.evaluation.scoring import score_fit
 
 
 def main(first: int = 200, last: int = 299, *, level: str = "realistic") -> None:

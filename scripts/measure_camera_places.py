@@ -26,15 +26,15 @@ from measure_camera import interval
 
 from warp_partdr import metrics
 from warp_partdr.body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
-from warp_partdr.evaluation.evaluate import one_thread
-from warp_partdr.scenes.camera_places import place_cameras
-from warp_partdr.scenes.film_cameras import spread
-from warp_partdr.scenes.fitting import fit_scene
-from warp_partdr.scenes.looks import look_at
-from warp_partdr.scenes.options import SceneOptions
-from warp_partdr.scenes.scene import Scene, View
-from warp_partdr.synthetic.mocap_files import FRAME_RATE, held_out_windows
-from warp_partdr.synthetic.scene_people import SceneSample, make_clip, make_views
+from warp_partdr.inputs.scene import Scene, View
+from warp_partdr.lab.evaluation.evaluate import one_thread
+from warp_partdr.lab.synthetic.mocap_files import FRAME_RATE, held_out_windows
+from warp_partdr.lab.synthetic.scene_people import SceneSample, make_clip, make_views
+from warp_partdr.pipelines.camera_places import place_cameras
+from warp_partdr.pipelines.film_cameras import spread
+from warp_partdr.solve.scene.fitting import fit_scene
+from warp_partdr.solve.scene.looks import look_at
+from warp_partdr.solve.scene.options import SceneOptions
 
 NAMES = "angle [degrees]", "direction [degrees]", "distance [%]", "time [s]"
 BODIES = "first camera alone", "both, found", "both, known"

@@ -31,7 +31,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from PIL import Image
 
-from warp_partdr.synthetic.partbench_people import make_person
+from warp_partdr.lab.synthetic.partbench_people import make_person
 
 DISTINCT, IN_A_TAR, BROKEN_EVERY = 40, 10_000, 100
 SMALL, LARGE = "96k", "2g"  # of the disk

@@ -17,13 +17,13 @@ import torch
 import warp as wp
 
 from warp_partdr import FitOptions, fit_body, pose
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.measuring import BODY_MEASURES, measure_body, measure_ellipbody
-from warp_partdr.clothing.registration import register, ungrown
-from warp_partdr.evaluation.partbench.samples import make_sample
-from warp_partdr.fit.mesh_stage import refine_mesh
+from warp_partdr.lab.evaluation.partbench.samples import make_sample
+from warp_partdr.lab.synthetic.partbench_people import draw_shape
 from warp_partdr.metrics import bootstrap_sum
-from warp_partdr.synthetic.partbench_people import draw_shape
+from warp_partdr.models.anny import anny
+from warp_partdr.models.measuring import BODY_MEASURES, measure_body, measure_ellipbody
+from warp_partdr.models.registration import register, ungrown
+from warp_partdr.solve.mesh.mesh_stage import refine_mesh
 
 
 def main(first: str = "300", last: str = "339") -> None:

@@ -29,22 +29,22 @@ import warp as wp
 
 from warp_partdr import metrics
 from warp_partdr.body.skeletons import skeleton
-from warp_partdr.detection import LandmarkNetwork
-from warp_partdr.detection.asset import load_heavy_landmarks
-from warp_partdr.detection.crops import Pyramid
-from warp_partdr.detection.film_people import find_film_people
-from warp_partdr.detection.heavy import see_landmarks
-from warp_partdr.detection.look import place_landmarks
-from warp_partdr.detection.people import find_people
-from warp_partdr.detection.person import SKELETON, FoundPerson
-from warp_partdr.evaluation.partbench.photos import shade_person
-from warp_partdr.fit.options import FitOptions
 from warp_partdr.inputs.films import read_frames
 from warp_partdr.inputs.keypoints import person_heights
-from warp_partdr.scenes.film import fit_film
-from warp_partdr.scenes.photo import fit_photo
-from warp_partdr.scenes.seen_film import SeenFilm
-from warp_partdr.synthetic.partbench_people import COCO, make_person
+from warp_partdr.lab.evaluation.partbench.photos import shade_person
+from warp_partdr.lab.synthetic.partbench_people import COCO, make_person
+from warp_partdr.networks.detection import LandmarkNetwork
+from warp_partdr.networks.detection.asset import load_heavy_landmarks
+from warp_partdr.networks.detection.crops import Pyramid
+from warp_partdr.networks.detection.film_people import find_film_people
+from warp_partdr.networks.detection.heavy import see_landmarks
+from warp_partdr.networks.detection.look import place_landmarks
+from warp_partdr.networks.detection.people import find_people
+from warp_partdr.networks.detection.person import SKELETON, FoundPerson
+from warp_partdr.pipelines.film import fit_film
+from warp_partdr.pipelines.photo import fit_photo
+from warp_partdr.pipelines.seen_film import SeenFilm
+from warp_partdr.solve.ellipsoids.options import FitOptions
 
 LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 JOINTS = [f"{side}_{name}" for name in LIMBS for side in ("left", "right")]

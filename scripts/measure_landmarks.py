@@ -18,11 +18,11 @@ from warp_partdr.body.landmarks import mirror_point
 from warp_partdr.body.posing import Posed, pose
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, MEAN_STATURE, PART_NAMES, SHAPE_INDICES, template
-from warp_partdr.clothing.anny import anny, anny_shape
-from warp_partdr.clothing.measuring import statures
-from warp_partdr.synthetic import people
-from warp_partdr.synthetic.pose_sampler import PoseBank, PoseSampler
-from warp_partdr.synthetic.poses import mean_body
+from warp_partdr.lab.synthetic import people
+from warp_partdr.lab.synthetic.pose_sampler import PoseBank, PoseSampler
+from warp_partdr.lab.synthetic.poses import mean_body
+from warp_partdr.models.anny import anny, anny_shape
+from warp_partdr.models.measuring import statures
 
 PEOPLE, SEED = 2000, 1000
 

@@ -21,19 +21,19 @@ import warp as wp
 from measure_together import Steps
 
 from warp_partdr import FitOptions, fit_body
-from warp_partdr.clothing import measuring
-from warp_partdr.clothing.anny import anny
-from warp_partdr.evaluation.partbench.samples import make_sample
-from warp_partdr.fit import mesh_energy as mesh_energy_module
-from warp_partdr.fit import mesh_stage
-from warp_partdr.fit.mesh_energy import gather_starts, mesh_energy
-from warp_partdr.fit.mesh_options import MeshOptions
-from warp_partdr.fit.mesh_stage import refine_meshes
-from warp_partdr.fit.result import FitResult
-from warp_partdr.fit.steps import find_steps
 from warp_partdr.interop.captured_step import CapturedStep
 from warp_partdr.interop.devices import choose_device
 from warp_partdr.interop.torch_threads import one_torch_thread
+from warp_partdr.lab.evaluation.partbench.samples import make_sample
+from warp_partdr.models import measuring
+from warp_partdr.models.anny import anny
+from warp_partdr.solve.ellipsoids.result import FitResult
+from warp_partdr.solve.mesh import mesh_energy as mesh_energy_module
+from warp_partdr.solve.mesh import mesh_stage
+from warp_partdr.solve.mesh.mesh_energy import gather_starts, mesh_energy
+from warp_partdr.solve.mesh.mesh_options import MeshOptions
+from warp_partdr.solve.mesh.mesh_stage import refine_meshes
+from warp_partdr.solve.mesh.steps import find_steps
 
 PARTS = (
     (mesh_stage, "gather_starts", "starts"),

@@ -14,11 +14,11 @@ from itertools import pairwise
 import torch
 import warp as wp
 
+from warp_partdr.lab.training.config import make_config
+from warp_partdr.lab.training.label_task import LSP_JOINTS, LabelTask, errors_of, spreads_of
 from warp_partdr.metrics import mpjpe, pa_mpjpe
-from warp_partdr.network.checkpoint import load_label_network
-from warp_partdr.network.label_network import KNOWN_LENS, USUAL_LENS
-from warp_partdr.training.config import make_config
-from warp_partdr.training.label_task import LSP_JOINTS, LabelTask, errors_of, spreads_of
+from warp_partdr.networks.regression.checkpoint import load_label_network
+from warp_partdr.networks.regression.label_network import KNOWN_LENS, USUAL_LENS
 
 _TILTS = (30, 60, 180)  # [degrees] of the pelvis from upright in the picture
 

@@ -19,15 +19,15 @@ from measure_camera import interval
 from warp_partdr import FitOptions, metrics
 from warp_partdr.body.labels import BACKGROUND, IGNORE
 from warp_partdr.body.skeletons import MPJPE_JOINTS
-from warp_partdr.fit.fitting import fit_evidence
-from warp_partdr.fit.mesh_stage import MeshFit, refine_meshes
-from warp_partdr.fit.result import FitResult
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.masked_people import MASK_LABELS
 from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.interop.torch_threads import one_torch_thread
-from warp_partdr.scenes.overlapping import refine_people
-from warp_partdr.synthetic.scene_people import SceneSample, make_pair
+from warp_partdr.lab.synthetic.scene_people import SceneSample, make_pair
+from warp_partdr.solve.ellipsoids.fitting import fit_evidence
+from warp_partdr.solve.ellipsoids.result import FitResult
+from warp_partdr.solve.mesh.mesh_stage import MeshFit, refine_meshes
+from warp_partdr.solve.scene.overlapping import refine_people
 
 FIGURES = (
     "PA-MPJPE [mm]",

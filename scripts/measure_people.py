@@ -23,18 +23,18 @@ import torch
 import warp as wp
 from PIL import Image
 
-from warp_partdr.detection import MIN_SCORE
-from warp_partdr.detection.asset import packaged_people_networks
-from warp_partdr.detection.crops import Pyramid
-from warp_partdr.detection.detector import detect_people
-from warp_partdr.detection.look import look
-from warp_partdr.detection.masks import instance_maps
-from warp_partdr.detection.people import find_people_in
-from warp_partdr.fit.cut_people import CutPeople, CutPerson
+from warp_partdr.inputs.cut_people import CutPeople, CutPerson
 from warp_partdr.inputs.masked_people import MaskedPerson, cut_masks
 from warp_partdr.inputs.part_labels import read_photo
-from warp_partdr.network.checkpoint import packaged_network
-from warp_partdr.network.predict import ask_network
+from warp_partdr.networks.detection import MIN_SCORE
+from warp_partdr.networks.detection.asset import packaged_people_networks
+from warp_partdr.networks.detection.crops import Pyramid
+from warp_partdr.networks.detection.detector import detect_people
+from warp_partdr.networks.detection.look import look
+from warp_partdr.networks.detection.masks import instance_maps
+from warp_partdr.networks.detection.people import find_people_in
+from warp_partdr.networks.regression.checkpoint import packaged_network
+from warp_partdr.networks.regression.predict import ask_network
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "warp_partdr" / "assets" / "example"
 RUNS = 5

@@ -23,7 +23,7 @@ from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import person_height
 from warp_partdr.inputs.part_labels import read_labelled_parts, read_photo
-from warp_partdr.scenes.photo import fit_photo
+from warp_partdr.pipelines.photo import fit_photo
 
 COARSE = label_set("lsp6")
 

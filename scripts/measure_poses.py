@@ -20,8 +20,8 @@ import warp as wp
 
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, template
-from warp_partdr.synthetic.pose_sampler import PoseBank, PoseSampler
-from warp_partdr.synthetic.poses import mean_body
+from warp_partdr.lab.synthetic.pose_sampler import PoseBank, PoseSampler
+from warp_partdr.lab.synthetic.poses import mean_body
 
 POSES, DRAWS, SEED, POOL = 20_000, 6, 1, 4096
 LIMBS = (

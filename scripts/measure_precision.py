@@ -15,10 +15,10 @@ from unittest.mock import patch
 import numpy as np
 import warp as wp
 
-from warp_partdr.detection import people as finding
-from warp_partdr.detection.asset import PeopleNetworks, packaged_people_networks
-from warp_partdr.detection.person import FoundPerson
 from warp_partdr.inputs.part_labels import read_photo
+from warp_partdr.networks.detection import people as finding
+from warp_partdr.networks.detection.asset import PeopleNetworks, packaged_people_networks
+from warp_partdr.networks.detection.person import FoundPerson
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "warp_partdr" / "assets" / "example"
 

@@ -17,18 +17,18 @@ from typing import Any
 import torch
 import warp as wp
 
-from warp_partdr.clothing.anny import anny
-from warp_partdr.fit.fitting import fit_body
-from warp_partdr.fit.mesh_energy import gather_starts, mesh_energy
-from warp_partdr.fit.mesh_options import MeshOptions
-from warp_partdr.fit.steps import Steps, find_steps
+from warp_partdr.inputs.scene import Scene
 from warp_partdr.interop.torch_threads import one_torch_thread
-from warp_partdr.scenes.fitting import scene_energy
-from warp_partdr.scenes.looks import look_at
-from warp_partdr.scenes.options import SceneOptions
-from warp_partdr.scenes.scene import Scene
-from warp_partdr.scenes.start import gather_scene
-from warp_partdr.synthetic.scene_people import make_views
+from warp_partdr.lab.synthetic.scene_people import make_views
+from warp_partdr.models.anny import anny
+from warp_partdr.solve.ellipsoids.fitting import fit_body
+from warp_partdr.solve.mesh.mesh_energy import gather_starts, mesh_energy
+from warp_partdr.solve.mesh.mesh_options import MeshOptions
+from warp_partdr.solve.mesh.steps import Steps, find_steps
+from warp_partdr.solve.scene.fitting import scene_energy
+from warp_partdr.solve.scene.looks import look_at
+from warp_partdr.solve.scene.options import SceneOptions
+from warp_partdr.solve.scene.start import gather_scene
 
 MESH, _REPEATS = MeshOptions(iterations=50), 5
 

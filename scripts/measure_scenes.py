@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from warp_partdr.evaluation.evaluate import evaluate, one_thread, tables
-from warp_partdr.evaluation.partbench.report import compare_methods
-from warp_partdr.evaluation.partbench.samples import SCENES
-from warp_partdr.evaluation.partbench.scenes import SCENE_METHODS, partbench_scenes
-from warp_partdr.evaluation.scene_scoring import sliding_speed
+from warp_partdr.lab.evaluation.evaluate import evaluate, one_thread, tables
+from warp_partdr.lab.evaluation.partbench.report import compare_methods
+from warp_partdr.lab.evaluation.partbench.samples import SCENES
+from warp_partdr.lab.evaluation.partbench.scenes import SCENE_METHODS, partbench_scenes
+from warp_partdr.lab.evaluation.scene_scoring import sliding_speed
 
 
 def main() -> None:

@@ -16,11 +16,11 @@ import warp as wp
 from measure_camera import interval
 
 from warp_partdr import FitOptions, fit_body
-from warp_partdr.evaluation.partbench.samples import make_sample
-from warp_partdr.evaluation.scoring import score_fit
 from warp_partdr.files.sections import set_value
-from warp_partdr.fit.mesh_stage import refine_mesh
-from warp_partdr.fit.settings import change_options
+from warp_partdr.lab.evaluation.partbench.samples import make_sample
+from warp_partdr.lab.evaluation.scoring import score_fit
+from warp_partdr.solve.ellipsoids.settings import change_options
+from warp_partdr.solve.mesh.mesh_stage import refine_mesh
 
 _PLAIN = "without settings"
 

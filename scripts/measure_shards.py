@@ -35,12 +35,12 @@ from warp_partdr.bulk.people import PeopleFitter, kept_label_size, stages_of_qua
 from warp_partdr.bulk.picture_files import PictureFiles
 from warp_partdr.bulk.processes import read_in_processes, shared_memory
 from warp_partdr.bulk.rows import PeopleRows, columns, people_table
-from warp_partdr.clothing.anny import anny
-from warp_partdr.fit.cut_people import CutPeople
+from warp_partdr.inputs.cut_people import CutPeople
 from warp_partdr.interop.devices import choose_device
 from warp_partdr.interop.precision import multiplies_bfloat16
 from warp_partdr.kernels.launch import get_num_threads
-from warp_partdr.network.checkpoint import packaged_network
+from warp_partdr.models.anny import anny
+from warp_partdr.networks.regression.checkpoint import packaged_network
 
 DISTINCT, IN_A_TAR, SHARD, BATCH, SOME = 40, 5_000, 1_000, 1_000, 256
 FIRST, MOST_SECONDS = 2, 60  # shards that don't count, and seconds that do

@@ -19,15 +19,15 @@ import warp as wp
 from measure_camera import interval
 
 from warp_partdr import FitOptions, FitResult, fit_body
-from warp_partdr.evaluation.evaluate import all_parts, no_labels, silhouette
-from warp_partdr.evaluation.partbench.samples import make_sample
-from warp_partdr.evaluation.scoring import Score, score_fit, summarise
-from warp_partdr.fit.mesh_options import MeshOptions
-from warp_partdr.fit.mesh_stage import MeshFit, refine_mesh
-from warp_partdr.fit.stages import Quality
 from warp_partdr.inputs.part_labels import PartLabels
-from warp_partdr.synthetic.partbench_people import draw_quantiles
-from warp_partdr.synthetic.population import population
+from warp_partdr.lab.evaluation.evaluate import all_parts, no_labels, silhouette
+from warp_partdr.lab.evaluation.partbench.samples import make_sample
+from warp_partdr.lab.evaluation.scoring import Score, score_fit, summarise
+from warp_partdr.lab.synthetic.partbench_people import draw_quantiles
+from warp_partdr.lab.synthetic.population import population
+from warp_partdr.solve.ellipsoids.stages import Quality
+from warp_partdr.solve.mesh.mesh_options import MeshOptions
+from warp_partdr.solve.mesh.mesh_stage import MeshFit, refine_mesh
 
 _ALONE = "network"
 # The mesh stage from the fast quality on: what both are given, and the stage's own quality.

@@ -22,18 +22,18 @@ from warp_partdr import FitOptions, fit_body
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import MPJPE_JOINTS
 from warp_partdr.cameras import Camera, Perspective
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.joint_turns import turn_joints
-from warp_partdr.clothing.pose import free_joints, pose_from_ellipbody
-from warp_partdr.clothing.registration import Registered, ungrown
-from warp_partdr.evaluation.partbench.samples import make_sample
-from warp_partdr.fit.given_start import refine_given
-from warp_partdr.fit.mesh_stage import refine_mesh
+from warp_partdr.lab.evaluation.partbench.samples import make_sample
+from warp_partdr.lab.synthetic import people
+from warp_partdr.lab.synthetic.partbench_people import _PITCH, draw_shape, make_person, pose_kind
+from warp_partdr.lab.synthetic.pose_recipes import draw_pose
+from warp_partdr.lab.synthetic.poses import mean_body
 from warp_partdr.metrics import bootstrap_sum, pa_mpjpe
-from warp_partdr.synthetic import people
-from warp_partdr.synthetic.partbench_people import _PITCH, draw_shape, make_person, pose_kind
-from warp_partdr.synthetic.pose_recipes import draw_pose
-from warp_partdr.synthetic.poses import mean_body
+from warp_partdr.models.anny import anny
+from warp_partdr.models.joint_turns import turn_joints
+from warp_partdr.models.pose import free_joints, pose_from_ellipbody
+from warp_partdr.models.registration import Registered, ungrown
+from warp_partdr.solve.mesh.given_start import refine_given
+from warp_partdr.solve.mesh.mesh_stage import refine_mesh
 
 LEVELS = (36.0, 55.0)  # [mm], PA-MPJPE of starts
 KINDS = ("depth", "any")

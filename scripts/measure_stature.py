@@ -18,16 +18,16 @@ import warp as wp
 from measure_camera import interval
 
 from warp_partdr import FitOptions, fit_body
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.measuring import statures
-from warp_partdr.evaluation.partbench.samples import CLIP, make_sample
-from warp_partdr.evaluation.partbench.scenes import partbench_scenes
-from warp_partdr.evaluation.scene_scoring import SceneBodies, score_scene
-from warp_partdr.evaluation.scoring import Score, score_fit
-from warp_partdr.fit.mesh_stage import refine_mesh
-from warp_partdr.scenes.fitting import fit_scene
-from warp_partdr.scenes.options import SceneOptions
-from warp_partdr.synthetic.partbench_people import draw_shape
+from warp_partdr.lab.evaluation.partbench.samples import CLIP, make_sample
+from warp_partdr.lab.evaluation.partbench.scenes import partbench_scenes
+from warp_partdr.lab.evaluation.scene_scoring import SceneBodies, score_scene
+from warp_partdr.lab.evaluation.scoring import Score, score_fit
+from warp_partdr.lab.synthetic.partbench_people import draw_shape
+from warp_partdr.models.anny import anny
+from warp_partdr.models.measuring import statures
+from warp_partdr.solve.mesh.mesh_stage import refine_mesh
+from warp_partdr.solve.scene.fitting import fit_scene
+from warp_partdr.solve.scene.options import SceneOptions
 
 _FIGURES = ("pa_mpjpe", "mpjpe", "pve", "world_mpjpe")
 Found = dict[tuple[str, bool], list[list[float]]]  # figures of each person, by what was fitted and if it was known

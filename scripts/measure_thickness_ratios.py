@@ -1,4 +1,4 @@
-"""Measure and print ``THICKNESS_RATIOS`` of ``warp_partdr/clothing/growth.py`` on random people of the packaged Anny.
+"""Measure and print ``THICKNESS_RATIOS`` of ``warp_partdr/models/growth.py`` on random people of the packaged Anny.
 
     python scripts/measure_thickness_ratios.py
 
@@ -19,10 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from registration import measure_shape
 
 from warp_partdr.body.template import LENGTH_NAMES, THICKNESS_NAMES
-from warp_partdr.clothing.anny import anny, anny_shape
-from warp_partdr.clothing.growth import THICKNESS_RATIOS, Growth
-from warp_partdr.clothing.surfaces import vertex_parts
-from warp_partdr.synthetic.people import PHENOTYPES
+from warp_partdr.lab.synthetic.people import PHENOTYPES
+from warp_partdr.models.anny import anny, anny_shape
+from warp_partdr.models.growth import THICKNESS_RATIOS, Growth
+from warp_partdr.models.surfaces import vertex_parts
 
 PEOPLE, SEED = 100, 1000
 

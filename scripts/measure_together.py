@@ -22,16 +22,15 @@ import warp as wp
 
 from warp_partdr.bulk.people import kept_label_size, stages_of_quality
 from warp_partdr.bulk.rows import PeopleRows, columns, describe_bodies, people_table
-from warp_partdr.evaluation.partbench.samples import make_sample
-from warp_partdr.fit import depth_flips, together
-from warp_partdr.fit.cut_people import CutPeople, CutPerson
-from warp_partdr.fit.together import fit_together
+from warp_partdr.inputs.cut_people import CutPeople, CutPerson
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.observation import crop_evidence
-from warp_partdr.network import predict
-from warp_partdr.network.checkpoint import packaged_network
-from warp_partdr.refinement import captured
-from warp_partdr.refinement.batch import Batch
+from warp_partdr.lab.evaluation.partbench.samples import make_sample
+from warp_partdr.networks.regression import predict
+from warp_partdr.networks.regression.checkpoint import packaged_network
+from warp_partdr.solve.ellipsoids import captured, depth_flips, together
+from warp_partdr.solve.ellipsoids.batch import Batch
+from warp_partdr.solve.ellipsoids.together import fit_together
 
 _DISTINCT = 64
 STEPS = (

@@ -29,10 +29,10 @@ import tflite
 import torch
 from safetensors.numpy import save
 
-from warp_partdr.detection.crops import Pyramid, cut_crops
-from warp_partdr.detection.graph import Node, OperatorGraph
-from warp_partdr.detection.people import find_people
 from warp_partdr.inputs.part_labels import read_photo
+from warp_partdr.networks.detection.crops import Pyramid, cut_crops
+from warp_partdr.networks.detection.graph import Node, OperatorGraph
+from warp_partdr.networks.detection.people import find_people
 
 ASSETS = Path(__file__).resolve().parents[1] / "warp_partdr" / "assets"
 EXAMPLE = ASSETS / "example" / "photo.png"

@@ -93,7 +93,7 @@ def rng() -> np.random.Generator:
 @pytest.fixture
 def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Registrations take two steps where nothing else is asked for."""
-    from warp_partdr.clothing import registration
+    from warp_partdr.models import registration
 
     @dataclass(frozen=True)
     class FewSteps(registration.RegistrationOptions):

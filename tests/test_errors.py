@@ -18,21 +18,21 @@ from warp_partdr.body.icosphere import icosphere
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.clothing.registration import register
 from warp_partdr.errors import check_each, check_type, check_whole, install_command
-from warp_partdr.fit.stages import Stage
 from warp_partdr.inputs.keypoint_files import parse_keypoints
 from warp_partdr.inputs.keypoints import choose_person
 from warp_partdr.inputs.observation import observe
 from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.interop.checks import check_image_size
 from warp_partdr.kernels.launch import set_num_threads
-from warp_partdr.network.predict import predict_bodies
-from warp_partdr.refinement.refine import refine
+from warp_partdr.models.registration import register
+from warp_partdr.networks.regression.predict import predict_bodies
 from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import ellipbody_mesh
 from warp_partdr.results.save import save_fit
+from warp_partdr.solve.ellipsoids.refine import refine
+from warp_partdr.solve.ellipsoids.stages import Stage
 
 PEOPLE = parse_keypoints([[[10.0 + k, 20.0 + 2 * k] for k in range(17)]] * 2)
 PERSON = PEOPLE[0]

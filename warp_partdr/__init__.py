@@ -26,25 +26,25 @@ _EXPORTS = {
     "Crop": "cameras",
     "Perspective": "cameras",
     "WeakPerspective": "cameras",
-    "anny": "clothing.anny",
-    "load_model": "clothing.load",
-    "register": "clothing.registration",
+    "anny": "models.anny",
+    "load_model": "models.load",
+    "register": "models.registration",
     "InputError": "errors",
-    "fit_body": "fit.fitting",
-    "FitOptions": "fit.options",
-    "FitResult": "fit.result",
-    "Stage": "fit.stages",
+    "fit_body": "solve.ellipsoids.fitting",
+    "FitOptions": "solve.ellipsoids.options",
+    "FitResult": "solve.ellipsoids.result",
+    "Stage": "solve.ellipsoids.stages",
     "read_keypoints": "inputs.keypoint_files",
     "choose_person": "inputs.keypoints",
     "observe": "inputs.observation",
     "read_parts": "inputs.part_labels",
     "read_photo": "inputs.part_labels",
     "set_num_threads": "kernels.launch",
-    "load_label_network": "network.checkpoint",
-    "predict_bodies": "network.predict",
-    "Energy": "refinement.energy",
-    "Weights": "refinement.energy",
-    "refine": "refinement.refine",
+    "load_label_network": "networks.regression.checkpoint",
+    "predict_bodies": "networks.regression.predict",
+    "Energy": "solve.ellipsoids.energy",
+    "Weights": "solve.ellipsoids.energy",
+    "refine": "solve.ellipsoids.refine",
     "Ellipsoids": "render.ellipsoids",
     "draw_ellipsoids": "render.ellipsoids",
     "ellipsoid_label_loss": "render.ellipsoids",
@@ -74,25 +74,18 @@ if TYPE_CHECKING:
     from .cameras import Crop as Crop
     from .cameras import Perspective as Perspective
     from .cameras import WeakPerspective as WeakPerspective
-    from .clothing.anny import anny as anny
-    from .clothing.load import load_model as load_model
-    from .clothing.registration import register as register
     from .errors import InputError as InputError
-    from .fit.fitting import fit_body as fit_body
-    from .fit.options import FitOptions as FitOptions
-    from .fit.result import FitResult as FitResult
-    from .fit.stages import Stage as Stage
     from .inputs.keypoint_files import read_keypoints as read_keypoints
     from .inputs.keypoints import choose_person as choose_person
     from .inputs.observation import observe as observe
     from .inputs.part_labels import read_parts as read_parts
     from .inputs.part_labels import read_photo as read_photo
     from .kernels.launch import set_num_threads as set_num_threads
-    from .network.checkpoint import load_label_network as load_label_network
-    from .network.predict import predict_bodies as predict_bodies
-    from .refinement.energy import Energy as Energy
-    from .refinement.energy import Weights as Weights
-    from .refinement.refine import refine as refine
+    from .models.anny import anny as anny
+    from .models.load import load_model as load_model
+    from .models.registration import register as register
+    from .networks.regression.checkpoint import load_label_network as load_label_network
+    from .networks.regression.predict import predict_bodies as predict_bodies
     from .render.ellipsoids import Ellipsoids as Ellipsoids
     from .render.ellipsoids import draw_ellipsoids as draw_ellipsoids
     from .render.ellipsoids import ellipsoid_label_loss as ellipsoid_label_loss
@@ -104,6 +97,13 @@ if TYPE_CHECKING:
     from .render.renderers import RendererMesh as RendererMesh
     from .results.body_file import load_body as load_body
     from .results.save import save_fit as save_fit
+    from .solve.ellipsoids.energy import Energy as Energy
+    from .solve.ellipsoids.energy import Weights as Weights
+    from .solve.ellipsoids.fitting import fit_body as fit_body
+    from .solve.ellipsoids.options import FitOptions as FitOptions
+    from .solve.ellipsoids.refine import refine as refine
+    from .solve.ellipsoids.result import FitResult as FitResult
+    from .solve.ellipsoids.stages import Stage as Stage
 else:
 
     def __getattr__(name: str) -> object:

@@ -18,14 +18,14 @@ from safetensors.numpy import save
 from fuzzing.case import Case
 from fuzzing.fits import person
 from warp_partdr import label_set
-from warp_partdr.clothing import smpl
-from warp_partdr.clothing.load import load_model
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.part_labels import read_parts, read_photo
-from warp_partdr.network.checkpoint import load_label_network, save_label_network
-from warp_partdr.network.label_network import NUM_CHANNELS, LabelNetwork, LabelNetworkConfig
-from warp_partdr.network.landmarks import LANDMARKS
-from warp_partdr.network.regressor import RegressorConfig
+from warp_partdr.models import smpl
+from warp_partdr.models.load import load_model
+from warp_partdr.networks.regression.checkpoint import load_label_network, save_label_network
+from warp_partdr.networks.regression.label_network import NUM_CHANNELS, LabelNetwork, LabelNetworkConfig
+from warp_partdr.networks.regression.landmarks import LANDMARKS
+from warp_partdr.networks.regression.regressor import RegressorConfig
 from warp_partdr.results.body_file import FORMAT, load_body
 
 SMALL_NETWORK = LabelNetworkConfig(

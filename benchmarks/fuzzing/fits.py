@@ -14,19 +14,19 @@ from fuzzing.case import Case
 from warp_partdr import label_set, skeleton
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import LandmarkGather
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.registration import RegistrationOptions, register
-from warp_partdr.fit.fitting import fit_body
-from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.stages import Stage
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import Observation
 from warp_partdr.inputs.part_labels import PartLabels
-from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.refine import refine
-from warp_partdr.refinement.stepper import Refinement
+from warp_partdr.models.anny import anny
+from warp_partdr.models.registration import RegistrationOptions, register
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
+from warp_partdr.solve.ellipsoids.energy import Energy
+from warp_partdr.solve.ellipsoids.fitting import fit_body
+from warp_partdr.solve.ellipsoids.options import FitOptions
+from warp_partdr.solve.ellipsoids.refine import refine
+from warp_partdr.solve.ellipsoids.stages import Stage
+from warp_partdr.solve.ellipsoids.stepper import Refinement
 
 
 @lru_cache

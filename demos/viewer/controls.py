@@ -13,9 +13,9 @@ from PIL import Image
 
 from ..body.parameters import BodyParameters
 from ..body.template import LOCKED_PARTS, PART_NAMES
-from ..clothing.anny import anny
-from ..clothing.registration import Registered, RegistrationOptions, register
 from ..errors import InputError
+from ..models.anny import anny
+from ..models.registration import Registered, RegistrationOptions, register
 from .buttons import Button, flip
 from .recording import Filming
 from .scene import PlottedScene

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..clothing.normals import vertex_normals
+from ..models.normals import vertex_normals
 from .motion_state import MotionState
 from .motion_views import ViewPictures
 from .overlay import Overlay

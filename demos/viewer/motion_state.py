@@ -11,13 +11,13 @@ import numpy as np
 import torch
 
 from ..body.template import PART_NAMES
-from ..clothing.load import load_model
-from ..clothing.model import Detailed
 from ..errors import InputError
+from ..models.load import load_model
+from ..models.model import Detailed
+from ..pipelines.film import Motion
 from ..results.film_pictures import PosedMotions
 from ..results.load_film import FilmView, SavedFilm, load_film_fit
 from ..results.palette import PEOPLE_COLOURS
-from ..scenes.film import Motion
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0)
 _MEASURED = 48  # frames of a person that tell where the ground is

@@ -17,12 +17,12 @@ from ..body.pose_prior import PosePrior
 from ..body.posing import Posed
 from ..errors import InputError
 from ..metrics import mpjpe, part_f1
-from ..refinement.energy import Energy
-from ..refinement.stepper import SIZES, Refinement, size_bounds
 from ..render.mesh import mesh_label_loss
 from ..render.renderers import labelled_mesh
 from ..results.ellipbody_files import ellipbody_scene
 from ..results.save import body_file
+from ..solve.ellipsoids.energy import Energy
+from ..solve.ellipsoids.stepper import SIZES, Refinement, size_bounds
 from .settings import Settings
 from .targets import Target, difference_picture, group_picture, target_labels, target_picture
 from .view import VIEW, seen_as, view_of

@@ -20,13 +20,13 @@ from ..cameras import Perspective
 from ..errors import InputError
 from ..inputs.observation import LABEL_SIZE, Observation, observe, resize_nearest
 from ..inputs.person import PersonInputs
-from ..network.checkpoint import packaged_network
-from ..network.predict import predict_bodies
-from ..refinement.stepper import SIZES
+from ..lab.synthetic.pose_recipes import draw_pose
+from ..networks.regression.checkpoint import packaged_network
+from ..networks.regression.predict import predict_bodies
 from ..render.ellipsoids import draw_ellipsoids
 from ..results.body_file import load_body
 from ..results.palette import IGNORE_COLOUR, group_colours
-from ..synthetic.pose_recipes import draw_pose
+from ..solve.ellipsoids.stepper import SIZES
 from .style import PAPER
 
 # Preset: the kind of PartBench pose (None: at rest), the seed that draws it, how far the person turns [degrees].

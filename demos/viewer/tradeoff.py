@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..bench.renderers import GRADIENTS
-from ..bench.tradeoff.gradient import gradient_error, true_gradient
-from ..bench.tradeoff.plan import Setting
 from ..inputs.observation import REFERENCE_SIZE
+from ..lab.bench.renderers import GRADIENTS
+from ..lab.bench.tradeoff.gradient import gradient_error, true_gradient
+from ..lab.bench.tradeoff.plan import Setting
+from ..lab.synthetic.tradeoff_people import ELLIPBODY, People, draw_truth
 from ..render.subdivisions import silhouette_error
-from ..synthetic.tradeoff_people import ELLIPBODY, People, draw_truth
 from .overlay import Overlay
 from .settings import Settings
 from .state import DemoState

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from scenes.bodies import random_bodies
+from helpers.bodies import random_bodies
 
 from warp_partdr.body.lens import find_camera, move_pelvises, place_bodies, ray_rotations, turn_to_rays
 

@@ -13,7 +13,7 @@ import torch
 from warp_partdr.body.pose_prior import FREE_PARTS, NUM_FEATURES, PosePrior, mirror_features, up_direction
 from warp_partdr.body.template import PART_NAMES, template
 from warp_partdr.errors import InputError
-from warp_partdr.synthetic import mocap, mocap_files
+from warp_partdr.lab.synthetic import mocap, mocap_files
 
 PATH = resources.files("warp_partdr").joinpath("assets/pose_prior.npz")
 UP = torch.tensor([[0.0, 1.0, 0.0]])

@@ -7,7 +7,7 @@ import pytest
 import torch
 import trimesh
 import warp as wp
-from scenes.bodies import random_parameters
+from helpers.bodies import random_parameters
 
 from warp_partdr.body.ellipbody import EllipBody, ellipbody_faces
 from warp_partdr.body.icosphere import icosphere

@@ -25,12 +25,12 @@ from warp_partdr.body.posing import LandmarkGather
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import MPJPE_SKELETON, SKELETONS, skeleton
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, NUM_PARTS, PART_NAMES, template
-from warp_partdr.clothing.anny import anny, anny_shape
-from warp_partdr.clothing.measuring import statures
 from warp_partdr.errors import InputError
-from warp_partdr.synthetic import people
-from warp_partdr.synthetic.pose_sampler import PoseBank
-from warp_partdr.synthetic.poses import mean_body
+from warp_partdr.lab.synthetic import people
+from warp_partdr.lab.synthetic.pose_sampler import PoseBank
+from warp_partdr.lab.synthetic.poses import mean_body
+from warp_partdr.models.anny import anny, anny_shape
+from warp_partdr.models.measuring import statures
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 

@@ -8,11 +8,11 @@ import torch
 
 from warp_partdr.body.stature import bone_statures, check_stature
 from warp_partdr.body.template import MEAN_STATURE, template
-from warp_partdr.clothing.anny import anny, anny_shape
-from warp_partdr.clothing.measuring import measure_ellipbody, statures
-from warp_partdr.clothing.registration import ungrown
 from warp_partdr.errors import InputError
-from warp_partdr.synthetic import people
+from warp_partdr.lab.synthetic import people
+from warp_partdr.models.anny import anny, anny_shape
+from warp_partdr.models.measuring import measure_ellipbody, statures
+from warp_partdr.models.registration import ungrown
 
 
 def test_bones_say_how_tall_somebody_stands():

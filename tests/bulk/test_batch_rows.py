@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from scenes.files import EXAMPLE
+from helpers.files import EXAMPLE
 
 from warp_partdr.bulk.rows import PeopleRows, RowPart, columns, describe_bodies, people_table
-from warp_partdr.fit import together
-from warp_partdr.fit.cut_people import CutPeople, CutPerson
-from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.together import BatchFits, fit_together
+from warp_partdr.inputs.cut_people import CutPeople, CutPerson
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.observation import crop_evidence
-from warp_partdr.network.checkpoint import packaged_network
+from warp_partdr.networks.regression.checkpoint import packaged_network
+from warp_partdr.solve.ellipsoids import together
+from warp_partdr.solve.ellipsoids.options import FitOptions
+from warp_partdr.solve.ellipsoids.together import BatchFits, fit_together
 
 
 @pytest.fixture

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import commands
+from helpers.commands import Run
+from helpers.datasets import write_coco
+from helpers.shards import members, write_beside, write_tar
 from PIL import ExifTags, Image
-from scenes import commands
-from scenes.commands import Run
-from scenes.datasets import write_coco
-from scenes.shards import members, write_beside, write_tar
 
 from warp_partdr.body.skeletons import SKELETONS, describe_skeleton, skeleton
 from warp_partdr.bulk.coco import CocoPictures

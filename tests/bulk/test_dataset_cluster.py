@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 from conftest import HANG
-from scenes import commands
-from scenes.commands import Run
-from scenes.datasets import write_coco
+from helpers import commands
+from helpers.commands import Run
+from helpers.datasets import write_coco
 
 pq = pytest.importorskip("pyarrow.parquet", reason="needs pyarrow, the extra dataset")
 pytest.importorskip("ray.data", reason="needs Ray Data, the extra ray")

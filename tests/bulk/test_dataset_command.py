@@ -16,21 +16,21 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import HANG
-from scenes import commands
-from scenes.commands import Run
-from scenes.datasets import write_coco, write_folder
+from helpers import commands
+from helpers.commands import Run
+from helpers.datasets import write_coco, write_folder
 
 from warp_partdr import FitOptions
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.bulk import people
 from warp_partdr.bulk import run as bulk_run
 from warp_partdr.bulk.rows import columns
-from warp_partdr.clothing.anny import anny
 from warp_partdr.errors import InputError
-from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.interop import precision
-from warp_partdr.scenes.photo import fit_photo
+from warp_partdr.models.anny import anny
+from warp_partdr.pipelines.photo import fit_photo
+from warp_partdr.solve.mesh.mesh_options import MeshOptions
 
 pa = pytest.importorskip("pyarrow", reason="needs pyarrow, the extra dataset")
 pq = pytest.importorskip("pyarrow.parquet", reason="needs pyarrow, the extra dataset")

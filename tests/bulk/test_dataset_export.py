@@ -10,23 +10,23 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from helpers import commands
+from helpers.commands import Run
+from helpers.datasets import write_coco, write_folder
+from helpers.people_rows import body_row, write_shards
 from PIL import Image
-from scenes import commands
-from scenes.commands import Run
-from scenes.datasets import write_coco, write_folder
-from scenes.people_rows import body_row, write_shards
 
 from warp_partdr.bulk import people
 from warp_partdr.bulk.export import WRITERS, folder_name
 from warp_partdr.bulk.reading import Address, PeopleFiles
 from warp_partdr.cli.dataset_files import FormatName
 from warp_partdr.errors import InputError
-from warp_partdr.fit.mesh_stage import MeshFit
-from warp_partdr.fit.result import FitResult
 from warp_partdr.results.body_file import load_body
 from warp_partdr.results.further_files import FURTHER
 from warp_partdr.results.result_sets import check_result
 from warp_partdr.results.save import save_fit, save_registered
+from warp_partdr.solve.ellipsoids.result import FitResult
+from warp_partdr.solve.mesh.mesh_stage import MeshFit
 
 pytest.importorskip("pyarrow", reason="needs pyarrow, the extra dataset")
 pytestmark = pytest.mark.usefixtures("here")

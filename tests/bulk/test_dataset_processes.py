@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from scenes import commands
-from scenes.commands import Run
-from scenes.datasets import write_coco
-from scenes.shards import members, write_tar
+from helpers import commands
+from helpers.commands import Run
+from helpers.datasets import write_coco
+from helpers.shards import members, write_tar
 
 from warp_partdr.bulk import processes
 from warp_partdr.bulk import run as bulk_run
@@ -24,7 +24,7 @@ from warp_partdr.bulk.run import source_readers
 from warp_partdr.bulk.sources import SourcePicture
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.observation import LABEL_SIZE
-from warp_partdr.network.checkpoint import packaged_network
+from warp_partdr.networks.regression.checkpoint import packaged_network
 
 pq = pytest.importorskip("pyarrow.parquet", reason="needs pyarrow, the extra dataset")
 pytest.importorskip("webdataset", reason="needs webdataset, the extra dataset")

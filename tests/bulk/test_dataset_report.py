@@ -12,17 +12,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import commands
+from helpers.commands import Run
+from helpers.people_rows import SIZE, body_row, write_shards
 from PIL import Image
-from scenes import commands
-from scenes.commands import Run
-from scenes.people_rows import SIZE, body_row, write_shards
 
 from warp_partdr.bulk import survey
 from warp_partdr.bulk.reading import Address, PeopleFiles
 from warp_partdr.bulk.rows import columns
 from warp_partdr.bulk.survey import Kinds, kind_of, survey_people, worst_people
 from warp_partdr.cli.dataset_files import ByName
-from warp_partdr.clothing.anny import anny
+from warp_partdr.models.anny import anny
 
 pytest.importorskip("pyarrow", reason="needs pyarrow, the extra dataset")
 pytestmark = pytest.mark.usefixtures("here")

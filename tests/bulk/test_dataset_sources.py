@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import commands
-from scenes.commands import Run
-from scenes.datasets import photo, write_coco
-from scenes.shards import members, write_beside, write_tar
+from helpers import commands
+from helpers.commands import Run
+from helpers.datasets import photo, write_coco
+from helpers.shards import members, write_beside, write_tar
 
 from warp_partdr.bulk import picture_files
 from warp_partdr.bulk.coco import decode_runs
@@ -126,7 +126,7 @@ def test_a_damaged_header_is_told() -> None:
 
 
 def test_frames_of_a_film_are_pictures(run: Run) -> None:
-    from scenes.films import write_film
+    from helpers.films import write_film
 
     frame = np.zeros((256, 256, 3), np.uint8)
     picture = np.asarray(photo(256))[:, :256]
@@ -151,7 +151,7 @@ def _error(film: str, run: Run) -> str:
 
 
 def test_frames_come_in_any_order(tmp_path: Path) -> None:
-    from scenes.films import write_film
+    from helpers.films import write_film
 
     pictures = [np.full((48, 64, 3), 10 + 4 * index, np.uint8) for index in range(50)]
     for name in ("a.mp4", "a.mkv", "a.avi"):
@@ -166,7 +166,7 @@ def test_frames_come_in_any_order(tmp_path: Path) -> None:
 
 
 def test_damaged_frames_leave_the_others(tmp_path: Path) -> None:
-    from scenes.films import write_film
+    from helpers.films import write_film
 
     pictures = [np.full((64, 96, 3), 10 + 4 * index, np.uint8) for index in range(50)]
     path = write_film(tmp_path / "a.mp4", pictures)
@@ -187,7 +187,7 @@ def test_damaged_frames_leave_the_others(tmp_path: Path) -> None:
 
 
 def test_a_film_cut_off_is_told(tmp_path: Path) -> None:
-    from scenes.films import write_film
+    from helpers.films import write_film
 
     path = write_film(tmp_path / "a.avi", [np.full((64, 96, 3), 10 + 4 * index, np.uint8) for index in range(50)])
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])

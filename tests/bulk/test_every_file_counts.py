@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import commands
-from scenes.commands import Run
-from scenes.datasets import photo
-from scenes.shards import members, write_beside, write_tar
+from helpers import commands
+from helpers.commands import Run
+from helpers.datasets import photo
+from helpers.shards import members, write_beside, write_tar
 
 from warp_partdr.bulk import opening
 from warp_partdr.bulk.containers import Member, group_members

@@ -8,14 +8,14 @@ import pytest
 import torch
 
 from warp_partdr.bulk.people import BulkQuality, kept_label_size, stages_of_quality
-from warp_partdr.evaluation.partbench.samples import make_sample
-from warp_partdr.fit.cut_people import CutPerson
-from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.stages import Stage
-from warp_partdr.fit.together import fit_together
+from warp_partdr.inputs.cut_people import CutPerson
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.observation import LABEL_SIZE, crop_evidence
-from warp_partdr.network.checkpoint import packaged_network
+from warp_partdr.lab.evaluation.partbench.samples import make_sample
+from warp_partdr.networks.regression.checkpoint import packaged_network
+from warp_partdr.solve.ellipsoids.options import FitOptions
+from warp_partdr.solve.ellipsoids.stages import Stage
+from warp_partdr.solve.ellipsoids.together import fit_together
 
 PEOPLE = [make_sample(index, "realistic") for index in range(8)]  # of whom limbs of several are tried mirrored
 

@@ -12,9 +12,9 @@ from warp_partdr.bulk import cutting
 from warp_partdr.bulk.cutting import Cut, Cutter, one_line
 from warp_partdr.bulk.sources import KnownPerson, SourcePicture
 from warp_partdr.errors import InputError
-from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.part_labels import PartLabels
+from warp_partdr.lab.evaluation.partbench.samples import make_sample
 
 # In small pictures; left and right of some are exchanged.
 SAMPLES = [make_sample(index, "hard") for index in (0, 1, 3, 10, 12, 14, 16, 17, 19, 21, 22, 25)]

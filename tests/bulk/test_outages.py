@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 import torch
+from helpers import commands
+from helpers.commands import Run
+from helpers.datasets import photo, write_coco
+from helpers.shards import members, write_beside, write_tar
 from PIL import Image
-from scenes import commands
-from scenes.commands import Run
-from scenes.datasets import photo, write_coco
-from scenes.shards import members, write_beside, write_tar
 
 from warp_partdr.bulk import containers, people, picture_files
 from warp_partdr.bulk import run as bulk_run

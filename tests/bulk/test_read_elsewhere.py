@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes.people_rows import body_row, write_shards
+from helpers.people_rows import body_row, write_shards
 
 from warp_partdr.body.template import JOINT_NAMES
 

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import HANG
-from PIL import Image
-from scenes import commands
-from scenes.commands import (
+from helpers import commands
+from helpers.commands import (
     ALONE,
     EVERY_FILE,
     GOOD,
@@ -27,13 +26,14 @@ from scenes.commands import (
     soft_maps,
     write,
 )
-from scenes.files import save_npz
+from helpers.files import save_npz
+from PIL import Image
 
 from warp_partdr import label_set, load_body, read_keypoints, skeleton
 from warp_partdr.cli import progress
-from warp_partdr.fit import stages
-from warp_partdr.fit.stages import Stage
 from warp_partdr.results import save
+from warp_partdr.solve.ellipsoids import stages
+from warp_partdr.solve.ellipsoids.stages import Stage
 
 files, run = commands.files, commands.run  # fixtures
 
@@ -42,7 +42,7 @@ def test_a_real_process_says_what_it_found_and_no_more(files: Path) -> None:
     """Neither Warp's greeting, nor what it compiles, nor that it looked for a CUDA driver."""
     code = (
         "from warp_partdr.cli import main\n"
-        "from warp_partdr.fit import stages\n"
+        "from warp_partdr.solve.ellipsoids import stages\n"
         "stages.STAGES['network']['balanced'] = (stages.Stage('labels', 2, 4, 0.02, 64),)\nmain.main()"
     )
     line = [*GOOD.split(), "--device", "cpu"]

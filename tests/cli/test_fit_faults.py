@@ -9,15 +9,16 @@ from pathlib import Path
 
 import pytest
 from conftest import HANG
-from scenes import commands
-from scenes.commands import GOOD, Run, change_keypoints, cut, ids, move, put_nan, save_ids, soft_maps, write
-from scenes.files import tree
+from helpers import commands
+from helpers.commands import GOOD, Run, change_keypoints, cut, ids, move, put_nan, save_ids, soft_maps, write
+from helpers.files import tree
 
 from warp_partdr import InputError, load_body, skeleton
-from warp_partdr.clothing import registration
-from warp_partdr.clothing.registration import RegistrationOptions, RegistrationWeights
-from warp_partdr.fit import fitting, mesh_stage
+from warp_partdr.models import registration
+from warp_partdr.models.registration import RegistrationOptions, RegistrationWeights
 from warp_partdr.results import result_sets, save
+from warp_partdr.solve.ellipsoids import fitting
+from warp_partdr.solve.mesh import mesh_stage
 
 files, run = commands.files, commands.run  # fixtures
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from helpers import commands
+from helpers.commands import Run
+from helpers.files import EXAMPLE
+from helpers.films import write_film
+from helpers.skins import read_glb
 from PIL import Image
-from scenes import commands
-from scenes.commands import Run
-from scenes.files import EXAMPLE
-from scenes.films import write_film
-from scenes.skins import read_glb
 
 from warp_partdr.inputs.films import film_facts, read_frames
 from warp_partdr.results.predictions import load_film_bodies

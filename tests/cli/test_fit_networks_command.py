@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scenes import commands
-from scenes.checkpoints import class_names, knowing_vitpose, tiny_detector, tiny_segformer
-from scenes.commands import EVERY_FILE, Run
-from scenes.files import EXAMPLE
-from scenes.films import write_film
+from helpers import commands
+from helpers.checkpoints import class_names, knowing_vitpose, tiny_detector, tiny_segformer
+from helpers.commands import EVERY_FILE, Run
+from helpers.files import EXAMPLE
+from helpers.films import write_film
 
 from warp_partdr.body.template import JOINT_NAMES
-from warp_partdr.detection.people import find_people
 from warp_partdr.inputs.films import read_frames
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.part_labels import read_photo
-from warp_partdr.predictors.networks import upright_crop
+from warp_partdr.networks.detection.people import find_people
+from warp_partdr.networks.predictors.networks import upright_crop
+from warp_partdr.pipelines.photo import PACKAGED
 from warp_partdr.results.predictions import load_film_bodies
-from warp_partdr.scenes.photo import PACKAGED
 
 ANKLES = [JOINT_NAMES.index(name) for name in ("left_ankle", "right_ankle")]
 

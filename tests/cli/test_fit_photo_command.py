@@ -8,15 +8,15 @@ import shutil
 from pathlib import Path
 
 import pytest
+from helpers import commands
+from helpers.commands import EVERY_FILE, Run
+from helpers.files import EXAMPLE, save_with_focal
 from PIL import Image
-from scenes import commands
-from scenes.commands import EVERY_FILE, Run
-from scenes.files import EXAMPLE, save_with_focal
 
 from warp_partdr import FitOptions
-from warp_partdr.fit.mesh_options import MeshOptions
+from warp_partdr.pipelines.photo import fit_photo
 from warp_partdr.results.save_photo import PHOTO_FILES
-from warp_partdr.scenes.photo import fit_photo
+from warp_partdr.solve.mesh.mesh_options import MeshOptions
 
 files, run = commands.files, commands.run  # fixtures
 

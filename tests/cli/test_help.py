@@ -12,17 +12,17 @@ from typing import Any
 
 import pytest
 from conftest import HANG
-from scenes import commands
-from scenes.commands import ALONE, EVERY_FILE, GOOD, Run
+from helpers import commands
+from helpers.commands import ALONE, EVERY_FILE, GOOD, Run
 
 from warp_partdr import FitOptions, InputError, RendererEllipsoids, RendererMesh, __version__
 from warp_partdr.__main__ import start
 from warp_partdr.body.labels import LABEL_SETS
 from warp_partdr.body.skeletons import SKELETONS
 from warp_partdr.cli import fit
-from warp_partdr.fit import fitting
-from warp_partdr.fit.mesh_options import MeshOptions
-from warp_partdr.fit.stages import STAGES, Stage
+from warp_partdr.solve.ellipsoids import fitting
+from warp_partdr.solve.ellipsoids.stages import STAGES, Stage
+from warp_partdr.solve.mesh.mesh_options import MeshOptions
 
 files, run = commands.files, commands.run  # fixtures
 AUTO = "triangles.subdivisions=auto"

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import commands
+from helpers.commands import Run
+from helpers.files import EXAMPLE
+from helpers.films import write_film
 from PIL import Image
-from scenes import commands
-from scenes.commands import Run
-from scenes.files import EXAMPLE
-from scenes.films import write_film
 
-from warp_partdr.detection import people
-from warp_partdr.detection.people import find_people_in
 from warp_partdr.inputs import films
+from warp_partdr.networks.detection import people
+from warp_partdr.networks.detection.people import find_people_in
 from warp_partdr.results.body_file import load_body
 from warp_partdr.results.predictions import load_film_bodies
 

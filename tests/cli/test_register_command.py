@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from helpers import commands
+from helpers.commands import GOOD, Run, ids, save_ids
+from helpers.files import body_file, save_npz
 from PIL import Image
-from scenes import commands
-from scenes.commands import GOOD, Run, ids, save_ids
-from scenes.files import body_file, save_npz
 
 from warp_partdr.body.labels import label_set
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.load import load_model
-from warp_partdr.clothing.model import detailed_mesh
-from warp_partdr.clothing.smpl_parameters import from_smplx
-from warp_partdr.fit.given_files import read_given
+from warp_partdr.models.anny import anny
+from warp_partdr.models.load import load_model
+from warp_partdr.models.model import detailed_mesh
+from warp_partdr.models.smpl_parameters import from_smplx
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.results.save import DETAILED_FILES, SMPLX_FILE
+from warp_partdr.solve.mesh.given_files import read_given
 
 REGISTER = "register out/body.npz --out new --device cpu"
 files, run = commands.files, commands.run  # fixtures

@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers import commands
+from helpers.commands import Run
+from helpers.files import EXAMPLE, save_with_focal
+from helpers.films import write_film
 from PIL import Image
-from scenes import commands
-from scenes.commands import Run
-from scenes.files import EXAMPLE, save_with_focal
-from scenes.films import write_film
 
 from warp_partdr.body.rotations import rotation_to_axis_angle
 from warp_partdr.inputs.camera_files import read_cameras
 from warp_partdr.inputs.films import film_facts
-from warp_partdr.synthetic.people import anny_mesh
-from warp_partdr.synthetic.rng import TorchRng
-from warp_partdr.synthetic.scene_people import SceneSample, make_views
-from warp_partdr.synthetic.shading import shade_people
+from warp_partdr.lab.synthetic.people import anny_mesh
+from warp_partdr.lab.synthetic.rng import TorchRng
+from warp_partdr.lab.synthetic.scene_people import SceneSample, make_views
+from warp_partdr.lab.synthetic.shading import shade_people
 
 run = commands.run  # a fixture
 QUICK = "--device cpu --set mesh.iterations=5 --set mesh.size=96"

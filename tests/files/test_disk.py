@@ -13,7 +13,6 @@ import pytest
 from warp_partdr.body.labels import label_set
 from warp_partdr.bulk.containers import index_tar, read_member
 from warp_partdr.bulk.opening import open_source
-from warp_partdr.clothing.load import load_model
 from warp_partdr.errors import InputError, printable
 from warp_partdr.files.array_files import read_npy, read_npz
 from warp_partdr.files.disk import check_regular, file_sha256
@@ -22,7 +21,8 @@ from warp_partdr.files.opencv_files import read_opencv
 from warp_partdr.files.sections import read_toml
 from warp_partdr.inputs.films import FilmFrames, film_facts
 from warp_partdr.inputs.keypoint_files import read_keypoints
-from warp_partdr.network.checkpoint import load_label_network
+from warp_partdr.models.load import load_model
+from warp_partdr.networks.regression.checkpoint import load_label_network
 from warp_partdr.results.body_file import load_body
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs pipes with names")

@@ -17,7 +17,6 @@ from safetensors.numpy import save_file
 from warp_partdr.body import pose_prior
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.pose_prior import PosePrior
-from warp_partdr.clothing.load import load_model
 from warp_partdr.errors import InputError, shown
 from warp_partdr.files.array_files import read_npz
 from warp_partdr.files.json_files import parse_json, read_json
@@ -25,11 +24,12 @@ from warp_partdr.files.opencv_files import read_opencv
 from warp_partdr.files.sections import read_toml
 from warp_partdr.inputs.keypoint_files import parse_keypoints, read_keypoints
 from warp_partdr.inputs.part_labels import read_parts
-from warp_partdr.network.checkpoint import load_ellipbodynet, load_label_network, save_label_network
-from warp_partdr.network.label_network import LabelNetworkConfig
+from warp_partdr.lab.synthetic.pose_sampler import PoseBank
+from warp_partdr.lab.training.config import read_config
+from warp_partdr.models.load import load_model
+from warp_partdr.networks.regression.checkpoint import load_ellipbodynet, load_label_network, save_label_network
+from warp_partdr.networks.regression.label_network import LabelNetworkConfig
 from warp_partdr.results.body_file import load_body
-from warp_partdr.synthetic.pose_sampler import PoseBank
-from warp_partdr.training.config import read_config
 
 DEFLATED = zipfile.ZIP_DEFLATED
 DEEP = "[" * 100_000

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 from conftest import HANG
+from helpers.pictures import loss_on_screen
 from PIL import Image
-from scenes.pictures import loss_on_screen
 
 DEMOS = Path(__file__).resolve().parents[2] / "demos"
 sys.path.insert(0, str(DEMOS))

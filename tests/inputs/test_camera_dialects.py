@@ -13,7 +13,7 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.calibrated_camera import CalibratedCamera
 from warp_partdr.inputs.camera_files import cameras_of_films, read_cameras
-from warp_partdr.scenes.scene import View
+from warp_partdr.inputs.scene import View
 
 TURN = (0.3, -0.8, 0.1)  # Rodrigues
 MOVE = (0.4, 1.1, 3.2)  # [m]

@@ -13,7 +13,7 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.errors import InputError
 from warp_partdr.files.opencv_files import read_opencv, to_matrix
 from warp_partdr.inputs.camera_files import read_cameras
-from warp_partdr.scenes.scene import View
+from warp_partdr.inputs.scene import View
 
 POSE2SIM = """
 [int_cam01_img]

@@ -9,16 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers.files import EXAMPLE
 from PIL import Image
-from scenes.files import EXAMPLE
 
 from warp_partdr.body.labels import BACKGROUND, IGNORE, LabelSet, label_set
 from warp_partdr.body.landmarks import mirror_name
 from warp_partdr.cameras import Crop
-from warp_partdr.evaluation.partbench.samples import make_sample
-from warp_partdr.fit.fitting import fit_body
-from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.result import FitResult
 from warp_partdr.inputs.agreement import (
     Agreement,
     Flesh,
@@ -39,7 +35,11 @@ from warp_partdr.inputs.masked_people import MaskedPerson, cut_masks
 from warp_partdr.inputs.observation import crop_evidence, resize_nearest
 from warp_partdr.inputs.part_labels import PartLabels, read_parts
 from warp_partdr.inputs.selection import select_person
+from warp_partdr.lab.evaluation.partbench.samples import make_sample
 from warp_partdr.results.save import draw_overlay, save_fit, score_labels
+from warp_partdr.solve.ellipsoids.fitting import fit_body
+from warp_partdr.solve.ellipsoids.options import FitOptions
+from warp_partdr.solve.ellipsoids.result import FitResult
 
 CDCL = label_set("cdcl14")
 PHOTOS = ("000000032081", "000000203864", "000000468632")

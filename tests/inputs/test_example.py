@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 
 import numpy as np
+from helpers.files import EXAMPLE
 from PIL import Image
-from scenes.files import EXAMPLE
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import skeleton

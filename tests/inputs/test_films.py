@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.films import av, write_film
 from PIL import ExifTags, Image
-from scenes.films import av, write_film
 
 from warp_partdr.errors import InputError
 from warp_partdr.inputs import films

@@ -13,8 +13,8 @@ from warp_partdr.body.skeletons import SKELETONS, skeleton
 from warp_partdr.body.template import MEAN_STATURE, NUM_PARTS
 from warp_partdr.inputs.keypoint_files import parse_keypoints
 from warp_partdr.inputs.keypoint_order import _SHARES, alternatives, mirror_warning, order_question, order_warning
-from warp_partdr.synthetic.pose_sampler import PoseBank
-from warp_partdr.synthetic.poses import mean_body
+from warp_partdr.lab.synthetic.pose_sampler import PoseBank
+from warp_partdr.lab.synthetic.poses import mean_body
 
 COUNT = 60
 NAMES = list(LANDMARKS)

@@ -7,8 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scenes.cuts import assert_cut_as_alone
-from scenes.files import EXAMPLE
+from helpers.cuts import assert_cut_as_alone
+from helpers.files import EXAMPLE
 
 from warp_partdr.body.labels import IGNORE, label_set
 from warp_partdr.body.skeletons import SKELETONS, skeleton

@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from scenes.cuts import assert_cut_as_alone
-from scenes.files import EXAMPLE
+from helpers.cuts import assert_cut_as_alone
+from helpers.files import EXAMPLE
 
 from warp_partdr.body.labels import BACKGROUND, label_set
 from warp_partdr.body.skeletons import SKELETONS, skeleton
@@ -22,7 +22,7 @@ from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.masked_people import MaskedPerson, cut_masks
 from warp_partdr.inputs.observation import CutOut
 from warp_partdr.inputs.part_labels import read_parts
-from warp_partdr.scenes.photo import person_evidence
+from warp_partdr.pipelines.photo import person_evidence
 
 
 @cache

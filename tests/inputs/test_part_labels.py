@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import HANG
+from helpers.files import save_with_focal
 from PIL import Image
-from scenes.files import save_with_focal
 
 from warp_partdr.body.labels import IGNORE, label_set
 from warp_partdr.errors import InputError

@@ -51,7 +51,7 @@ def test_a_refinement_loads_no_compiler():
     """Nor trimesh, for a sphere: they take longer to load than a fit takes."""
     code = (
         "import sys; from warp_partdr.body.parameters import BodyParameters as B;"
-        "from warp_partdr.refinement.stepper import Refinement;"
+        "from warp_partdr.solve.ellipsoids.stepper import Refinement;"
         "Refinement(B.mean(1), lambda b: {'x': b.posed().joints.square().sum((1, 2))}, iterations=2).run();"
         "print({'torch._dynamo', 'trimesh', 'scipy'} & set(sys.modules))"
     )

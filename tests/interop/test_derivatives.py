@@ -6,18 +6,18 @@ from collections.abc import Callable
 
 import pytest
 import torch
-from scenes.bodies import ellipbodies, random_parameters
-from scenes.pictures import ball, loss_on_screen, triangle
-from scenes.renderers import Scene
+from helpers.bodies import ellipbodies, random_parameters
+from helpers.pictures import ball, loss_on_screen, triangle
+from helpers.renderers import Scene
 
 from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.body.posing import pose
 from warp_partdr.body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_axis_angle
 from warp_partdr.cameras import Perspective, WeakPerspective
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.pose import pose_from_ellipbody
-from warp_partdr.clothing.surfaces import _VertexCosts, vertex_parts
 from warp_partdr.metrics import mpjpe, pa_mpjpe
+from warp_partdr.models.anny import anny
+from warp_partdr.models.pose import pose_from_ellipbody
+from warp_partdr.models.surfaces import _VertexCosts, vertex_parts
 from warp_partdr.render.ellipsoids import ellipsoid_label_loss
 
 NAMES = ("global_orient", "translation", "rotations", "lengths", "thicknesses")

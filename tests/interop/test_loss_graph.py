@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 import torch
-from scenes.pictures import draw_on_screen
-from scenes.renderers import RENDERERS, Scene
+from helpers.pictures import draw_on_screen
+from helpers.renderers import RENDERERS, Scene
 
 from warp_partdr.interop import graph_cache
 from warp_partdr.interop.graph_cache import graphs, set_graph_memory

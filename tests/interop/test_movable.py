@@ -16,16 +16,16 @@ from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cameras import Crop, Perspective
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.registration import Registered
-from warp_partdr.fit.result import FitResult
-from warp_partdr.fit.stages import STAGES
 from warp_partdr.inputs.evidence import Evidence
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import Observation
-from warp_partdr.refinement.stepper import Refined
+from warp_partdr.models.anny import anny
+from warp_partdr.models.registration import Registered
 from warp_partdr.render.ellipsoids import Ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
+from warp_partdr.solve.ellipsoids.result import FitResult
+from warp_partdr.solve.ellipsoids.stages import STAGES
+from warp_partdr.solve.ellipsoids.stepper import Refined
 
 CROP = Crop(1.0, 2.0, 0.5, (256, 256))
 

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from scenes.pictures import Leaves, body_parameters
+from helpers.pictures import Leaves, body_parameters
 
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import Posed, pose
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.registration import register
 from warp_partdr.errors import InputError
 from warp_partdr.interop.checks import ROTATION_TOLERANCE, rotation_error, rotation_fault
+from warp_partdr.models.anny import anny
+from warp_partdr.models.registration import register
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.results.body_file import load_body
 

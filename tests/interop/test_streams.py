@@ -11,19 +11,19 @@ import pytest
 import torch
 import warp as wp
 from conftest import HANG
-from scenes.bodies import seen_by, walker
+from helpers.bodies import seen_by, walker
 
 from warp_partdr.body.parameters import BodyParameters
-from warp_partdr.clothing.joint_chain import chain_joints
-from warp_partdr.clothing.joint_turns import turn_joints
-from warp_partdr.fit.fitting import fit_body
-from warp_partdr.fit.options import FitOptions
 from warp_partdr.inputs.observation import observe
 from warp_partdr.interop.captured_step import CapturedStep
 from warp_partdr.interop.streams import capture_graph, capturing, launching, on_torch_stream
-from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.refine import refine
+from warp_partdr.models.joint_chain import chain_joints
+from warp_partdr.models.joint_turns import turn_joints
 from warp_partdr.render.ellipsoids import draw_ellipsoids
+from warp_partdr.solve.ellipsoids.energy import Energy
+from warp_partdr.solve.ellipsoids.fitting import fit_body
+from warp_partdr.solve.ellipsoids.options import FitOptions
+from warp_partdr.solve.ellipsoids.refine import refine
 
 WAIT = 1_000_000  # [cycles] of a GPU, about half a millisecond
 QUICK = FitOptions(stages=FitOptions().stages[:1])

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from warp_partdr.clothing.registration import register
-from warp_partdr.fit.fitting import fit_body
 from warp_partdr.interop.torch_threads import all_torch_threads, one_torch_thread
-from warp_partdr.network.predict import predict_bodies
+from warp_partdr.models.registration import register
+from warp_partdr.networks.regression.predict import predict_bodies
+from warp_partdr.solve.ellipsoids.fitting import fit_body
 
 COUNT = 3
 
@@ -94,9 +94,9 @@ class _ProbeError(Exception):
 @pytest.mark.parametrize(
     ("first", "call"),
     [
-        ("warp_partdr.fit.fitting.check_type", lambda: fit_body(None)),
-        ("warp_partdr.network.predict.check_each", lambda: predict_bodies(None, None)),
-        ("warp_partdr.clothing.registration.check_type", lambda: register(None, None)),
+        ("warp_partdr.solve.ellipsoids.fitting.check_type", lambda: fit_body(None)),
+        ("warp_partdr.networks.regression.predict.check_each", lambda: predict_bodies(None, None)),
+        ("warp_partdr.models.registration.check_type", lambda: register(None, None)),
     ],
     ids=["fit_body", "predict_bodies", "register"],
 )

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 import torch
-from scenes.bodies import ellipbodies
+from helpers.bodies import ellipbodies
 
 from warp_partdr.body.posing import Posed
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.pose import pose_from_ellipbody
-from warp_partdr.clothing.registration import REACH, SCALE, RegistrationWeights, _Loss
-from warp_partdr.clothing.surfaces import surface_samples
+from warp_partdr.models.anny import anny
+from warp_partdr.models.pose import pose_from_ellipbody
+from warp_partdr.models.registration import REACH, SCALE, RegistrationWeights, _Loss
+from warp_partdr.models.surfaces import surface_samples
 from warp_partdr.reference.ellipbody import PosedEllipsoid
 from warp_partdr.reference.registration import (
     DetailedSurface,

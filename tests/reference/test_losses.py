@@ -6,13 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from scenes.bodies import moved_bodies, unsure_observation, walker
+from helpers.bodies import moved_bodies, unsure_observation, walker
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.posing import LandmarkGather
 from warp_partdr.body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
-from warp_partdr.network.landmarks import LANDMARKS
-from warp_partdr.network.predicted import posed_landmarks
+from warp_partdr.lab.training.picture_losses import body_terms
+from warp_partdr.lab.training.task import weighted_losses
+from warp_partdr.networks.regression.landmarks import LANDMARKS
+from warp_partdr.networks.regression.predicted import posed_landmarks
 from warp_partdr.reference.losses import (
     IGNORE,
     joint_loss,
@@ -24,12 +26,10 @@ from warp_partdr.reference.losses import (
     size_loss,
 )
 from warp_partdr.reference.mesh import part_maps
-from warp_partdr.refinement.captured import CapturedRefinement
-from warp_partdr.refinement.energy import Energy, Weights
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
-from warp_partdr.training.picture_losses import body_terms
-from warp_partdr.training.task import weighted_losses
+from warp_partdr.solve.ellipsoids.captured import CapturedRefinement
+from warp_partdr.solve.ellipsoids.energy import Energy, Weights
 
 SIZE, LABELS = 64, label_set("surreal14")
 REFERENCE_SIZE = 256  # [px] of the crop in whose pixels losses count

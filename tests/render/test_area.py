@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scenes.pictures import (
+from helpers.pictures import (
     CAMERAS,
     GROUPS,
     Intrinsics,

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scenes.pictures import (
+from helpers.pictures import (
     Intrinsics,
     Leaves,
     ball,
@@ -20,7 +20,7 @@ from scenes.pictures import (
     one_scene,
     triangle,
 )
-from scenes.renderers import RENDERERS
+from helpers.renderers import RENDERERS
 
 from warp_partdr.body.posing import pose
 from warp_partdr.cameras import Crop, Perspective, WeakPerspective

@@ -14,7 +14,7 @@ from warp_partdr.body.rotations import rotation_from_6d, rotation_from_axis_angl
 from warp_partdr.cameras import Camera, Perspective, WeakPerspective
 from warp_partdr.interop import loss_graph
 from warp_partdr.interop.graph_cache import set_graph_memory
-from warp_partdr.network.predicted import Predicted, posed_landmarks
+from warp_partdr.networks.regression.predicted import Predicted, posed_landmarks
 from warp_partdr.render.body_passes import BodyPasses
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.render.renderers import Renderer, RendererEllipsoids, RendererMesh

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from scenes.renderers import RENDERERS, Scene
+from helpers.renderers import RENDERERS, Scene
 
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import pose

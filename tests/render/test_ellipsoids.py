@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from scenes.pictures import (
+from helpers.pictures import (
     CAMERAS,
     GRADIENTS,
     GROUPS,

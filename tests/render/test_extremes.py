@@ -13,9 +13,7 @@ from itertools import product
 import numpy as np
 import pytest
 import torch
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
-from scenes.pictures import (
+from helpers.pictures import (
     CAMERAS,
     GRADIENTS,
     PLACE,
@@ -41,6 +39,8 @@ from scenes.pictures import (
     smooth_maps,
     upright,
 )
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from warp_partdr.body.posing import pose

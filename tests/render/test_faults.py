@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from scenes.bodies import moved_bodies, unsure_observation, walker
+from helpers.bodies import moved_bodies, unsure_observation, walker
 
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.labels import label_set
@@ -20,13 +20,13 @@ from warp_partdr.body.plain_posing import place_vertices_by_torch
 from warp_partdr.body.posing import pose
 from warp_partdr.body.rotations import rotation_from_6d
 from warp_partdr.cameras import Perspective
-from warp_partdr.network.predicted import Predicted
-from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.energy_loss import energy_loss
+from warp_partdr.networks.regression.predicted import Predicted
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
+from warp_partdr.solve.ellipsoids.energy import Energy
+from warp_partdr.solve.ellipsoids.energy_loss import energy_loss
 
 SIZE = 48
 RENDERERS = [

@@ -7,10 +7,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scenes.bodies import TIPS, WITHOUT_TIPS, bent_bodies, drawn_labels
-from scenes.pictures import (
+from helpers.bodies import TIPS, WITHOUT_TIPS, bent_bodies, drawn_labels
+from helpers.pictures import (
     CAMERAS,
     GRADIENTS,
     Leaves,
@@ -24,7 +22,9 @@ from scenes.pictures import (
     random_scene,
     upright,
 )
-from scenes.renderers import RENDERERS
+from helpers.renderers import RENDERERS
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from warp_partdr import label_set
 from warp_partdr.body.landmarks import mirror_order

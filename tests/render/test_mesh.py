@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
-from scenes.pictures import (
+from helpers.pictures import (
     CAMERAS,
     draw_on_screen,
     faces,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scenes.pictures import (
+from helpers.pictures import (
     CAMERAS,
     draw_on_screen,
     faces,

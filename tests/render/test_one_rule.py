@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from scenes.pictures import (
+from helpers.pictures import (
     CAMERAS,
     body_parameters,
     draw_on_screen,

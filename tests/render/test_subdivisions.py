@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from scenes.bodies import observation_of, random_bodies
+from helpers.bodies import observation_of, random_bodies
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
@@ -14,12 +14,12 @@ from warp_partdr.body.icosphere import icosphere
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import Posed
 from warp_partdr.cameras import Camera, Crop, Perspective, WeakPerspective
-from warp_partdr.refinement.energy import Energy
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 from warp_partdr.render.renderers import RendererMesh
 from warp_partdr.render.subdivisions import coarsest_subdivisions, silhouette_error
+from warp_partdr.solve.ellipsoids.energy import Energy
 
 SIZE = 128
 FINE = 8  # samples a side of a pixel, where silhouettes are measured

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers.files import Trap
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes.files import Trap
 
 from warp_partdr import PART_NAMES, BodyParameters, InputError, load_body
 from warp_partdr.results.body_file import FORMAT, BodyFile

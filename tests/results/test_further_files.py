@@ -9,19 +9,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import helpers.bodies
 import numpy as np
 import pytest
-import scenes.bodies
 import torch
-from scenes.skins import moving, read_glb, standing
+from helpers.skins import moving, read_glb, standing
 
-from warp_partdr.clothing.registration import Registered
 from warp_partdr.errors import InputError
+from warp_partdr.models.registration import Registered
 from warp_partdr.results import further_files
 from warp_partdr.results.further_files import FURTHER, check_formats, save_further
 from warp_partdr.results.skinned_files import Poses
 
-registered = scenes.bodies.registered  # a fixture
+registered = helpers.bodies.registered  # a fixture
 
 STAND_IN = """#!{python}
 import json, os, pathlib, shutil, sys

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import helpers.bodies
 import numpy as np
 import pytest
-import scenes.bodies
 import torch
-from scenes.skins import moving, read_glb
+from helpers.skins import moving, read_glb
 from scipy.spatial.transform import Rotation
 
-from warp_partdr.clothing.registration import Registered
+from warp_partdr.models.registration import Registered
 from warp_partdr.results.gltf import Document
 from warp_partdr.results.skinned_files import glb
 
-registered = scenes.bodies.registered  # a fixture
+registered = helpers.bodies.registered  # a fixture
 
 
 def test_arrays_begin_at_whole_numbers() -> None:

@@ -8,20 +8,20 @@ from io import BytesIO
 import numpy as np
 import pytest
 import torch
+from helpers.bodies import PICTURE_SIZE, seen_by
 from PIL import Image
-from scenes.bodies import PICTURE_SIZE, seen_by
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, PARENTS, PART_NAMES, THICKNESS_NAMES
 from warp_partdr.cameras import Perspective, WeakPerspective
-from warp_partdr.fit.fitting import fit_body
-from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.stages import Stage
-from warp_partdr.refinement.stepper import Refined
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.results import plot
 from warp_partdr.results.palette import IGNORE_COLOUR, PART_COLOURS, group_colours
+from warp_partdr.solve.ellipsoids.fitting import fit_body
+from warp_partdr.solve.ellipsoids.options import FitOptions
+from warp_partdr.solve.ellipsoids.stages import Stage
+from warp_partdr.solve.ellipsoids.stepper import Refined
 
 SIZE = (120, 180)  # not square
 HEAD = PART_NAMES.index("head") + 1

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes.files import body_file
+from helpers.files import body_file
 from scipy.spatial.transform import Rotation
 
 from warp_partdr.body.template import JOINT_NAMES, PART_NAMES

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes.files import body_file, tree
+from helpers.files import body_file, tree
 
 from warp_partdr import InputError, load_body
 from warp_partdr.results.result_sets import (

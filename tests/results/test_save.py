@@ -11,26 +11,26 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from helpers.files import EXAMPLE
+from helpers.pictures import draw_on_screen
 from PIL import Image
-from scenes.files import EXAMPLE
-from scenes.pictures import draw_on_screen
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, PART_NAMES
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.model import detailed_mesh
-from warp_partdr.clothing.registration import Registered, RegistrationOptions, register
-from warp_partdr.fit.fitting import fit_body
-from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.result import FitResult
-from warp_partdr.fit.stages import Stage
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.part_labels import PartLabels, read_parts, read_photo
+from warp_partdr.models.anny import anny
+from warp_partdr.models.model import detailed_mesh
+from warp_partdr.models.registration import Registered, RegistrationOptions, register
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.results import save
 from warp_partdr.results.body_file import load_body
 from warp_partdr.results.palette import PART_COLOURS, group_colours
 from warp_partdr.results.pictures import loss_chart, panels
+from warp_partdr.solve.ellipsoids.fitting import fit_body
+from warp_partdr.solve.ellipsoids.options import FitOptions
+from warp_partdr.solve.ellipsoids.result import FitResult
+from warp_partdr.solve.ellipsoids.stages import Stage
 
 PHOTO = read_photo(EXAMPLE / "photo.png")
 KEYPOINTS = read_keypoints(EXAMPLE / "keypoints.json")[0]

@@ -8,21 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes.films import write_film
-from scenes.motions import COUNT, LATE, RATE, SIZE, made_fit, shade, write_fitted
-from scenes.skins import read_glb
+from helpers.films import write_film
+from helpers.motions import COUNT, LATE, RATE, SIZE, made_fit, shade, write_fitted
+from helpers.skins import read_glb
 
 from warp_partdr.body.landmarks import annotated
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.cameras import Perspective, UsualLens
-from warp_partdr.clothing.anny import anny
-from warp_partdr.detection.person import SKELETON
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.films import read_frames
+from warp_partdr.models.anny import anny
+from warp_partdr.networks.detection.person import SKELETON
+from warp_partdr.pipelines.film import FilmFit, find_misfits
 from warp_partdr.results.load_film import load_film_fit
 from warp_partdr.results.predictions import load_film_bodies
 from warp_partdr.results.save_film import save_film_fit
-from warp_partdr.scenes.film import FilmFit, find_misfits
 
 
 def seen_fit() -> FilmFit:

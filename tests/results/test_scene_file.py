@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import helpers.bodies
 import numpy as np
 import pytest
-import scenes.bodies
 import torch
-from scenes.skins import moving, placed, posed_vertices, read_glb
+from helpers.skins import moving, placed, posed_vertices, read_glb
 from scipy.spatial.transform import Rotation
 
 from warp_partdr.cameras import Perspective
-from warp_partdr.clothing.registration import Registered
+from warp_partdr.inputs.scene import View
+from warp_partdr.models.registration import Registered
 from warp_partdr.results.scene_file import Actor, NamedView, scene_glb
 from warp_partdr.results.skinned_files import Poses
-from warp_partdr.scenes.scene import View
 
-registered = scenes.bodies.registered  # a fixture
+registered = helpers.bodies.registered  # a fixture
 
 HEIGHT, WIDTH, FOCAL = 240, 320, 300.0
 

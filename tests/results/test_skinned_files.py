@@ -6,21 +6,21 @@ import io
 from dataclasses import replace
 from pathlib import Path
 
+import helpers.bodies
 import numpy as np
 import pytest
-import scenes.bodies
 import torch
 import trimesh
-from scenes.skins import moving, posed_vertices, read_glb, standing
+from helpers.skins import moving, posed_vertices, read_glb, standing
 from scipy.spatial.transform import Rotation
 
-from warp_partdr.clothing.registration import Registered
+from warp_partdr.models.registration import Registered
 from warp_partdr.results.binding import to_quaternions
 from warp_partdr.results.ellipbody_files import GLTF_FROM_CAMERA
 from warp_partdr.results.palette import PART_COLOURS
 from warp_partdr.results.skinned_files import Poses, bvh, glb, save_detailed
 
-registered = scenes.bodies.registered  # a fixture
+registered = helpers.bodies.registered  # a fixture
 
 
 def test_glb_s_skin_gives_the_posed_mesh(registered: Registered) -> None:

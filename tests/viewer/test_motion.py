@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import viewer
+from helpers.motions import COUNT, LATE, RATE, SIZE, made_fit, shade, write_fitted
+from helpers.viewer import click
 from PIL import Image
-from scenes import viewer
-from scenes.motions import COUNT, LATE, RATE, SIZE, made_fit, shade, write_fitted
-from scenes.viewer import click
 from typer.testing import CliRunner
 
 from warp_partdr.cli.main import app
@@ -59,7 +59,7 @@ def window(folder: Path, can_draw: None) -> Iterator[MotionWindow]:
 
 def test_a_lens_s_distortion_is_taken_away(folder: Path, tmp_path: Path) -> None:
     """A grid of the film lies where the camera's own removal puts it."""
-    from scenes.films import write_film
+    from helpers.films import write_film
 
     grid = np.full((*SIZE, 3), 40, np.uint8)
     grid[::25], grid[:, ::40] = 220, 220
@@ -292,7 +292,7 @@ def test_faults_name_the_file(folder: Path) -> None:
 
 def test_another_film_is_told_and_left_out(window: MotionWindow, folder: Path) -> None:
     """Views go on over plain gray."""
-    from scenes.films import write_film
+    from helpers.films import write_film
 
     write_film(folder.parent / "walk.mp4", [np.full((96, 160, 3), 90, np.uint8)] * COUNT, rate=RATE)
     state, films = open_motion(folder, MotionSettings())

@@ -7,15 +7,15 @@ import sys
 
 import numpy as np
 import pytest
+from helpers import viewer
+from helpers.files import EXAMPLE
+from helpers.viewer import click
 from PIL import Image
-from scenes import viewer
-from scenes.files import EXAMPLE
-from scenes.viewer import click
 from typer.testing import CliRunner
 
 from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
-from warp_partdr.scenes.photo import person_in_photo
+from warp_partdr.pipelines.photo import person_in_photo
 from warp_partdr.viewer.recording import Film, check_format
 from warp_partdr.viewer.targets import person_target
 

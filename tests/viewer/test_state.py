@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers import viewer
+from helpers.files import EXAMPLE
+from helpers.viewer import SMALL, make_state, play, read_target
 from PIL import Image
-from scenes import viewer
-from scenes.files import EXAMPLE
-from scenes.viewer import SMALL, make_state, play, read_target
 
 from warp_partdr import PART_NAMES, InputError, load_body
 from warp_partdr.body.template import LENGTH_NAMES

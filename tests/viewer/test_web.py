@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import HANG
+from helpers import viewer
+from helpers.viewer import make_state
 from PIL import Image
-from scenes import viewer
-from scenes.viewer import make_state
 from typer.testing import CliRunner
 
 from warp_partdr import PART_NAMES, InputError

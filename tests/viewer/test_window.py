@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers import viewer
+from helpers.files import EXAMPLE
+from helpers.viewer import SMALL, click, image, make_state, middle, play, read_target, send
 from PIL import Image
-from scenes import viewer
-from scenes.files import EXAMPLE
-from scenes.viewer import SMALL, click, image, make_state, middle, play, read_target, send
 
 from warp_partdr.body.template import LENGTH_NAMES, PART_NAMES
 from warp_partdr.errors import InputError

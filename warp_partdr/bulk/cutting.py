@@ -10,9 +10,8 @@ import numpy as np
 
 from ..body.skeletons import Skeleton, skeleton
 from ..cameras import Perspective, UsualLens
-from ..detection.person import SKELETON
 from ..errors import InputError
-from ..fit.cut_people import CutPeople, CutPerson, stack_alike
+from ..inputs.cut_people import CutPeople, CutPerson, stack_alike
 from ..inputs.evidence import weigh_evidence
 from ..inputs.keypoints import Keypoints2D, measure_heights
 from ..inputs.labelled_people import LabelledPerson, cut_labels
@@ -20,6 +19,7 @@ from ..inputs.masked_people import MaskedPerson, cut_masks
 from ..inputs.observation import LABEL_SIZE, crop_evidence
 from ..inputs.part_labels import PartLabels
 from ..inputs.person import check_inside
+from ..networks.detection.person import SKELETON
 from .outages import PassingError, is_passing
 from .rows import FILE_WARNINGS, UNREAD, PeopleRows, Row
 from .sources import KnownPerson, PictureSource, SourcePicture

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..body.skeletons import Skeleton, skeleton
 from ..cameras import Crop
-from ..clothing.model import DetailedModel
+from ..models.model import DetailedModel
 from ..results.pictures import blend, draw_keypoints, shade_body, shade_detailed
 from .reading import Address, PeopleFiles, PersonRow, by_shard
 from .survey import Worst

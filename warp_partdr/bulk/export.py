@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from ..body.posing import Posed
-from ..clothing.model import DetailedModel
-from ..clothing.registration import Registered
 from ..errors import InputError
+from ..models.model import DetailedModel
+from ..models.registration import Registered
 from ..results.ellipbody_files import ellipbody_scene
 from ..results.further_files import FURTHER, save_further
 from ..results.result_sets import FIT_REPORT, REGISTRATION_REPORT, replacing

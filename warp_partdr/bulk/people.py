@@ -13,19 +13,19 @@ from typing import Literal
 import numpy as np
 import torch
 
-from ..clothing.model import DetailedModel
-from ..detection import MIN_SCORE
-from ..detection.masks import instance_maps
-from ..detection.people import find_people_in
-from ..fit.cut_people import CutPeople, Kind
-from ..fit.depth_flips import FLIP_SIZE
-from ..fit.mesh_stage import refine_meshes
-from ..fit.options import FitOptions
-from ..fit.together import JUDGED_SIZE, fit_together
+from ..inputs.cut_people import CutPeople, Kind
 from ..inputs.observation import LABEL_SIZE
 from ..interop.torch_threads import one_torch_thread
 from ..kernels.launch import get_num_threads
-from ..network.label_network import LabelNetwork
+from ..models.model import DetailedModel
+from ..networks.detection import MIN_SCORE
+from ..networks.detection.masks import instance_maps
+from ..networks.detection.people import find_people_in
+from ..networks.regression.label_network import LabelNetwork
+from ..solve.ellipsoids.depth_flips import FLIP_SIZE
+from ..solve.ellipsoids.options import FitOptions
+from ..solve.ellipsoids.together import JUDGED_SIZE, fit_together
+from ..solve.mesh.mesh_stage import refine_meshes
 from .cutting import Cut, Cutter, Held, Read, attempt, one_line
 from .outages import is_passing
 from .rows import PeopleRows, RowPart, describe_bodies, error_part

@@ -20,7 +20,6 @@ import numpy as np
 
 from ..body.labels import LabelSet, label_set
 from ..body.skeletons import Skeleton
-from ..detection.person import SKELETON
 from ..errors import InputError, cause
 from ..files.json_files import parse_json
 from ..inputs.films import FilmFrames, is_film
@@ -38,6 +37,7 @@ from ..inputs.part_labels import (
 )
 from ..inputs.person import Box
 from ..inputs.photo_files import KEYPOINTS, PARTS, LeftOut
+from ..networks.detection.person import SKELETON
 from .containers import (
     ENDINGS,
     Latest,

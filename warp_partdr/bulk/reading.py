@@ -15,11 +15,11 @@ import torch
 
 from ..body.posing import Posed, pose
 from ..body.skeletons import Skeleton
-from ..clothing.model import DetailedModel
-from ..clothing.registration import Registered, ungrown
 from ..errors import InputError, cause, shown
 from ..inputs.keypoints import Keypoints2D
 from ..interop.checks import rotation_fault
+from ..models.model import DetailedModel
+from ..models.registration import Registered, ungrown
 from ..results.body_file import BODY_ARRAYS, BodyFile
 from .rows import FORMAT, Row
 from .shards import read_about

@@ -52,15 +52,15 @@ from ..body.rotations import rotation_from_axis_angle
 from ..body.skeletons import Skeleton, skeleton
 from ..body.template import BODY_SHAPES, JOINT_NAMES, LENGTH_NAMES, PART_NAMES, THICKNESS_NAMES
 from ..cameras import Crop
-from ..clothing.clothes import CLOTHED
-from ..clothing.measuring import statures
-from ..clothing.model import DetailedModel
 from ..errors import printable
-from ..fit.mesh_stage import MeshFit
-from ..fit.result import FitResult
-from ..fit.together import BatchFits
 from ..inputs.keypoints import confident, person_heights
 from ..inputs.observation import REFERENCE_SIZE
+from ..models.clothes import CLOTHED
+from ..models.measuring import statures
+from ..models.model import DetailedModel
+from ..solve.ellipsoids.result import FitResult
+from ..solve.ellipsoids.together import BatchFits
+from ..solve.mesh.mesh_stage import MeshFit
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -58,10 +58,10 @@ def bench_kernels(
 ) -> None:
     """Time kernels; see ``_KERNELS_HELP``."""
     where = _begin(device, out)
-    from ..bench.kernels.chart import draw_kernel_chart
-    from ..bench.kernels.measure import run_kernels
-    from ..bench.kernels.plan import plan_kernels
-    from ..bench.kernels.report import print_kernels
+    from ..lab.bench.kernels.chart import draw_kernel_chart
+    from ..lab.bench.kernels.measure import run_kernels
+    from ..lab.bench.kernels.plan import plan_kernels
+    from ..lab.bench.kernels.report import print_kernels
     from .progress import FitProgress
 
     with FitProgress() as progress:
@@ -73,9 +73,9 @@ def bench_kernels(
 def bench_savings(device: DeviceOption = "auto", out: OutOption = _OUT) -> None:
     """Time savings; see ``_SAVINGS_HELP``."""
     where = _begin(device, out)
-    from ..bench.machine import about
-    from ..bench.savings import print_savings, run_savings
     from ..kernels.launch import set_num_threads
+    from ..lab.bench.machine import about
+    from ..lab.bench.savings import print_savings, run_savings
     from .progress import FitProgress
 
     set_num_threads(1)  # shares of time are of one core's
@@ -93,10 +93,10 @@ def bench_tradeoff(
 ) -> None:
     """Measure the tradeoff; see ``_TRADEOFF_HELP``."""
     where = _begin(device, out)
-    from ..bench.tradeoff.chart import draw_tradeoff_chart
-    from ..bench.tradeoff.measure import run_tradeoff
-    from ..bench.tradeoff.plan import plan_tradeoff
-    from ..bench.tradeoff.tables import print_tradeoff
+    from ..lab.bench.tradeoff.chart import draw_tradeoff_chart
+    from ..lab.bench.tradeoff.measure import run_tradeoff
+    from ..lab.bench.tradeoff.plan import plan_tradeoff
+    from ..lab.bench.tradeoff.tables import print_tradeoff
     from .progress import FitProgress
 
     with FitProgress() as progress:
@@ -122,7 +122,7 @@ def _save(
     out: Path, name: str, figures: dict[str, Any], show: Callable[[Console], None], chart: Figure | None = None
 ) -> None:
     """Write bench-NAME.json, and bench-NAME.png where there is a chart, and show the figures."""
-    from ..bench.report import save_figures, wide_console
+    from ..lab.bench.report import save_figures, wide_console
 
     path = out / f"bench-{name.replace(':', '')}"
     files = [path.with_suffix(".json")]

@@ -16,9 +16,9 @@ from typer import Argument, Option
 
 from .. import __version__
 from ..body.skeletons import describe_skeleton
-from ..detection import MIN_SCORE
 from ..errors import InputError, install_command, shown
 from ..files.disk import file_sha256
+from ..networks.detection import MIN_SCORE
 from .loading import load_kernels, load_mesh_kernels
 from .options import (
     CameraOptions,
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from ..bulk.shards import Shards, Tally
     from ..bulk.sources import PictureSource
     from ..cameras import Perspective
-    from ..clothing.model import DetailedModel
-    from ..fit.options import FitOptions
+    from ..models.model import DetailedModel
+    from ..solve.ellipsoids.options import FitOptions
 
 # As ``bulk.people.BulkQuality``, which is not loaded for --help.
 BulkQualityName = StrEnum("BulkQualityName", ["network", "fast", "mesh"])
@@ -105,8 +105,8 @@ class BulkOptions(SettingOptions):
     def fit_options(self, *, half: bool) -> FitOptions:
         """Options of the fits: the quality's, with the settings; ``half`` where these don't say it."""
         from ..bulk.people import BulkQuality, stages_of_quality
-        from ..fit.settings import MESH, change_options
-        from ..fit.stages import OUTLINE
+        from ..solve.ellipsoids.settings import MESH, change_options
+        from ..solve.ellipsoids.stages import OUTLINE
 
         values = self.read()
         if "network" in values:
@@ -201,7 +201,7 @@ class FitterSetup:
         """Make the fitter, and load its kernels."""
         from ..bulk.cutting import Cutter, no_camera, usual_camera
         from ..bulk.people import PeopleFitter, kept_label_size, stages_of_quality
-        from ..network.checkpoint import load_label_network
+        from ..networks.regression.checkpoint import load_label_network
 
         detailed = detailed or self.model()
         options = self.how.fit_options(half=self.half)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..bulk.reading import PeopleFiles
-    from ..clothing.model import DetailedModel
+    from ..models.model import DetailedModel
 
 # As ``bulk.survey.RANKED`` and ``bulk.export.WRITERS``, which are not loaded for --help.
 ByName = StrEnum("ByName", ["keypoint_error", "energy", "score", "depth", "size"])

@@ -194,7 +194,7 @@ def _bodies(files: PersonFiles, photo: Path | None, start: str, target: str, see
     elif any(given is not None for given in (files.parts, files.labels, files.keypoint_format)):
         raise InputError("--keypoints: none with --parts, --labels or --format; expected 2D keypoints, FILE.json")
     elif photo is not None:
-        from ..scenes.photo import person_in_photo
+        from ..pipelines.photo import person_in_photo
 
         if is_film(photo):
             raise InputError(f"{photo}: a film; expected the folder that `partdr fit {photo.name} --out FOLDER` wrote")

@@ -18,8 +18,8 @@ from .options import DeviceOption, LabelsOption, grouped
 
 if TYPE_CHECKING:
     from ..body.labels import LabelSet
-    from ..evaluation.evaluate import Evaluated, Fitting
     from ..inputs.sample import Sample
+    from ..lab.evaluation.evaluate import Evaluated, Fitting
 
 QUICK_LEVELS = ("clean", "realistic")
 PEOPLE, QUICK_PEOPLE = 20, 6  # for ten minutes and for one on two cores
@@ -46,8 +46,8 @@ def folder(
 
     Without --labels, labels.json in the folder says what the part labels are.
     """
-    from ..evaluation.datasets import read_folder
     from ..inputs.photo_files import LeftOut
+    from ..lab.evaluation.datasets import read_folder
 
     check_counts(limit=options.limit, jobs=options.jobs)
     left_out = LeftOut()
@@ -65,7 +65,7 @@ def h36m(
     options: RunOptions,
 ) -> None:
     """Human3.6M, in SPIN's annotation arrays: MPJPE and PA-MPJPE."""
-    from ..evaluation.datasets import read_human36m
+    from ..lab.evaluation.datasets import read_human36m
 
     _evaluate(read_human36m(path, pictures=pictures, keypoints=keypoints), options)
 
@@ -81,7 +81,7 @@ def lsp(
     options: RunOptions,
 ) -> None:
     """Leeds Sports Pose with UP-3D's six parts: foreground and part accuracy and F1."""
-    from ..evaluation.datasets import read_lsp
+    from ..lab.evaluation.datasets import read_lsp
 
     _evaluate(read_lsp(path, parts=parts, labels=_label_set(labels), pictures=pictures), options)
 
@@ -94,7 +94,7 @@ def pw3d(
     options: RunOptions,
 ) -> None:
     """3DPW, in SPIN's annotation arrays; 3D errors need the array S in the file."""
-    from ..evaluation.datasets import read_pw3d
+    from ..lab.evaluation.datasets import read_pw3d
 
     _evaluate(read_pw3d(path, pictures=pictures, keypoints=keypoints), options)
 
@@ -134,14 +134,14 @@ def partbench(
     Ten minutes on two cores; --quick one.
     """
     check_counts(jobs=jobs, people=people)
-    from ..bench.report import save_figures
-    from ..evaluation.partbench.crossed import CASES, CROSSED_METHODS, crossed_samples
-    from ..evaluation.partbench.methods import METHODS, QUICK
-    from ..evaluation.partbench.report import compare_methods, write_report
-    from ..evaluation.partbench.samples import CLIP, CROSSED, SCENES, partbench_samples
-    from ..evaluation.partbench.scenes import SCENE_METHODS, partbench_scenes
+    from ..lab.bench.report import save_figures
+    from ..lab.evaluation.partbench.crossed import CASES, CROSSED_METHODS, crossed_samples
+    from ..lab.evaluation.partbench.methods import METHODS, QUICK
+    from ..lab.evaluation.partbench.report import compare_methods, write_report
+    from ..lab.evaluation.partbench.samples import CLIP, CROSSED, SCENES, partbench_samples
+    from ..lab.evaluation.partbench.scenes import SCENE_METHODS, partbench_scenes
+    from ..lab.synthetic.noise import LEVELS
     from ..results.result_sets import check_folder
-    from ..synthetic.noise import LEVELS
 
     if out is not None:
         check_folder(out)
@@ -182,7 +182,7 @@ def _evaluate(samples: Iterable[Sample], options: RunOptions) -> None:
     if not people:
         raise InputError("the data set: nobody in it; expected at least one person")
 
-    from ..evaluation.evaluate import METHODS
+    from ..lab.evaluation.evaluate import METHODS
 
     labelled = any(sample.parts is not None for sample in people)
     methods = choose_methods(METHODS, options.methods or (METHODS if labelled else ["keypoints only"]))

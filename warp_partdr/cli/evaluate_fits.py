@@ -15,7 +15,7 @@ from ..errors import InputError
 from .options import DeviceOption
 
 if TYPE_CHECKING:
-    from ..evaluation.evaluate import Evaluated, Fitting, Report
+    from ..lab.evaluation.evaluate import Evaluated, Fitting, Report
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class RunOptions:
 
     def save(self, figures: dict[str, Any]) -> None:
         """Write figures to ``out``, if it was given."""
-        from ..bench.report import save_figures
+        from ..lab.bench.report import save_figures
 
         if self.out is not None:
             save_figures(figures, self.out)
@@ -70,8 +70,8 @@ def choose_methods(methods: Mapping[str, Fitting], names: Collection[str]) -> di
 
 def one_thread_device(device: str) -> str:
     """Keep this process and those to come to one core each; returns the device to fit on."""
-    from ..evaluation.evaluate import one_thread
     from ..interop.devices import choose_device
+    from ..lab.evaluation.evaluate import one_thread
 
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     one_thread()
@@ -91,9 +91,9 @@ def fit_samples(
 
     ``clusters`` and ``together`` are the report's.
     """
-    from ..bench.machine import about
-    from ..bench.report import wide_console
-    from ..evaluation.evaluate import evaluate, tables
+    from ..lab.bench.machine import about
+    from ..lab.bench.report import wide_console
+    from ..lab.evaluation.evaluate import evaluate, tables
     from .progress import FitProgress
 
     with FitProgress() as progress:

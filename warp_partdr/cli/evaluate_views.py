@@ -16,8 +16,8 @@ from .evaluate_fits import RunOptions, check_counts, choose_methods, fit_samples
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..evaluation.datasets import Views, ViewSelection
     from ..inputs.sample import Sample
+    from ..lab.evaluation.datasets import Views, ViewSelection
 
 _NONE, _TRUE, _OWN = "none", "true", "own"
 _SET, _PERSON = "set", "person"
@@ -74,7 +74,7 @@ class ViewOptions:
 
     def select(self) -> ViewSelection:
         """Choice of rows."""
-        from ..evaluation.datasets import ViewSelection
+        from ..lab.evaluation.datasets import ViewSelection
 
         people, leave_out, frames = (tuple(each or ()) for each in (self.people, self.leave_out, self.frames))
         return ViewSelection(self.rows, people, leave_out, frames, self.step)
@@ -105,7 +105,7 @@ def real(
 
     Reads views.npz of docs/evaluation.md, SPIN's .npz, MPI-INF-3DHP's annot.mat, Human3.6M's annot.h5, and .trc.
     """
-    from ..evaluation.datasets import read_real, write_views
+    from ..lab.evaluation.datasets import read_real, write_views
 
     check_counts(limit=options.limit, jobs=options.jobs, step=views.step)
     found = read_real(path, cameras=joints.cameras, films=joints.films, axes=joints.axes)
@@ -117,9 +117,9 @@ def real(
 
 
 def _evaluate_views(views: Views, rows: np.ndarray, chosen: ViewOptions, options: RunOptions) -> None:
-    from ..evaluation.datasets import view_samples
-    from ..evaluation.pairs import compare_pairs
-    from ..evaluation.real import PAIRS, real_methods
+    from ..lab.evaluation.datasets import view_samples
+    from ..lab.evaluation.pairs import compare_pairs
+    from ..lab.evaluation.real import PAIRS, real_methods
 
     _check_word("by", chosen.by, (_SET, _PERSON))
     convention = "" if chosen.convention == _OWN else chosen.convention

@@ -12,9 +12,9 @@ from typer import Argument, Option
 
 from ..body.labels import LABEL_SETS
 from ..body.skeletons import SKELETONS
-from ..detection import MIN_SCORE
 from ..errors import InputError, shown
 from ..inputs.films import is_film
+from ..networks.detection import MIN_SCORE
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
 from .options import (
     CameraOptions,
@@ -34,14 +34,14 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..cameras import Perspective
-    from ..clothing.model import DetailedModel
-    from ..fit.mesh_stage import MeshFit
-    from ..fit.options import FitOptions
     from ..inputs.person import PersonInputs
+    from ..models.model import DetailedModel
+    from ..solve.ellipsoids.options import FitOptions
+    from ..solve.mesh.mesh_stage import MeshFit
 
 _FAULTS = (ValueError, RuntimeError)  # of a detailed body, also those of torch and Warp: no memory left, for example
 
-# Keys of ``fit.stages.STAGES``, which is not loaded for --help.
+# Keys of ``solve.ellipsoids.stages.STAGES``, which is not loaded for --help.
 StartName = StrEnum("StartName", ["network", "search"])
 QualityName = StrEnum("QualityName", ["fast", "balanced", "accurate"])
 
@@ -119,14 +119,14 @@ def fit(
         raise InputError(f"--min-score: {min_score:g}, with --keypoints; expected a photo alone")
     person = files.read(photo)
 
-    from ..fit.fitting import fit_body
-    from ..fit.mesh_stage import refine_mesh
-    from ..fit.settings import MESH
-    from ..fit.stages import OUTLINE
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save import DETAILED_FILES, RESULT_FILES, SMPLX_FILE, image_size, save_fit
+    from ..solve.ellipsoids.fitting import fit_body
+    from ..solve.ellipsoids.settings import MESH
+    from ..solve.ellipsoids.stages import OUTLINE
+    from ..solve.mesh.mesh_stage import refine_mesh
     from .progress import FitProgress
 
     where = choose_device(device)
@@ -209,8 +209,8 @@ def _save_mesh(
 
 def fit_options(quality: QualityName, start: StartName, values: dict[str, Any]) -> FitOptions:
     """Options of a quality and a start, with settings."""
-    from ..fit.options import FitOptions
-    from ..fit.settings import change_options
+    from ..solve.ellipsoids.options import FitOptions
+    from ..solve.ellipsoids.settings import change_options
 
     options = change_options(FitOptions.at(quality.value, start.value), values)  # type: ignore[arg-type]
     if options.network is not None and start is StartName.search:
@@ -223,7 +223,7 @@ def before_mesh(options: FitOptions, values: dict[str, Any]) -> FitOptions:
 
     An InputError if that stage was changed.
     """
-    from ..fit.stages import OUTLINE
+    from ..solve.ellipsoids.stages import OUTLINE
 
     if OUTLINE in values:
         told = f"{OUTLINE}: settings of a stage that the mesh stage replaces"
@@ -236,7 +236,7 @@ def _explain(
 ) -> None:
     from rich.console import Console
 
-    from ..fit.explain import explain, explain_mesh, print_choices
+    from ..solve.ellipsoids.explain import explain, explain_mesh, print_choices
 
     choices = explain(person.keypoints, person.parts, others=person.others, options=options, camera=camera)
     if model is not None:

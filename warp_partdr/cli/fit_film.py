@@ -20,7 +20,7 @@ from .options import EXIF, CameraOptions, NetworkOptions, PhotoFiles, say_distan
 from .register import read_model
 
 if TYPE_CHECKING:
-    from ..scenes.seen_film import SeenFilm
+    from ..pipelines.seen_film import SeenFilm
 
 
 def fit_motions(
@@ -97,21 +97,21 @@ class FilmRun:
 
 def fit_films(run: FilmRun) -> None:
     """Find people, fit their motions, write and tell the results."""
-    from ..detection.film_people import find_film_people
     from ..files.sections import read_section
     from ..inputs.camera_files import cameras_of_films
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
-    from ..predictors.film_sights import GivenNetworks, find_film_sights
+    from ..networks.detection.film_people import find_film_people
+    from ..networks.predictors.film_sights import GivenNetworks, find_film_sights
+    from ..pipelines.film import fit_film
+    from ..pipelines.film_cameras import place_film_cameras
+    from ..pipelines.film_pieces import FilmPieces
+    from ..pipelines.film_times import film_starts
+    from ..pipelines.matched_times import match_films
+    from ..pipelines.seen_film import SeenFilm
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save_film import CAMERAS, overlay_name, save_film_fit
-    from ..scenes.film import fit_film
-    from ..scenes.film_cameras import place_film_cameras
-    from ..scenes.film_pieces import FilmPieces
-    from ..scenes.film_times import film_starts
-    from ..scenes.matched_times import match_films
-    from ..scenes.options import SceneOptions
-    from ..scenes.seen_film import SeenFilm
+    from ..solve.scene.options import SceneOptions
     from .progress import FitProgress
 
     run.networks.check_film()

@@ -14,7 +14,7 @@ from .options import CameraOptions, PhotoFiles, read_shown_photo, say_distance
 from .register import read_model
 
 if TYPE_CHECKING:
-    from ..fit.options import FitOptions
+    from ..solve.ellipsoids.options import FitOptions
 
 
 def fit_everyone(
@@ -46,9 +46,9 @@ def fit_everyone(
 
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
+    from ..pipelines.photo import fit_photo
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save_photo import PHOTO_FILES, save_photo_fit
-    from ..scenes.photo import fit_photo
     from .progress import FitProgress
 
     if model == NO_MODEL:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ..fit.options import FitOptions
+    from ..solve.ellipsoids.options import FitOptions
 
 NO_MODEL = "none"  # of --model
 

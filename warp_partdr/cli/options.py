@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 from typer import Option, echo
 
-from ..detection import MIN_SCORE
 from ..errors import InputError, shown
 from ..files.sections import read_toml, set_value
 from ..inputs.keypoint_files import keypoint_file, read_keypoints
@@ -26,6 +25,7 @@ from ..inputs.part_labels import (
     told_focal,
 )
 from ..inputs.person import PersonInputs, check_inside
+from ..networks.detection import MIN_SCORE
 
 if TYPE_CHECKING:
     import numpy as np
@@ -214,7 +214,7 @@ class NetworkOptions:
     @property
     def files(self) -> list[Path]:
         """Files in the user's own folders of networks, by whose times it is seen that they are the same."""
-        from ..predictors.checkpoints import split_names
+        from ..networks.predictors.checkpoints import split_names
 
         given = (self.parts_from, *((None,) if self.keypoints_from is None else split_names(self.keypoints_from)))
         folders = [Path(name).expanduser() for name in given if name is not None]
@@ -232,7 +232,7 @@ class NetworkOptions:
 
     def check_film(self) -> None:
         """Raise an InputError if a network is to find the people, which films have none for."""
-        from ..predictors.checkpoints import split_names
+        from ..networks.predictors.checkpoints import split_names
 
         if self.keypoints_from is not None and split_names(self.keypoints_from)[1] is not None:
             raise InputError(
@@ -242,7 +242,7 @@ class NetworkOptions:
 
     def load(self, device: str) -> dict[str, Any]:
         """Networks that were asked for, as arguments of ``fit_photo`` and ``GivenNetworks``."""
-        from ..predictors.checkpoints import load_keypoint_network, load_part_network
+        from ..networks.predictors.checkpoints import load_keypoint_network, load_part_network
 
         found: dict[str, Any] = {}
         if self.parts_from is not None:

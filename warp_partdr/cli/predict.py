@@ -7,8 +7,8 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from ..detection import MIN_SCORE
 from ..errors import InputError
+from ..networks.detection import MIN_SCORE
 from .options import CameraOptions, DeviceOption, LabelsOption, LandmarksOption, MinScoreOption
 
 PREDICT_HELP = """Say at once where bodies are: pose and measurements of people in photos and films, without

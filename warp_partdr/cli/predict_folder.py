@@ -39,7 +39,7 @@ def predict_folder(
         view: The camera.
     """
     from ..body.labels import label_set
-    from ..evaluation.datasets import read_folder
+    from ..lab.evaluation.datasets import read_folder
 
     left_out = LeftOut()
     samples = list(read_folder(folder, None if labels is None else label_set(labels), left_out))
@@ -50,8 +50,8 @@ def predict_folder(
     from ..inputs.evidence import weigh_evidence
     from ..inputs.observation import crop_evidence, observe, usual_lens
     from ..interop.devices import choose_device
-    from ..network.checkpoint import load_label_network
-    from ..network.predict import predict_bodies
+    from ..networks.regression.checkpoint import load_label_network
+    from ..networks.regression.predict import predict_bodies
     from ..results.predictions import predict_files
     from ..results.result_sets import PREDICTIONS_REPORT, check_folder, replacing
     from ..results.save import image_size

@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import typer
 
-from ..detection import LandmarkNetwork
 from ..errors import InputError, printable
 from ..inputs.cuts import cuts_sentence
 from ..inputs.films import FILM_SUFFIXES, check_pyav, film_facts, is_film
 from ..inputs.frame_times import time_warnings, usual_rate
 from ..inputs.part_labels import photo_warnings, read_photo
 from ..inputs.photo_files import PHOTO_SUFFIXES, LeftOut, is_hidden_name, photos_among
+from ..networks.detection import LandmarkNetwork
 from .options import EXIF, CameraOptions, check_person, check_score, people_at_a_time, say_people
 
 if TYPE_CHECKING:
     from ..cameras import Crop
-    from ..detection.person import FoundPerson
     from ..inputs.observation import Observation
-    from ..network.label_network import LabelNetwork
+    from ..networks.detection.person import FoundPerson
+    from ..networks.regression.label_network import LabelNetwork
     from .progress import PictureProgress
 
 _PIXELS = 2**24  # of photos that are in memory at a time
@@ -102,9 +102,9 @@ def predict_found(
     _check_view(view, sources)
 
     from ..body.template import JOINT_NAMES
-    from ..detection.person import SKELETON
     from ..interop.devices import choose_device
-    from ..network.checkpoint import load_label_network
+    from ..networks.detection.person import SKELETON
+    from ..networks.regression.checkpoint import load_label_network
     from ..results.result_sets import PREDICTIONS_REPORT, check_folder, replacing
     from .progress import PictureProgress
 
@@ -174,7 +174,7 @@ class _Run:
         self._predict()
 
     def _take_photos(self, held: list[tuple[_Source, np.ndarray]]) -> None:
-        from ..detection.people import find_people_in
+        from ..networks.detection.people import find_people_in
 
         pictures = [picture for _, picture in held]
         choice = self.choice
@@ -196,7 +196,7 @@ class _Run:
 
     def film(self, source: _Source) -> None:
         """Take a film, frame by frame."""
-        from ..detection.film_people import follow_people, lasting, shots_between
+        from ..networks.detection.film_people import follow_people, lasting, shots_between
 
         size, rate = (0, 0), 0.0
         times: list[float] = []
@@ -234,7 +234,7 @@ class _Run:
 
     def _save_film(self, source: _Source, tracks: list[np.ndarray], size: tuple[int, int]) -> None:
         """Write a film's people, the most and largest seen first."""
-        from ..detection.film_people import areas
+        from ..networks.detection.film_people import areas
         from ..results.predictions import FilmBodies
 
         tracks.sort(key=lambda rows: -areas(rows["boxes"]).sum())
@@ -269,9 +269,9 @@ class _Run:
         at: float,
     ) -> None:
         """Cut people out of a picture, who then wait for the network."""
-        from ..detection.film_people import SEEN, seen_values
-        from ..detection.masks import instance_maps
         from ..inputs.masked_people import MaskedPerson, cut_masks
+        from ..networks.detection.film_people import SEEN, seen_values
+        from ..networks.detection.masks import instance_maps
         from ..results.predictions import ROW
 
         if not chosen:

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from ..body.posing import Posed
     from ..cameras import Camera
-    from ..clothing.model import DetailedModel
     from ..inputs.evidence import Evidence
     from ..inputs.part_labels import PartLabels
+    from ..models.model import DetailedModel
     from .progress import FitProgress
 
 REGISTER_HELP = """Clothe a fitted body in a detailed model: body.npz of `partdr fit` in, a skinned mesh out.
@@ -74,9 +74,9 @@ def register_body(
     how: ClotheOptions,
 ) -> None:
     """Register a detailed model; see ``REGISTER_HELP``."""
-    from ..fit.given_files import is_given
     from ..inputs.part_labels import check_sizes, read_labelled_parts
     from ..results.body_file import BODY_ARRAYS, load_body
+    from ..solve.mesh.given_files import is_given
 
     picture = None if photo is None else read_shown_photo(photo)
     image = read_labelled_parts(parts, labels)
@@ -125,14 +125,14 @@ def _refine(
     formats: tuple[str, ...],
 ) -> None:
     """Refine another method's body and write it; the files are those of the command line."""
-    from ..fit.given_files import read_given
-    from ..fit.given_start import refine_given
     from ..inputs.keypoint_files import read_keypoints
     from ..inputs.keypoints import choose_person
     from ..inputs.part_labels import check_sizes
     from ..interop.devices import choose_device
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save import DETAILED_FILES, SMPLX_FILE, save_registered
+    from ..solve.mesh.given_files import read_given
+    from ..solve.mesh.given_start import refine_given
     from .progress import FitProgress
 
     body, model, picture, keypoints, *_ = files
@@ -186,7 +186,7 @@ def _evidence_of(posed: Posed, camera: Camera, parts: PartLabels) -> Evidence:
 
 def read_model(name: str, device: str) -> DetailedModel:
     """The model that ``--model`` names."""
-    from ..clothing.load import load_model
+    from ..models.load import load_model
 
     try:
         return load_model(name, device=device)
@@ -213,9 +213,9 @@ def clothe(
     """
     import warp as wp
 
-    from ..clothing.registration import RegistrationOptions, RegistrationWeights, register
     from ..kernels import registration
     from ..kernels.mesh import rasterize, resolve
+    from ..models.registration import RegistrationOptions, RegistrationWeights, register
     from ..results.save import save_registered
 
     for module in (registration, rasterize, resolve):

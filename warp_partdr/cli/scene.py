@@ -8,9 +8,9 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from ..detection import MIN_SCORE
 from ..errors import InputError
 from ..inputs.films import film_facts
+from ..networks.detection import MIN_SCORE
 from .fit_film import FilmRun, check_film_view, fit_films
 from .options import CameraOptions, DeviceOption, NetworkOptions, OutOption, SettingOptions, check_person, check_score
 

@@ -45,7 +45,7 @@ def train_network(
     device: DeviceOption = "auto",
 ) -> None:
     """Train; see ``TRAIN_HELP``."""
-    from ..training.config import read_config
+    from ..lab.training.config import read_config
 
     if device not in ("auto", "cpu", "cuda"):
         raise InputError(f"--device: {device}; expected auto, cpu or cuda (CUDA_VISIBLE_DEVICES chooses the GPU)")
@@ -57,7 +57,7 @@ def train_network(
     numbers = read_config(config, overrides)
 
     from ..interop.devices import choose_device
-    from ..training.loop import MODEL_FILE, run_training
+    from ..lab.training.loop import MODEL_FILE, run_training
 
     result = run_training(numbers, resume=resume, device=choose_device(device), bits=bits)
     report = result.report

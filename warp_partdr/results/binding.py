@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from ..body.rotations import rotation_to_quaternion
-from ..clothing.registration import Registered
+from ..models.registration import Registered
 
 
 @dataclass(frozen=True)

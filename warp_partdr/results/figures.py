@@ -12,8 +12,8 @@ from ..body.parameters import BodyParameters
 from ..body.posing import Posed
 from ..body.template import LENGTH_NAMES, SIZE_COLUMNS, THICKNESS_NAMES
 from ..cameras import Camera, first_of
-from ..fit.result import FitResult
 from ..render.ellipsoids import draw_ellipsoids
+from ..solve.ellipsoids.result import FitResult
 from .palette import IGNORE_COLOUR, group_colours
 
 if TYPE_CHECKING:

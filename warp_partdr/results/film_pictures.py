@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from ..cameras import Perspective, zoomed
-from ..clothing.model import Detailed, detailed_mesh
-from ..clothing.registration import Registered
 from ..inputs.calibrated_camera import CalibratedCamera
 from ..inputs.films import scaled
-from ..scenes.film import Motion
-from ..scenes.scene import View
+from ..inputs.scene import View
+from ..models.model import Detailed, detailed_mesh
+from ..models.registration import Registered
+from ..pipelines.film import Motion
 from .palette import PART_COLOURS
 from .pictures import SKIN_COLOUR, blend, shade_mesh
 

@@ -13,8 +13,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ..clothing.registration import Registered
 from ..errors import InputError, cause
+from ..models.registration import Registered
 from .skinned_files import Poses, glb
 from .usd_files import check_usd, save_usd
 

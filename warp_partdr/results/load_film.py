@@ -10,14 +10,14 @@ import numpy as np
 import torch
 
 from ..cameras import Perspective
-from ..clothing.clothes import CLOTHED
-from ..clothing.model import DetailedModel
 from ..errors import InputError, cause
 from ..files.array_files import read_npz
 from ..files.json_files import read_json
 from ..inputs.calibrated_camera import CalibratedCamera
-from ..scenes.film import Motion
-from ..scenes.scene import PersonShape, View
+from ..inputs.scene import PersonShape, View
+from ..models.clothes import CLOTHED
+from ..models.model import DetailedModel
+from ..pipelines.film import Motion
 from .plausible import check_picture_size, check_plausible
 from .predictions import FilmBodies, load_film_bodies
 from .result_sets import PEOPLE_REPORT

@@ -11,8 +11,8 @@ import torch
 from ..body.posing import Posed
 from ..body.rotations import rotation_from_axis_angle
 from ..cameras import Camera, Crop, WeakPerspective, first_of
-from ..clothing.model import Detailed, DetailedModel, detailed_mesh
 from ..inputs.keypoints import Keypoints2D
+from ..models.model import Detailed, DetailedModel, detailed_mesh
 from ..render.mesh import draw_mesh
 from ..render.part_mesh import PartMesh, ellipbody_mesh
 from .palette import PART_COLOURS
@@ -20,7 +20,7 @@ from .palette import PART_COLOURS
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from ..fit.result import FitResult
+    from ..solve.ellipsoids.result import FitResult
 
 _SUBDIVISIONS = 3
 _LIGHT = np.array([-0.35, -0.6, -0.72])  # toward the light, camera frame

@@ -17,14 +17,14 @@ from ..body.labels import BACKGROUND, LabelSet, label_set
 from ..body.posing import Posed
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, THICKNESS_NAMES
 from ..cameras import Camera, WeakPerspective
-from ..fit.result import FitResult
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
 from ..metrics import mpjpe, pa_mpjpe
-from ..refinement.stepper import Refined
 from ..render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import ellipbody_mesh
+from ..solve.ellipsoids.result import FitResult
+from ..solve.ellipsoids.stepper import Refined
 from .figures import (
     DPI,
     PARTS,

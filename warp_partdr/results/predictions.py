@@ -29,12 +29,12 @@ from ..body.lens import find_camera, turn_to_rays
 from ..body.posing import pose
 from ..body.template import BODY_SHAPES, JOINT_NAMES, PART_NAMES
 from ..cameras import Crop
-from ..detection.film_people import SEEN
 from ..errors import InputError
 from ..files.array_files import read_npz
 from ..inputs.observation import Observation
-from ..network.label_network import LabelNetwork
-from ..network.predict import predict_bodies
+from ..networks.detection.film_people import SEEN
+from ..networks.regression.label_network import LabelNetwork
+from ..networks.regression.predict import predict_bodies
 from .body_file import BODY_ARRAYS, BodyFile
 from .plausible import check_picture_size, check_plausible, order_of_parts
 from .result_sets import check_result

@@ -21,18 +21,18 @@ from ..body.posing import LandmarkGather
 from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES
 from ..cameras import Camera, first_of, zoomed
-from ..clothing.clothes import CLOTHED
-from ..clothing.measuring import BODY_MEASURES, measure_body
-from ..clothing.model import detailed_mesh
-from ..clothing.registration import Registered
-from ..clothing.smpl_parameters import POSES, to_smplx
 from ..errors import check_type
-from ..fit.result import FitResult
 from ..inputs.evidence import Evidence
 from ..inputs.keypoints import Keypoints2D, person_height
 from ..inputs.part_labels import PartLabels
 from ..interop.torch_threads import one_torch_thread
+from ..models.clothes import CLOTHED
+from ..models.measuring import BODY_MEASURES, measure_body
+from ..models.model import detailed_mesh
+from ..models.registration import Registered
+from ..models.smpl_parameters import POSES, to_smplx
 from ..render.mesh import draw_mesh
+from ..solve.ellipsoids.result import FitResult
 from .body_file import BodyFile
 from .ellipbody_files import ellipbody_scene
 from .further_files import save_further

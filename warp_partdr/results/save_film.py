@@ -12,21 +12,21 @@ import numpy as np
 
 from ..body.template import LENGTH_NAMES
 from ..cameras import UsualLens
-from ..clothing.clothes import CLOTHED
-from ..clothing.measuring import measure_ellipbody
-from ..detection.film_people import SEEN
 from ..errors import InputError, check_type
-from ..fit.fitting import Progress
 from ..inputs.camera_files import camera_data
 from ..inputs.cuts import cuts_sentence
 from ..inputs.films import read_frames
 from ..inputs.frame_times import is_even
 from ..interop.ahead import made_ahead
 from ..interop.torch_threads import one_torch_thread
-from ..predictors.film_sights import GivenNetworks
-from ..scenes.film import FilmFit, Motion
-from ..scenes.photo import PACKAGED
-from ..scenes.seen_film import SeenFilm
+from ..models.clothes import CLOTHED
+from ..models.measuring import measure_ellipbody
+from ..networks.detection.film_people import SEEN
+from ..networks.predictors.film_sights import GivenNetworks
+from ..pipelines.film import FilmFit, Motion
+from ..pipelines.photo import PACKAGED
+from ..pipelines.seen_film import SeenFilm
+from ..solve.ellipsoids.fitting import Progress
 from .film_file import write_film
 from .film_pictures import PosedMotions, draw_bodies, resized, zoomed_view
 from .further_files import check_formats, save_further

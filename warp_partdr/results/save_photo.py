@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import check_type
 from ..interop.torch_threads import one_torch_thread
-from ..scenes.photo import PhotoFit
+from ..pipelines.photo import PhotoFit
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .further_files import FURTHER_FILES
 from .palette import PART_COLOURS

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..clothing.registration import Registered
-from ..scenes.scene import View
+from ..inputs.scene import View
+from ..models.registration import Registered
 from .binding import to_quaternions
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .gltf import Document

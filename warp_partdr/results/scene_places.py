@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..cameras import Camera, Perspective, UsualLens
-from ..fit.mesh_stage import MeshFit
 from ..inputs.keypoints import Keypoints2D
-from ..scenes.ground import STANDING_LANDMARKS, Standing, feet_seen, find_ground
+from ..solve.mesh.mesh_stage import MeshFit
+from ..solve.scene.ground import STANDING_LANDMARKS, Standing, feet_seen, find_ground
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ import numpy as np
 import torch
 
 from ..body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
-from ..clothing.model import DetailedModel
-from ..clothing.normals import vertex_normals
-from ..clothing.registration import Registered
 from ..inputs.frame_times import USUAL_RATE, is_even
+from ..models.model import DetailedModel
+from ..models.normals import vertex_normals
+from ..models.registration import Registered
 from .binding import Binding, from_rest, numbers_of, to_quaternions
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .gltf import Document

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from ..clothing.model import DetailedModel
-from ..clothing.normals import vertex_normals
-from ..clothing.registration import Registered
 from ..errors import InputError, install_command
+from ..models.model import DetailedModel
+from ..models.normals import vertex_normals
+from ..models.registration import Registered
 from .binding import Binding, numbers_of, to_quaternions
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .skinned_files import SKIN_LOOK, Poses

@@ -1,0 +1,90 @@
+"""Small states and windows of the demo, and clicks on their buttons."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from helpers.files import EXAMPLE
+from warp_partdr.cli.options import PersonFiles
+from warp_partdr.models.registration import RegistrationOptions
+from warp_partdr.viewer.buttons import Button
+from warp_partdr.viewer.settings import Settings
+from warp_partdr.viewer.state import DemoState
+from warp_partdr.viewer.targets import Target, body_of, body_target, person_target
+from warp_partdr.viewer.window import Window
+
+SMALL = Settings(size=64, steps=40)
+
+
+def make_state(target: str = "walking", start: str = "t-pose", **settings: Any) -> DemoState:
+    return DemoState(body_of(start), body_target(body_of(target)), replace(SMALL, **settings))
+
+
+def play(state: DemoState, count: int) -> None:
+    for _ in range(count):
+        state.step()
+
+
+def read_target(photo: Path, **labels: Any) -> Target:
+    return person_target(PersonFiles(EXAMPLE / "keypoints.json", **labels).read(photo))
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """As the command has it: the tensors are small."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture
+def open_window(can_draw, tmp_path):
+    """Open a window of a state, that is closed at the end."""
+    with ExitStack() as opened:
+
+        def open_one(state: DemoState, **options: Any) -> Window:
+            made = Window(state, tmp_path / "saved", off_screen=True, **options)
+            made.controls.registration = RegistrationOptions(iterations=2)  # which is near enough, and fast
+            opened.callback(made.scene.close)
+            return made
+
+        yield open_one
+
+
+@pytest.fixture
+def window(open_window):
+    return open_window(make_state())
+
+
+def send(window: Window, event: str, place: tuple[int, int]) -> None:
+    """An event of the mouse, as the window system would send it."""
+    interactor = window.scene.plotter.iren.interactor
+    interactor.SetEventPosition(*place)
+    interactor.InvokeEvent(event)
+
+
+def middle(window: Window, button: Button) -> tuple[int, int]:
+    """Middle of a button in the window [px, y up]: the inverse of ``Overlay.pixel``."""
+    left, top, right, bottom = window.panel.boxes[button]
+    (column, row), (next_column, next_row) = (window.panel.overlay.pixel(at, at) for at in (0, 1))
+    x, y = ((left + right) / 2 - column) / (next_column - column), ((top + bottom) / 2 - row) / (next_row - row)
+    return round(x), round(y)
+
+
+def click(window: Window, text: str, hint: str = "") -> None:
+    """Click on the button that says ``text``; of two, on that with ``hint`` in its hint."""
+    (button,) = (button for button in window.panel.boxes if button.text == text and hint in button.hint)
+    for event in ("LeftButtonPressEvent", "LeftButtonReleaseEvent"):
+        send(window, event, middle(window, button))
+
+
+def image(window: Window, name: str) -> np.ndarray:
+    return window.scene._images[name].image.point_data["rgb"].copy()

@@ -1,0 +1,85 @@
+"""People stacked as arrays: the same as one by one, to the network, to a refinement, and when asked for again."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import torch
+from helpers.files import EXAMPLE
+
+from warp_partdr.body.labels import label_set
+from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.cameras import Perspective
+from warp_partdr.inputs.cut_people import CutPeople, CutPerson, stack_alike
+from warp_partdr.inputs.evidence import weigh_evidence
+from warp_partdr.inputs.keypoint_files import read_keypoints
+from warp_partdr.inputs.keypoints import Keypoints2D
+from warp_partdr.inputs.observation import crop_evidence
+from warp_partdr.inputs.part_labels import read_parts
+from warp_partdr.networks.regression.predict import network_inputs
+from warp_partdr.solve.ellipsoids.batch import Batch
+from warp_partdr.solve.ellipsoids.energy import Energy
+
+KEYPOINTS = read_keypoints(EXAMPLE / "keypoints.json")[0]
+PARTS = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
+
+
+def without(*missing: int) -> Keypoints2D:
+    confidence = KEYPOINTS.confidence.copy()
+    confidence[list(missing)] = 0.0
+    return replace(KEYPOINTS, confidence=confidence)
+
+
+def cut(keypoints: Keypoints2D, device: str, labels: bool, fov: float | None = None) -> CutPerson:
+    camera = None if fov is None else Perspective.of_picture(PARTS.groups.shape, fov=fov)
+    evidence = weigh_evidence(keypoints, PARTS if labels else None)[0]
+    return CutPerson(evidence, *crop_evidence(evidence, device=device, camera=camera))
+
+
+@pytest.fixture(params=["labels", "camera, without labels", "body25's big toes, some missing"])
+def people(request: pytest.FixtureRequest, device: str) -> list[CutPerson]:
+    if request.param.startswith("body25"):
+        places = np.random.default_rng(0).uniform(0, 400, (25, 2)).astype(np.float32)
+        missing = np.ones((3, 25), dtype=np.float32)
+        missing[1, [3, 19]] = missing[2, [0, 14, 24]] = 0.0
+        return [cut(Keypoints2D("body25", places, each), device, labels=False) for each in missing]
+    fov = 50.0 if "camera" in request.param else None
+    given = KEYPOINTS, without(9), without(0, 10, 15)
+    return [cut(each, device, request.param == "labels", fov) for each in given]
+
+
+def assert_same(one: object, other: object) -> None:
+    for field in fields(one):  # type: ignore[arg-type]
+        values = getattr(one, field.name), getattr(other, field.name)
+        if isinstance(values[0], torch.Tensor):
+            assert torch.equal(*values), field.name
+        else:
+            assert values[0] == values[1], field.name
+
+
+def test_they_come_back_one_by_one(people: list[CutPerson]) -> None:
+    stacked = CutPeople.joined([CutPeople.of(people[:1]), CutPeople.of(people[1:])])
+    assert stacked.kind == people[0].kind
+    for given, found in zip(people, stacked, strict=True):
+        assert_same(given.observation, found.observation)
+        assert given.crop == found.crop
+        assert given.evidence.window == found.evidence.window
+        assert given.evidence.warnings == found.evidence.warnings
+        assert np.array_equal(given.evidence.keypoints.points, found.evidence.keypoints.points)
+
+
+def test_network_and_refinement_read_the_same(people: list[CutPerson], device: str) -> None:
+    seen, stacked = [each.observation for each in people], CutPeople.of(people).seen
+    for given, found in zip(network_inputs(seen, 64), network_inputs(stacked, 64), strict=True):
+        assert torch.equal(given, found)
+    energy = Energy(seen[0], 64, prior=PosePrior().to(device))
+    assert_same(Batch.of(seen, energy), Batch.of_stacked(stacked, energy))
+
+
+def test_those_who_differ_are_stacked_apart(device: str) -> None:
+    kinds = [(True, None), (False, None), (True, 50.0), (True, None)]
+    people = [cut(KEYPOINTS, device, *kind) for kind in kinds]
+    assert [places for places, _ in stack_alike(people)] == [[0, 3], [1], [2]]
+    assert stack_alike([]) == []

@@ -1,0 +1,208 @@
+"""Networks of others on a film's people: as on photos of its frames, a few people at a time."""
+
+from __future__ import annotations
+
+import gc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from helpers.files import EXAMPLE
+from helpers.films import write_film
+
+from warp_partdr.body.labels import BACKGROUND, IGNORE, label_set
+from warp_partdr.errors import InputError
+from warp_partdr.inputs.calibrated_camera import CalibratedCamera
+from warp_partdr.inputs.films import read_frames
+from warp_partdr.inputs.part_labels import read_photo
+from warp_partdr.inputs.person import crop_nearest
+from warp_partdr.networks.detection.crops import Pyramid
+from warp_partdr.networks.detection.film_people import kept_size
+from warp_partdr.networks.detection.masks import instance_map
+from warp_partdr.networks.detection.people import find_people
+from warp_partdr.networks.predictors import film_sights
+from warp_partdr.networks.predictors.film_sights import FilmSights, GivenNetworks, find_film_sights
+from warp_partdr.networks.predictors.keypoints import find_keypoints
+from warp_partdr.networks.predictors.networks import KeypointNetwork, PartNetwork
+from warp_partdr.networks.predictors.parts import PeopleParts
+from warp_partdr.pipelines.film_pieces import FilmPieces
+from warp_partdr.pipelines.seen_film import SeenFilm
+
+COUNT = 11  # frames
+LSP6 = label_set("lsp6")
+SIZE = (64, 48)
+
+
+def pyramids() -> int:
+    """Pictures of frames that are in memory."""
+    return sum(type(each) is Pyramid for each in gc.get_objects())
+
+
+class Networks:
+    """Networks whose answers depend on each picture alone, and that remember how many they were asked about."""
+
+    def __init__(self) -> None:
+        self.batches: list[int] = []
+        self.before = pyramids()  # of other tests
+        self.pyramids = 0
+        self.given = GivenNetworks(
+            PartNetwork(LSP6, SIZE, self.parts, 1.5, name="parts"),
+            KeypointNetwork("coco17", SIZE, self.keypoints, name="keypoints"),
+        )
+
+    def parts(self, pictures: torch.Tensor) -> torch.Tensor:
+        """Bright and dark halves of people are two groups, black is background."""
+        grey = pictures.mean(1)
+        return torch.where(grey < 0.02, 0, torch.where(grey < 0.5, 3, 2))
+
+    def keypoints(self, pictures: torch.Tensor) -> torch.Tensor:
+        """Down the middle of a crop, as far to the right as it is bright."""
+        self.batches.append(len(pictures))
+        self.pyramids = max(self.pyramids, pyramids() - self.before)
+        found = torch.full((len(pictures), 17, 3), 0.9)
+        found[..., 0] = pictures.mean((1, 2, 3))[:, None]
+        found[..., 1] = torch.linspace(0.1, 0.9, 17)
+        return found
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example's person, who moves to the right."""
+    photo = read_photo(EXAMPLE / "photo.png")[::2, ::2]
+    height, width = (side - side % 2 for side in photo.shape[:2])
+    wide = np.pad(photo, [(0, 0), (4 * COUNT, 4 * COUNT), (0, 0)], mode="edge")
+    starts = [4 * COUNT - 4 * place for place in range(COUNT)]
+    pictures = [np.ascontiguousarray(wide[:height, start : start + width]) for start in starts]
+    return write_film(tmp_path_factory.mktemp("film") / "walk.mp4", pictures, rate=30)
+
+
+@pytest.fixture(scope="module")
+def found(film: Path) -> tuple[Networks, Any, FilmSights]:
+    networks = Networks()
+    return networks, *find_film_sights(film, networks.given)
+
+
+def test_people_wait_for_one_another_but_pictures_do_not(found: tuple[Networks, Any, FilmSights]) -> None:
+    networks, people, sights = found
+    assert len(people.rows) == len(sights.frames) == COUNT
+    assert networks.batches == [8, COUNT - 8]
+    assert networks.pyramids <= 3  # of the frame at hand, and those made ahead
+    assert sights.gaps == []
+
+
+def test_a_frame_s_sights_are_those_of_a_photo(found: tuple[Networks, Any, FilmSights], film: Path) -> None:
+    networks, _, sights = found
+    first = next(iter(read_frames(film))).picture
+    person, picture = find_people(first, levels=2)[0], Pyramid(first, "cpu")
+    keypoints = networks.given.keypoints_from
+    assert keypoints is not None
+    alone = find_keypoints(keypoints, picture, person)
+    seen = sights.keypoints_of(0, 0)
+    assert alone is not None
+    assert seen is not None
+    assert seen.skeleton == "coco17"
+    np.testing.assert_allclose(seen.points, alone.points, atol=0.01)
+    parts = networks.given.parts_from
+    assert parts is not None
+    size = first.shape[:2]
+    whole = PeopleParts(parts, picture, [person], instance_map([person], size), 1).of(0)
+    small = sights.parts_of(0, 0)
+    assert whole is not None
+    assert small is not None
+    assert small.label_set is LSP6
+    assert small.groups.shape == kept_size(size)
+    expected = crop_nearest(whole.groups, (0.0, 0.0, size[1], size[0]), kept_size(size), fill=0)
+    assert (small.groups != expected).mean() < 0.01
+    assert set(np.unique(small.groups)) == {BACKGROUND, 2, 3}
+
+
+def test_how_many_are_asked_about_at_a_time_does_not_matter(
+    found: tuple[Networks, Any, FilmSights], film: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(film_sights, "_TOGETHER", {"cpu": 1})
+    _, single = find_film_sights(film, Networks().given)
+    assert single.packed == found[2].packed
+    np.testing.assert_allclose(single.keypoints, found[2].keypoints, atol=1e-3)
+
+
+def test_a_scene_sees_them(found: tuple[Networks, Any, FilmSights]) -> None:
+    _, people, sights = found
+    zoom = kept_size(people.image_size)[1] / people.image_size[1]
+    rows = people.rows[3:4]
+    (sight,) = SeenFilm.of(people, given=sights).sights(rows, 2, 1)
+    assert (sight.person, sight.frame, sight.view) == (2, 3, 1)
+    assert sight.keypoints.skeleton == "coco17"
+    np.testing.assert_allclose(sight.keypoints.points, sights.keypoints[3, :, :2] * zoom, rtol=1e-5)
+    assert sight.parts is not None
+    assert sight.parts.label_set is LSP6
+    (plain,) = SeenFilm.of(people).sights(rows, 0, 0)
+    assert plain.keypoints.skeleton == "blazepose33"
+    # One network alone leaves the rest to the packaged one.
+    only = FilmSights(
+        GivenNetworks(keypoints_from=sights.networks.keypoints_from), sights.frames, sights.places, sights.keypoints,
+        sights.size, (b"",) * COUNT,
+    )  # fmt: skip
+    (half,) = SeenFilm.of(people, given=only).sights(rows, 0, 0)
+    assert half.keypoints.skeleton == "coco17"
+    assert half.parts is not None
+    assert plain.parts is not None
+    np.testing.assert_array_equal(half.parts.groups, plain.parts.groups)
+
+
+def test_networks_that_see_nothing(film: Path) -> None:
+    blind = GivenNetworks(
+        PartNetwork(LSP6, SIZE, lambda pictures: torch.zeros(len(pictures), 8, 8, dtype=torch.long)),
+        KeypointNetwork("coco17", SIZE, lambda pictures: torch.zeros(len(pictures), 17, 3)),
+    )
+    people, sights = find_film_sights(film, blind)
+    assert sights.gaps == [
+        f"no keypoints of the given network in {COUNT} of {COUNT} sights; the packaged one's taken",
+        f"no labels of the given network in {COUNT} of {COUNT} sights; keypoints alone taken",
+    ]
+    (sight,) = SeenFilm.of(people, given=sights).sights(people.rows[:1], 0, 0)
+    assert sight.keypoints.skeleton == "blazepose33"
+    assert sight.parts is None
+
+
+def test_a_lens_s_distortion_is_taken_away(found: tuple[Networks, Any, FilmSights]) -> None:
+    _, people, sights = found
+    height, width = people.image_size
+    lens = CalibratedCamera((400.0, 400.0), (width / 2, height / 2), (-0.2,))
+    seen = SeenFilm.calibrated(people, lens, given=sights).given
+    assert seen is not None
+    expected = lens.undistort_points(sights.keypoints[..., :2])
+    np.testing.assert_allclose(seen.keypoints[..., :2], expected, atol=0.01)
+    assert np.abs(expected - sights.keypoints[..., :2]).max() > 1
+    labels, before = seen.parts_of(0, 0), sights.parts_of(0, 0)
+    assert labels is not None
+    assert before is not None
+    assert set(np.unique(labels.groups)) <= {BACKGROUND, 2, 3, IGNORE}
+    assert (labels.groups != before.groups).any()
+
+
+def test_a_run_that_was_ended_asks_nobody_again(found: tuple[Networks, Any, FilmSights], tmp_path: Path) -> None:
+    networks, people, sights = found
+    (tmp_path / "walk.mp4").write_bytes(b"film")
+    pieces = FilmPieces(tmp_path / "out", [tmp_path / "walk.mp4"], "names")
+    pieces.sights(0, networks.given, lambda: (people, sights))
+    again, kept = pieces.sights(0, networks.given, lambda: pytest.fail("they are known"))
+    np.testing.assert_array_equal(again.rows, people.rows)
+    assert kept.packed == sights.packed
+    assert (kept.size, kept.networks) == (sights.size, networks.given)
+    np.testing.assert_array_equal(kept.keypoints, sights.keypoints)
+
+
+def test_faults(film: Path) -> None:
+    with pytest.raises(TypeError, match="parts_from: str; expected PartNetwork or None"):
+        GivenNetworks("net")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="networks: NoneType; expected GivenNetworks"):
+        find_film_sights(film, None)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"keypoints_from: \(8, 16, 3\); expected x, y, confidence"):
+        find_film_sights(
+            film,
+            GivenNetworks(
+                keypoints_from=KeypointNetwork("coco17", SIZE, lambda pictures: torch.zeros(len(pictures), 16, 3))
+            ),
+        )

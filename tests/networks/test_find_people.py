@@ -1,0 +1,169 @@
+"""Everyone in a picture: the packaged example, photos beside the checkout, several pictures at once, films."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.files import EXAMPLE
+
+from warp_partdr import read_keypoints, read_photo, skeleton
+from warp_partdr.errors import InputError
+from warp_partdr.inputs.keypoints import Keypoints2D, person_height
+from warp_partdr.networks.detection.crops import Pyramid
+from warp_partdr.networks.detection.masks import draw_mask, instance_map
+from warp_partdr.networks.detection.people import find_people, find_people_in
+from warp_partdr.networks.detection.person import FoundPerson
+
+MAX_ERROR = 0.01  # of keypoints, as a share of the person's height, against MediaPipe's own
+PEOPLE = {"000000032081": (1, 1), "000000203864": (2, 2), "000000468632": (3, 4)}  # to be found, and there
+
+
+@cache
+def example() -> np.ndarray:
+    return read_photo(EXAMPLE / "photo.png")
+
+
+@cache
+def example_people(device: str) -> list[FoundPerson]:
+    return find_people(example(), device=device)
+
+
+def errors(found: Keypoints2D, truth: Keypoints2D) -> np.ndarray:
+    """Distances of the landmarks that both have, as shares of the person's height."""
+    names = [name for name in truth.format.landmarks if name in found.format.landmarks]
+    ours, theirs = (points.points[[points.format.landmarks.index(name) for name in names]] for points in (found, truth))
+    return np.linalg.norm(ours - theirs, axis=1) / person_height(truth)
+
+
+def alike(one: FoundPerson, other: FoundPerson, tolerance: float) -> None:
+    """Two looks at a person agree; [px]."""
+    np.testing.assert_allclose(one.keypoints.points, other.keypoints.points, atol=tolerance)
+    np.testing.assert_allclose(one.keypoints.confidence, other.keypoints.confidence, atol=0.01)
+    assert one.score == pytest.approx(other.score, abs=0.01)
+
+
+def test_the_packaged_example_is_one_person(device):
+    (person,) = example_people(device)
+    assert person.keypoints.skeleton == "blazepose33"
+    assert person.score > 0.9
+    assert person.keypoints.confidence.mean() > 0.9
+    truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
+    assert errors(person.keypoints, truth).mean() < 0.03  # annotators' joints are not quite BlazePose's
+
+
+def test_the_mask_is_the_person(device):
+    from PIL import Image
+
+    (person,) = example_people(device)
+    shown = np.asarray(Image.open(EXAMPLE / "parts.png")) > 0
+    mask = draw_mask(person, shown.shape)
+    assert ((mask > 0.5) & shown).sum() > 0.9 * ((mask > 0.5) | shown).sum()
+    clear = abs(mask - 0.5) > 1e-4  # else a matter of rounding
+    assert (instance_map([person], shown.shape) == (mask > 0.5))[clear].all()
+    rows, columns = np.nonzero(mask > 0.5)
+    box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+    np.testing.assert_allclose(person.box, box, atol=3)
+
+
+def test_devices_agree(device):
+    (here,), (there,) = example_people(device), example_people("cpu")
+    alike(here, there, 0.5)  # TF32
+
+
+def test_nobody_is_in_empty_pictures(rng, device):
+    for picture in (np.zeros((480, 640, 3)), np.full((40, 30, 3), 255), rng.integers(0, 255, (300, 500, 3))):
+        assert find_people(picture.astype(np.uint8), device=device) == []
+    assert find_people(np.zeros((1, 1, 3), np.uint8), device=device) == []
+
+
+def test_a_batch_finds_what_each_picture_holds(device):
+    empty = np.zeros((100, 200, 3), np.uint8)
+    moved = np.pad(example(), ((0, 0), (130, 0), (0, 0)))
+    found = find_people_in([moved, empty, example()], device=device)
+    assert [len(people) for people in found] == [1, 0, 1]
+    alike(found[2][0], example_people(device)[0], 0.5)
+    alike(found[0][0], find_people(moved, device=device)[0], 0.5)
+    assert find_people_in([], device=device) == []
+
+
+def test_small_people_are_found_in_tiles():
+    """A person of a ninth of the picture's width."""
+    small = example()[::2, ::2]
+    picture = np.full((600, 1600, 3), 128, np.uint8)
+    picture[300:556, 1000:1192] = small
+    assert find_people(picture, levels=1) == []
+    (person,) = find_people(picture)
+    expected = example_people("cpu")[0].keypoints.points / 2 + [1000, 300]
+    assert np.linalg.norm(person.keypoints.points - expected, axis=1).mean() < 5
+
+
+def test_two_people_are_two():
+    both = np.concatenate([example(), example()[:, ::-1]], axis=1)
+    people = find_people(both)
+    assert len(people) == 2
+    owners = instance_map(people, both.shape[:2])
+    for number, person in enumerate(people, start=1):
+        left = person.keypoints.points[:, 0].mean() < 384
+        assert (np.nonzero(owners == number)[1] < 384).mean() == pytest.approx(float(left), abs=0.05)
+
+
+def test_a_film_follows_people_without_the_detector(monkeypatch):
+    """From frame to frame the person moves; a frame without them ends it."""
+    before = example_people("cpu")
+    shifted = np.roll(example(), (6, 10), axis=(0, 1))
+    monkeypatch.setattr("warp_partdr.networks.detection.detector.tiles", lambda *_: pytest.fail("the detector ran"))
+    (person,) = find_people(shifted, previous=before)
+    moved = person.keypoints.points - before[0].keypoints.points
+    assert np.linalg.norm(moved - [10, 6], axis=1).mean() < 3
+    assert find_people(np.zeros_like(shifted), previous=before) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"picture": [[0]]}, "picture: list; expected ndarray"),
+        ({"picture": np.zeros((5, 5), np.uint8)}, r"picture: uint8 \(5, 5\); expected uint8 \(H, W, 3\)"),
+        ({"picture": np.zeros((5, 5, 3))}, "picture: float64"),
+        ({"picture": np.zeros((0, 5, 3), np.uint8)}, r"picture: uint8 \(0, 5, 3\)"),
+        ({"picture": Pyramid(np.zeros((9, 9, 3), np.uint8), "meta")}, "picture: a pyramid on meta"),
+        ({"min_score": 1.5}, "min_score: 1.5; expected a number"),
+        ({"levels": 0}, "levels: 0; expected an integer"),
+        ({"previous": [3]}, r"previous\[0\]: int; expected FoundPerson"),
+    ],
+)
+def test_wrong_arguments_are_named(arguments, message):
+    with pytest.raises((InputError, ValueError, TypeError), match=message):
+        find_people(**{"picture": np.zeros((9, 9, 3), np.uint8), **arguments})
+
+
+def test_films_need_people_of_each_picture():
+    with pytest.raises(ValueError, match="previous: of 1 pictures; expected 2"):
+        find_people_in([np.zeros((9, 9, 3), np.uint8)] * 2, previous=[[]])
+
+
+def photo(shared: Path, name: str) -> tuple[np.ndarray, Keypoints2D]:
+    """A photo and MediaPipe's keypoints of one of the people in it."""
+    folder = shared / "data" / "people"
+    rows = np.array(json.loads((folder / f"{name}.keypoints.json").read_text())["keypoints"], dtype=np.float32)
+    assert len(rows) == len(skeleton("blazepose33").landmarks)
+    return read_photo(folder / f"{name}.jpg"), Keypoints2D("blazepose33", rows[:, :2].copy(), rows[:, 2].clip(0, 1))
+
+
+def test_keypoints_are_near_those_of_mediapipe(shared, device):
+    """On average over the photos, which MediaPipe scaled and cut in its own way; each person is found once."""
+    means = []
+    for name, (least, there) in PEOPLE.items():
+        picture, truth = photo(shared, name)
+        people = find_people(picture, device=device)
+        assert least <= len(people) <= there
+        means.append(min(errors(person.keypoints, truth).mean() for person in people))
+        owners = instance_map(people, picture.shape[:2])
+        for number, person in enumerate(people, start=1):
+            rows, columns = np.floor(person.keypoints.points[person.keypoints.confidence > 0.9]).astype(int).T[::-1]
+            seen = (rows < owners.shape[0]) & (columns < owners.shape[1])
+            assert (owners[rows[seen], columns[seen]] == number).mean() > 0.8
+    assert np.mean(means) < MAX_ERROR

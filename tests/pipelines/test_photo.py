@@ -1,0 +1,259 @@
+"""Everyone in a photo that comes with nothing else."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from warp_partdr import metrics
+from warp_partdr.cameras import Perspective, UsualLens
+from warp_partdr.errors import InputError
+from warp_partdr.inputs.part_labels import read_photo
+from warp_partdr.networks.detection import crops
+from warp_partdr.pipelines import photo as photo_fit
+from warp_partdr.pipelines.photo import PACKAGED, PhotoFit, fit_photo, mask_labels
+from warp_partdr.results.result_sets import check_result
+from warp_partdr.results.save import DETAILED_FILES, RESULT_FILES, save_fit
+from warp_partdr.results.save_photo import PHOTO_FILES, save_photo_fit
+from warp_partdr.results.scene_places import place_on_ground
+from warp_partdr.solve.ellipsoids import fitting
+from warp_partdr.solve.ellipsoids.options import FitOptions
+from warp_partdr.solve.mesh.mesh_options import MeshOptions
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "warp_partdr" / "assets" / "example"
+FAST = FitOptions.at("fast")
+
+
+def two_people() -> np.ndarray:
+    """The example's photo, and the same person again, half as large."""
+    photo = Image.open(EXAMPLE / "photo.png").convert("RGB")
+    wide = Image.new("RGB", (photo.width * 2, photo.height), photo.getpixel((5, 5)))
+    wide.paste(photo, (0, 0))
+    wide.paste(photo.resize((photo.width // 2, photo.height // 2)), (photo.width + 60, 120))
+    return np.asarray(wide)
+
+
+@pytest.fixture(scope="module")
+def everyone() -> tuple[np.ndarray, PhotoFit]:
+    photo = two_people()
+    return photo, fit_photo(photo, options=FAST)
+
+
+def test_the_example_s_person_is_near_the_truth(device):
+    photo = read_photo(EXAMPLE / "photo.png")
+    found = fit_photo(photo, options=FAST, device=device)
+    assert list(found.fits) == [0]
+    mesh, truth = found.fits[0], json.loads((EXAMPLE / "truth.json").read_text())
+    joints = truth["joints"]["lsp14"]
+    error = metrics.pa_mpjpe(mesh.landmarks(joints["names"]), np.array(joints["points_m"]))
+    assert 1000 * float(error) < 110
+    drawn = mesh.draw(photo.shape[:2]).labels[0].cpu().numpy() > 0
+    person = np.asarray(Image.open(EXAMPLE / "parts.png")) > 0
+    assert (drawn & person).sum() / (drawn | person).sum() > 0.8
+    assert found.hidden_by(0) == []
+
+
+def test_half_a_body_of_a_real_photo(device):
+    photo = read_photo(EXAMPLE / "astronaut.jpg")
+    found = fit_photo(photo, options=FAST, device=device)
+    assert list(found.fits) == [0]
+    mesh = found.fits[0]
+    drawn = mesh.draw(photo.shape[:2]).labels[0].cpu().numpy() > 0
+    seen = found.owners == 1
+    assert (drawn & seen).sum() / (drawn | seen).sum() > 0.85
+    nose = mesh.ellipbody.camera.project(torch.from_numpy(mesh.landmarks(("nose",)))[None].to(device))[0, 0].tolist()
+    assert abs(nose[0] - 226) < 30
+    assert abs(nose[1] - 112) < 35
+
+
+def test_everyone_stands_before_the_same_usual_lens_also_who_is_asked_for_alone(tmp_path):
+    photo = two_people()
+    options = replace(FAST, stages=(), search=(), mesh=MeshOptions(iterations=1))
+    found = fit_photo(photo, options=options)
+    lens = UsualLens.of_size(photo.shape[:2])
+    for fit in found.fits.values():
+        assert fit.ellipbody.camera_guessed
+        torch.testing.assert_close(fit.camera.intrinsics, lens.intrinsics, rtol=1e-4, atol=1e-2)
+    alone = fit_photo(photo, options=options, person=1)
+    torch.testing.assert_close(alone.fits[1].camera.intrinsics, found.fits[1].camera.intrinsics)
+    np.testing.assert_allclose(alone.fits[1].vertices, found.fits[1].vertices, atol=5e-3)
+    report = save_photo_fit(found, tmp_path, photo=photo)
+    assert {person["distance"] for person in report["people"]} == {"for an assumed lens"}
+
+
+def test_everyone_is_fitted_where_they_stand(everyone):
+    photo, found = everyone
+    assert list(found.fits) == [0, 1]
+    assert found.owners.shape == photo.shape[:2]
+    for place, mesh in found.fits.items():
+        drawn = mesh.draw(photo.shape[:2]).labels[0].numpy() > 0
+        own = found.owners == place + 1
+        assert (drawn & own).sum() / (drawn | own).sum() > 0.75
+    near, far = (float(mesh.ellipbody.posed.joints[0, 0, 2]) for mesh in found.fits.values())
+    assert 1.5 < far / near < 2.7  # the smaller one is pasted at half the size
+
+
+def test_one_of_them_may_be_asked_for(everyone):
+    photo, found = everyone
+    alone = fit_photo(photo, options=FAST, person=1)
+    assert list(alone.fits) == [1]
+    np.testing.assert_allclose(alone.fits[1].vertices, found.fits[1].vertices, atol=5e-3)
+    with pytest.raises(InputError, match="person: 2; expected 0 to 1"):
+        fit_photo(photo, options=FAST, person=2)
+    with pytest.raises(InputError, match="person: -1; expected an integer of 0 or more"):
+        fit_photo(photo, options=FAST, person=-1)
+
+
+def test_options_of_the_mesh_stage_reach_it(everyone):
+    told = []
+    few = replace(FAST, mesh=MeshOptions(iterations=3))
+    fit_photo(everyone[0], options=few, person=1, progress=lambda *step: told.append(step))
+    assert told[-1] == ("mesh", 3, 3)
+
+
+def test_nobody_is_an_error_that_names_the_file_where_it_is_known(tmp_path):
+    empty, path = np.full((200, 300, 3), 128, dtype=np.uint8), tmp_path / "empty.png"
+    with pytest.raises(InputError, match=r"^photo: nobody found in it; expected a person"):
+        fit_photo(empty)
+    Image.fromarray(empty).save(path)
+    for given in (path, str(path)):
+        with pytest.raises(InputError) as raised:
+            fit_photo(given)
+        assert str(raised.value) == f"{path}: nobody found in it; expected a person, or keypoints of one"
+    with pytest.raises(InputError, match=r"nothing\.png: No such file"):
+        fit_photo(tmp_path / "nothing.png")
+    with pytest.raises(TypeError, match="photo: list; expected ndarray"):
+        fit_photo([[0]])
+
+
+def test_a_file_is_read(everyone, tmp_path):
+    photo, found = everyone
+    Image.fromarray(photo).save(tmp_path / "both.png")
+    again = fit_photo(str(tmp_path / "both.png"), options=FAST, person=1)
+    np.testing.assert_allclose(again.fits[1].vertices, found.fits[1].vertices, atol=5e-3)
+
+
+def test_a_known_camera_puts_them_in_one_scene():
+    photo = two_people()
+    found = fit_photo(photo, options=FAST, camera=Perspective.of_picture(photo.shape[:2], focal=900.0))
+    near, far = (float(mesh.landmarks(["pelvis"])[0, 2]) for mesh in found.fits.values())
+    assert 1.5 < far / near < 2.7
+    assert all(isinstance(mesh.camera, Perspective) for mesh in found.fits.values())
+
+
+def test_others_pixels_are_unknown_not_background():
+    owners = np.array([[0, 1], [2, 1]])
+    found = mask_labels(owners, 0)
+    assert found is not None
+    assert found.groups.tolist() == [[0, 1], [255, 1]]
+    assert mask_labels(owners, 2) is None
+
+
+def test_a_person_hidden_by_another_is_told(everyone):
+    _, found = everyone
+    owners = found.owners.copy()
+    drawn = found.fits[0].draw(owners.shape).labels[0].numpy() > 0
+    rows = np.flatnonzero(drawn.any(1))
+    owners[rows[len(rows) // 2] :][drawn[rows[len(rows) // 2] :]] = 2
+    assert replace(found, owners=owners).hidden_by(0) == [1]
+    assert found.hidden_by(1) == []
+
+
+def test_files_of_everyone(everyone, tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    photo, found = everyone
+    old = tmp_path / "person7"
+    old.mkdir()
+    (old / "body.npz").write_text("of an older run")
+    (tmp_path / "person8").mkdir()
+    (tmp_path / "person8" / "notes.txt").write_text("mine")
+    save_fit(found.fits[0].ellipbody, tmp_path)  # of one person, in the same folder
+    report = save_photo_fit(found, tmp_path, photo=photo)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {*PHOTO_FILES, "person0", "person1", "person8"}
+    for place in (0, 1):
+        assert {path.name for path in (tmp_path / f"person{place}").iterdir()} == {*RESULT_FILES, *DETAILED_FILES}
+    assert json.loads((tmp_path / "people.json").read_text()) == report
+    check_result(tmp_path / "overlay.png")
+    first, second = report["people"]
+    assert first["sources"] == second["sources"] == {"keypoints": PACKAGED, "parts": PACKAGED}
+    assert json.loads((tmp_path / "person1" / "report.json").read_text())["sources"] == second["sources"]
+    assert first["score"] > 0.5
+    assert 1.5 < second["distance_m"] / first["distance_m"] < 2.7
+    assert len(first["keypoints"]) == 33
+    scene = trimesh.load(tmp_path / "scene.glb")
+    sizes = [np.ptp(mesh.vertices[:, 1]) for mesh in scene.geometry.values()]
+    assert all(1.2 < size < 2.2 for size in sizes)  # metres, not shares of the picture
+    left, right = (scene.geometry[f"person{place}"].vertices.mean(0) for place in (0, 1))
+    assert left[0] < right[0]
+    assert left[2] > right[2]  # nearer, seen along -z
+    overlay = np.asarray(Image.open(tmp_path / "overlay.png"))
+    assert overlay.shape == photo.shape
+    assert (overlay != photo).any()
+    save_fit(found.fits[0].ellipbody, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {*RESULT_FILES, "person0", "person1", "person8"}
+
+
+def test_bodies_grow_about_the_camera_to_one_ground(everyone):
+    photo, found = everyone
+    fits, keypoints = list(found.fits.values()), [each.keypoints for each in found.people]
+    places = place_on_ground(fits, keypoints, photo.shape[:2])
+    assert all(0.6 < each.scale < 1.6 for each in places)
+    assert max(abs(each.scale - 1) for each in places) > 1e-4
+    hidden = [replace(each, confidence=0 * each.confidence) for each in keypoints]
+    alone = [place_on_ground([fit], [each], photo.shape[:2])[0] for fit, each in zip(fits, keypoints, strict=True)]
+    for others in (place_on_ground(fits, hidden, photo.shape[:2]), alone):  # nothing tells the ground
+        for fit, place, other in zip(fits, places, others, strict=True):
+            assert other.scale == pytest.approx(1, abs=1e-9)
+            assert place.distance == pytest.approx(other.distance * place.scale)
+            here, there = place.of(fit.vertices), other.of(fit.vertices)
+            np.testing.assert_allclose(here[:, :2] / here[:, 2:], there[:, :2] / there[:, 2:], atol=1e-5)
+
+
+def test_a_usual_lens_says_how_far_people_of_a_weak_perspective_are():
+    photo = two_people()
+    options = replace(FAST, guess_camera=False, stages=(), search=(), mesh=MeshOptions(iterations=1))
+    found = fit_photo(photo, options=options, person=1)
+    fit = found.fits[1]
+    (place,) = place_on_ground([fit], [found.people[1].keypoints], photo.shape[:2])
+    lens = UsualLens.of_size(photo.shape[:2])
+    scale, _, *centre = fit.camera.intrinsics[0].tolist()
+    assert place.distance == pytest.approx(float(lens.focal[0, 0]) / scale, rel=1e-5)
+    seen = lens.project(torch.as_tensor(place.of(np.zeros((1, 3))), dtype=torch.float32)[None])[0, 0, :2]
+    assert seen.tolist() == pytest.approx(centre, abs=0.01)
+
+
+def test_wrong_arguments_are_named(everyone, tmp_path):
+    photo, found = everyone
+    with pytest.raises(TypeError, match="fit"):
+        save_photo_fit(found.fits, tmp_path, photo=photo)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="photo"):
+        save_photo_fit(found, tmp_path, photo=torch.zeros(3))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="person: -1"):
+        fit_photo(photo, person=-1)
+
+
+def test_evidence_is_weighed_once_and_halves_of_the_photo_are_made_once(everyone, monkeypatch):
+    photo, before = everyone
+    calls: list[str] = []
+
+    def count(owner: object, name: str) -> None:
+        real = getattr(owner, name)
+        monkeypatch.setattr(owner, name, lambda *given: calls.append(name) or real(*given))
+
+    count(fitting, "weigh_evidence")
+    count(photo_fit, "weigh_evidence")
+    count(crops.Pyramid, "__init__")
+    again = fit_photo(photo, options=FAST)
+    assert sorted(calls) == ["__init__", "weigh_evidence", "weigh_evidence"]
+    for place, mesh in before.fits.items():
+        np.testing.assert_array_equal(again.fits[place].vertices, mesh.vertices)
+        parts = mask_labels(again.owners, place)
+        alone = fitting.fit_body(again.people[place].keypoints, parts, options=FAST.without_outline())
+        assert torch.equal(alone.posed.joints, again.fits[place].first.posed.joints)

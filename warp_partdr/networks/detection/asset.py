@@ -1,0 +1,140 @@
+"""The packaged networks of the detection: graphs in safetensors files, whose sparse or 8 bit weights are unpacked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ...errors import InputError, cause
+from ...files.json_files import parse_json
+from . import LandmarkNetwork
+from .graph import Node, OperatorGraph
+from .half_graph import HalfGraph
+
+_FORMAT = "warp-partdr people detector 1"
+_EXPECTED = "a file of scripts/pack_detector.py (safetensors)"
+
+
+@dataclass(frozen=True)
+class PeopleNetworks:
+    """The networks, on one device.
+
+    Attributes:
+        detector: Pictures from -1 to 1 to "boxes" (B, 2254, 12) [px] about anchors, and "scores" (B, 2254, 1), logits.
+        landmarks: Pictures from 0 to 1 to "landmarks" (B, 195), five numbers each of 39 [px], "presence" (B, 1), 0 to
+            1, "mask" (B, 1, 256, 256) and "heat" (B, 39, 64, 64), logits.
+        heavy: The same to the "landmarks" and "heat" of a larger network, which are nearer to the truth; None: those of
+            ``landmarks`` are taken.
+    """
+
+    detector: OperatorGraph
+    landmarks: OperatorGraph
+    heavy: OperatorGraph | None = None
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the weights."""
+        return next(self.detector.buffers()).device
+
+    def halved(self) -> PeopleNetworks:
+        """The same in float16, for CUDA; keypoints move by 0.2 % of a person's height (see the model card)."""
+        heavy = None if self.heavy is None else HalfGraph(self.heavy).eval()
+        return PeopleNetworks(HalfGraph(self.detector).eval(), HalfGraph(self.landmarks).eval(), heavy)
+
+
+def load_people_networks(path: Path | str | None = None, *, device: torch.device | str = "cpu") -> PeopleNetworks:
+    """Load the detector and the network "full".
+
+    Args:
+        path: A file of ``scripts/pack_detector.py``; the packaged one if None.
+        device: Device to run on.
+
+    Raises:
+        InputError: If the file can't be read or is none of these.
+    """
+    networks = _load_networks(path, "people_detector.safetensors", ("detector", "landmarks"), device)
+    return PeopleNetworks(networks["detector"], networks["landmarks"])
+
+
+def load_heavy_landmarks(path: Path | str | None = None, *, device: torch.device | str = "cpu") -> OperatorGraph:
+    """Load the larger landmark network, which ``PeopleNetworks.heavy`` is; arguments as in ``load_people_networks``."""
+    return _load_networks(path, "heavy_landmarks.safetensors", ("heavy",), device)["heavy"]
+
+
+def packaged_people_networks(device: str, *, half: bool = False, landmarks: LandmarkNetwork = "full") -> PeopleNetworks:
+    """The packaged networks, loaded once for each device and precision; not to be changed.
+
+    Args:
+        device: Device to run on.
+        half: In float16.
+        landmarks: Whose landmarks are taken; "heavy" loads that network, too.
+    """
+    return replace(_packaged(device, half), heavy=_packaged_heavy(device, half) if landmarks == "heavy" else None)
+
+
+@lru_cache(maxsize=8)
+def _packaged(device: str, half: bool) -> PeopleNetworks:
+    return _packaged(device, False).halved() if half else load_people_networks(device=device)
+
+
+@lru_cache(maxsize=8)
+def _packaged_heavy(device: str, half: bool) -> OperatorGraph:
+    return HalfGraph(_packaged_heavy(device, False)).eval() if half else load_heavy_landmarks(device=device)
+
+
+def _load_networks(
+    path: Path | str | None, packaged: str, names: tuple[str, ...], device: torch.device | str
+) -> dict[str, OperatorGraph]:
+    """Networks of a file, or of the packaged one, by their names."""
+    with resources.as_file(resources.files("warp_partdr").joinpath("assets", packaged)) as default:
+        networks = _read(Path(default if path is None else path), names)
+    return {name: network.eval().to(device) for name, network in networks.items()}
+
+
+def _read(path: Path, names: tuple[str, ...]) -> dict[str, OperatorGraph]:
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="np") as file:
+            metadata = file.metadata() or {}
+            if metadata.get("format") != _FORMAT:
+                raise InputError(f"{path}: format {metadata.get('format')!r}; expected {_EXPECTED}")
+            weights = _whole_weights({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118  no mapping
+        graphs = parse_json(metadata["graphs"], f"{path}: graphs", _EXPECTED)
+        return {name: _graph(graphs[name], name, weights) for name in names}
+    except (OSError, SafetensorError, KeyError, ValueError, TypeError) as error:
+        if isinstance(error, InputError) and str(error).startswith(str(path)):
+            raise
+        raise InputError(f"{path}: {cause(error)}; expected {_EXPECTED}") from None
+
+
+def _graph(about: Mapping[str, Any], name: str, weights: Mapping[str, np.ndarray]) -> OperatorGraph:
+    own = {key.removeprefix(f"{name}/"): torch.from_numpy(value) for key, value in weights.items() if name + "/" in key}
+    nodes = [Node.from_json(node) for node in about["nodes"]]
+    return OperatorGraph(about["size"], about["input"], about["outputs"], nodes, own)
+
+
+def _whole_weights(tensors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Arrays of the file: with the zeros that only a mask of bits tells of, and of 8 bits times their scale."""
+    arrays = {}
+    for name, values in tensors.items():
+        stem, _, role = name.rpartition(".")
+        if role in ("bits", "shape", "scale"):
+            continue
+        if role == "int8":
+            name, values = stem, values * tensors[f"{stem}.scale"].reshape(-1, 1, 1, 1)
+        if role == "values":
+            shape = tensors[f"{stem}.shape"]
+            there = np.unpackbits(tensors[f"{stem}.bits"], count=int(shape.prod())).astype(bool)
+            full = np.zeros(there.size, dtype=values.dtype)
+            full[there] = values
+            name, values = stem, full.reshape(shape)
+        arrays[name] = values
+    return arrays

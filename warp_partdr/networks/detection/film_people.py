@@ -1,0 +1,265 @@
+"""People of a whole film: who is seen in which frame, kept so small that a film may be long."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ...errors import InputError
+from ...inputs.cuts import Change, with_changes
+from ...inputs.films import Frame, film_facts, read_frames
+from ...inputs.frame_times import time_warnings, usual_rate
+from ...inputs.keypoints import Keypoints2D
+from ...interop.ahead import made_ahead
+from ...interop.torch_threads import one_torch_thread
+from . import MIN_SCORE, LandmarkNetwork
+from .crops import Pyramid
+from .masks import instance_map
+from .person import SKELETON, FoundPerson
+from .tracks import PeopleTracker
+
+_LOOKS = 3  # a second, of the detector in films
+_SHORTEST = 3  # frames of a person in a shot; fewer are taken for a mistake
+_SIDE = 640  # [px], longer side at which it is kept whom pixels show; masks have 256 px a person
+
+SEEN: dict[str, tuple[type, tuple[int, ...]]] = {
+    "frames": (np.int64, ()),
+    "times": (np.float64, ()),
+    "scores": (np.float32, ()),
+    "boxes": (np.float32, (4,)),
+    "keypoints": (np.float32, (33, 3)),
+}
+_ROW = np.dtype([(name, *kind) for name, kind in SEEN.items()] + [("tracks", np.int64), ("places", np.int64)])
+
+
+@dataclass(frozen=True)
+class FilmPeople:
+    """People of a film.
+
+    Attributes:
+        image_size: (H, W) of the film [px].
+        rate: Frames a second of most of it.
+        times: Of the frames since the first [s], rising, shape (F,).
+        rows: A row a sight, of fields ``SEEN``; ``tracks`` is the person, 0 = the most and largest seen, ``places`` the
+            place in ``owners`` of the frame.
+        packed: ``owners`` of the frames, compressed.
+        fault: Why the film ended before its end; empty if it did not.
+        warnings: Sentences about frames that are missing, and about times that are guesses.
+        cuts: First frames of all shots but the first, in order. Nobody is followed through a cut.
+    """
+
+    image_size: tuple[int, int]
+    rate: float
+    times: np.ndarray
+    rows: np.ndarray
+    packed: tuple[bytes, ...]
+    fault: str = ""
+    warnings: tuple[str, ...] = ()
+    cuts: tuple[int, ...] = ()
+
+    @property
+    def num_people(self) -> int:
+        """Number of people."""
+        return int(self.rows["tracks"].max(initial=-1)) + 1
+
+    def owners(self, frame: int) -> np.ndarray:
+        """Whom each pixel shows: 1 for the place 0, 0 for nobody, shape ``kept_size(image_size)``, uint8."""
+        return np.frombuffer(zlib.decompress(self.packed[frame]), np.uint8).reshape(kept_size(self.image_size))
+
+    def taken(self, numbers: np.ndarray, times: np.ndarray) -> FilmPeople:
+        """Returns a copy of the film with some of its frames.
+
+        Args:
+            numbers: Of these frames in this film, rising, -1 where it has none, shape (T,), int64.
+            times: Of these frames [s], shape (T,).
+        """
+        rows = self.rows[np.isin(self.rows["frames"], numbers)].copy()
+        rows["frames"] = frame_places(rows["frames"], numbers)
+        rows["times"] = times[rows["frames"]]
+        packed = tuple(self.packed[number] if number >= 0 else b"" for number in numbers.tolist())
+        cuts = _cuts_taken(self.cuts, numbers)
+        kept = _by_size(rows, shots_between(cuts, len(times)))
+        return replace(self, times=times, rows=kept, packed=packed, cuts=cuts)
+
+    def of(self, track: int) -> np.ndarray:
+        """Rows of a person."""
+        return self.rows[self.rows["tracks"] == track]
+
+
+def frame_places(frames: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Places of frames among the numbers, which rise but for -1, where there is none, shape of ``frames``, int64."""
+    there = np.flatnonzero(numbers >= 0)
+    return there[np.searchsorted(numbers[there], frames)]
+
+
+def shots_between(cuts: Sequence[int], num_frames: int) -> list[range]:
+    """Frames of each shot of a film that has cuts at these frames."""
+    return [range(*each) for each in pairwise((0, *cuts, num_frames))]
+
+
+def _cuts_taken(cuts: Sequence[int], numbers: np.ndarray) -> tuple[int, ...]:
+    """Cuts of a film of which frames of these numbers are taken, as of ``FilmPeople.taken``."""
+    there = np.flatnonzero(numbers >= 0)
+    first = np.unique(np.searchsorted(numbers[there], cuts))
+    return tuple(there[first[(first > 0) & (first < len(there))]].tolist())
+
+
+def kept_size(size: tuple[int, int]) -> tuple[int, int]:
+    """(H, W) at which it is kept whom the pixels of a film's frames show [px]."""
+    zoom = min(1.0, _SIDE / max(size))
+    return max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1)
+
+
+def row_keypoints(row: np.ndarray) -> Keypoints2D:
+    """Keypoints of a row [px]."""
+    points = row["keypoints"]
+    return Keypoints2D(SKELETON, points[:, :2].copy(), points[:, 2].copy())
+
+
+@one_torch_thread()
+def find_film_people(
+    path: str | Path,
+    *,
+    min_score: float = MIN_SCORE,
+    device: torch.device | str = "cpu",
+    progress: Callable[[int, int], None] | None = None,
+    watch: Callable[[Frame, Pyramid, Sequence[FoundPerson]], None] | None = None,
+    landmarks: LandmarkNetwork = "heavy",
+) -> FilmPeople:
+    """Find and follow the people of a film, frame by frame.
+
+    Args:
+        path: The film.
+        min_score: Least confidence that there is a person.
+        device: Device to run on.
+        progress: Told frames done and in all.
+        watch: Given each frame, its picture to cut crops from, and its people, in the order of ``places``.
+        landmarks: Network whose keypoints are taken, as in ``find_people``; "full" takes two fifths of the time.
+
+    Raises:
+        InputError: If the file can't be read as a film, or nobody is found in it; in one that breaks off, before that.
+    """
+    facts = film_facts(path)
+    rows: list[np.ndarray] = []
+    packed: list[bytes] = []
+    times: list[float] = []
+    guessed: list[bool] = []
+    cuts: list[int] = []
+    size, fault = (0, 0), ""
+    try:
+        for followed in follow_people(path, facts.rate, min_score=min_score, device=device, landmarks=landmarks):
+            frame, found = followed.frame, followed.people
+            size = (frame.picture.shape[0], frame.picture.shape[1])
+            if followed.cut:
+                cuts.append(frame.index)
+            packed.append(_pack(list(found.values()), size))
+            times.append(frame.time)
+            guessed.append(frame.guessed)
+            for place, (number, person) in enumerate(found.items()):
+                rows.append(np.array([(*seen_values(person, frame.index, frame.time), number, place)], _ROW))
+            if watch is not None:
+                watch(frame, followed.pyramid, list(found.values()))
+            if progress is not None:
+                progress(len(times), max(facts.frames, len(times)))
+    except InputError as error:
+        if not times:
+            raise
+        fault = str(error)
+    everyone = np.concatenate(rows) if rows else np.zeros(0, _ROW)
+    numbered = _by_size(everyone, shots_between(cuts, len(times)))
+    if not len(numbered):
+        raise InputError(fault or f"{path}: nobody found in {len(times)} frames; expected people")
+    rate = usual_rate(times, facts.rate)
+    told = time_warnings(str(path), times, guessed, rate)
+    return FilmPeople(size, rate, np.array(times), numbered, tuple(packed), fault, told, tuple(cuts))
+
+
+@dataclass(frozen=True)
+class FollowedFrame:
+    """Frame of a film and the people in it.
+
+    Attributes:
+        frame: The frame.
+        pyramid: Its picture, to cut crops from.
+        people: By numbers that stay through a shot.
+        cut: Whether another shot begins with it.
+    """
+
+    frame: Frame
+    pyramid: Pyramid
+    people: dict[int, FoundPerson]
+    cut: bool
+
+
+def follow_people(
+    path: str | Path,
+    rate: float,
+    *,
+    min_score: float,
+    device: torch.device | str,
+    landmarks: LandmarkNetwork = "full",
+) -> Iterator[FollowedFrame]:
+    """Find and follow the people of a film of so many frames a second.
+
+    Raises:
+        InputError: As of ``read_frames``.
+    """
+    every = max(round(rate / _LOOKS), 1)
+    tracker = PeopleTracker(device=device, min_score=min_score, every=every, landmarks=landmarks)
+    for frame, pyramid, change in made_ahead(_with_pyramids(path, device)):
+        people = tracker.find(pyramid, change)
+        yield FollowedFrame(frame, pyramid, people, tracker.cut)
+
+
+def _with_pyramids(path: str | Path, device: torch.device | str) -> Iterator[tuple[Frame, Pyramid, Change]]:
+    for frame, change in with_changes(read_frames(path)):
+        pyramid = Pyramid(frame.picture, device)
+        pyramid.level(0)
+        yield frame, pyramid, change
+
+
+def seen_values(person: FoundPerson, frame: int, time: float) -> tuple[Any, ...]:
+    """Values of ``SEEN`` for somebody in a frame at this time [s]."""
+    keypoints = np.column_stack([person.keypoints.points, person.keypoints.confidence])
+    return frame, time, person.score, person.box, keypoints
+
+
+def areas(boxes: np.ndarray) -> np.ndarray:
+    """Areas of boxes (N, 4), shape (N,)."""
+    return (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
+
+
+def _pack(people: Sequence[FoundPerson], size: tuple[int, int]) -> bytes:
+    kept = kept_size(size)
+    small = [replace(person, crop=person.crop.zoomed(kept[1] / size[1])) for person in people]
+    return pack_owners(instance_map(small, kept).clip(0, 255).astype(np.uint8))
+
+
+def pack_owners(owners: np.ndarray) -> bytes:
+    """Compress owners, uint8, as ``FilmPeople.packed`` has them."""
+    return zlib.compress(owners.tobytes(), 1)
+
+
+def lasting(frames: np.ndarray, shots: Sequence[range]) -> bool:
+    """True if somebody is seen in so many frames of a shot that it is no mistake; frames are of one shot."""
+    shot = next(shot for shot in shots if frames[0] in shot)
+    return len(frames) >= min(_SHORTEST, len(shot))
+
+
+def _by_size(rows: np.ndarray, shots: Sequence[range]) -> np.ndarray:
+    """Rows of those who are seen long enough, numbered by how much of the film they take."""
+    tracks = [rows[rows["tracks"] == track] for track in np.unique(rows["tracks"])]
+    kept = [track for track in tracks if lasting(track["frames"], shots)]
+    sizes = [-areas(track["boxes"]).sum() for track in kept]
+    order = np.argsort(sizes, kind="stable").tolist()
+    table = {int(kept[each]["tracks"][0]): place for place, each in enumerate(order)}
+    known = rows[np.isin(rows["tracks"], list(table))].copy()
+    known["tracks"] = [table[track] for track in known["tracks"].tolist()]
+    return known

@@ -1,0 +1,196 @@
+"""Graphs of a few operators, as the packaged networks of the detection are described, run by torch."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+from ...interop.captured_step import CapturedStep
+from ...interop.precision import exact_convolutions
+
+
+@dataclass(frozen=True)
+class Node:
+    """One operator of a graph.
+
+    Attributes:
+        kind: Name of the operator, one of ``KINDS``.
+        inputs: Numbers of the values that it takes.
+        output: Number of the value that it makes, and of its weights.
+        stride: Of a convolution.
+        groups: Of a convolution; as many as channels if each goes by itself.
+        zeros: Around a convolution's input: left, right, above, below.
+        activation: "none", "relu" or "relu6", after a convolution or a sum.
+        size: Side of pooled squares or of the blocks that channels become, number of channels of zeros that are
+            appended, or (H, W) of a resized picture.
+        shape: Of the rows that a picture becomes, without the batch.
+    """
+
+    kind: str
+    inputs: tuple[int, ...]
+    output: int
+    stride: int = 1
+    groups: int = 1
+    zeros: tuple[int, int, int, int] = (0, 0, 0, 0)
+    activation: str = "none"
+    size: Any = 0
+    shape: tuple[int, ...] = field(default=())
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Node:
+        """Node of an object of the packaged file; lists become tuples."""
+        fields: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
+        }
+        return cls(**fields)
+
+
+def _activate(values: torch.Tensor, name: str) -> torch.Tensor:
+    if name == "none":
+        return values
+    return values.relu_() if name == "relu" else values.clamp_(0.0, 6.0)
+
+
+def convolve(
+    node: Node, values: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, activation: str | None = None
+) -> torch.Tensor:
+    """Convolution, then the node's activation, or another one."""
+    left, right, above, below = node.zeros
+    if left == right and above == below:
+        padding = (above, left)
+    else:
+        values, padding = F.pad(values, node.zeros), (0, 0)
+    found = F.conv2d(values, weight, bias, node.stride, padding, groups=node.groups)
+    return _activate(found, node.activation if activation is None else activation)
+
+
+def _add(node: Node, first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
+    return _activate(first + second, node.activation)
+
+
+def _max_pool(node: Node, values: torch.Tensor) -> torch.Tensor:
+    return F.max_pool2d(values, node.size)
+
+
+def _more_channels(node: Node, values: torch.Tensor) -> torch.Tensor:
+    return F.pad(values, (0, 0, 0, 0, 0, node.size))
+
+
+def _resize(node: Node, values: torch.Tensor) -> torch.Tensor:
+    return F.interpolate(values, node.size, mode="bilinear", align_corners=False)
+
+
+def _sigmoid(node: Node, values: torch.Tensor) -> torch.Tensor:
+    return values.sigmoid()
+
+
+def _depth_to_space(node: Node, values: torch.Tensor) -> torch.Tensor:
+    """Blocks of pixels out of channels, whose order is (row in the block, column in it, channel)."""
+    batch, channels, height, width = values.shape
+    side = node.size
+    values = values.reshape(batch, side, side, channels // side**2, height, width)
+    return values.permute(0, 3, 4, 1, 5, 2).reshape(batch, channels // side**2, height * side, width * side)
+
+
+def _rows(node: Node, values: torch.Tensor) -> torch.Tensor:
+    """Rows out of pictures, whose numbers are read pixel by pixel, the channels of each together."""
+    return values.permute(0, 2, 3, 1).reshape(len(values), *node.shape)
+
+
+def _concatenate(node: Node, *values: torch.Tensor) -> torch.Tensor:
+    return torch.cat(values, dim=1)
+
+
+KINDS: dict[str, Callable[..., torch.Tensor]] = {
+    "convolution": convolve,
+    "add": _add,
+    "max_pool": _max_pool,
+    "more_channels": _more_channels,
+    "resize": _resize,
+    "sigmoid": _sigmoid,
+    "depth_to_space": _depth_to_space,
+    "rows": _rows,
+    "concatenate": _concatenate,
+}
+
+
+class OperatorGraph(nn.Module):
+    """A network given as nodes in the order of their computation.
+
+    Args:
+        size: Side of the square pictures that it takes [px].
+        start: Number of the value that is the input.
+        outputs: Name of each output, and number of its value.
+        nodes: The operators.
+        weights: "N.weight" (out, in / groups, H, W) and "N.bias" (out,) of the convolution with output N.
+
+    These are its attributes, too; weights are buffers, "N_weight".
+    """
+
+    def __init__(
+        self,
+        size: int,
+        start: int,
+        outputs: Mapping[str, int],
+        nodes: Sequence[Node],
+        weights: Mapping[str, torch.Tensor],
+    ) -> None:
+        super().__init__()
+        self.size = size
+        self.start, self.outputs, self.nodes = start, dict(outputs), tuple(nodes)
+        for name, tensor in weights.items():
+            # Channels last: convolutions of 1 x 1, the most of them, are products of matrices then.
+            form = torch.channels_last if tensor.dim() == 4 else torch.contiguous_format
+            self.register_buffer(name.replace(".", "_"), tensor.float().contiguous(memory_format=form))
+        self._captured: dict[tuple[int, int], tuple[torch.Tensor, CapturedStep[dict[str, torch.Tensor]]]] = {}
+        self._lock = threading.Lock()  # of the captured graphs' buffers
+        last = {number: place for place, node in enumerate(self.nodes) for number in node.inputs}
+        self._done = [
+            [number for number in set(node.inputs) if last[number] == place and number not in self.outputs.values()]
+            for place, node in enumerate(self.nodes)
+        ]
+
+    def most_captured(self, device: torch.device) -> int:
+        """Number of pictures above which launches are short beside their work, and graphs would hold much memory."""
+        return 16
+
+    def forward(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Outputs by name, for pictures of shape (B, 3, size, size)."""
+        if not pictures.is_cuda:
+            return self._run(pictures)  # several threads at a time, which must not change torch's settings
+        with exact_convolutions():
+            few = 0 < len(pictures) <= self.most_captured(pictures.device)
+            return self._replayed(pictures) if few else self._run(pictures)
+
+    def _replayed(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
+        """The same by a captured graph: of few pictures, launches would take longer than their work."""
+        count = len(pictures)
+        room = 1 << (count - 1).bit_length()  # few numbers of pictures get a graph of their own
+        key = room, torch.cuda.current_stream(pictures.device).cuda_stream
+        with self._lock:
+            if key not in self._captured:
+                held = pictures.new_zeros(room, *pictures.shape[1:])
+                self._captured[key] = held, CapturedStep(lambda: self._run(held), pictures.device)
+            held, step = self._captured[key]
+            held[:count].copy_(pictures)
+            step.replay()
+            return {name: values[:count].clone() for name, values in step.result.items()}
+
+    def _run(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
+        values = {self.start: pictures.contiguous(memory_format=torch.channels_last)}
+        for node, done in zip(self.nodes, self._done, strict=True):
+            values[node.output] = self._computed(node, [values[number] for number in node.inputs])
+            for number in done:  # or a batch would keep all of its activations
+                del values[number]
+        return {name: values[number] for name, number in self.outputs.items()}
+
+    def _computed(self, node: Node, inputs: list[torch.Tensor]) -> torch.Tensor:
+        if node.kind == "convolution":
+            inputs = [*inputs, getattr(self, f"{node.output}_weight"), getattr(self, f"{node.output}_bias")]
+        return KINDS[node.kind](node, *inputs)

@@ -1,0 +1,111 @@
+"""Graphs of operators in float16, for CUDA: half the memory to pass through, and few launches.
+
+Numbers such as places, which float16 has too few digits of, are made of the last features in float32.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+
+from ...interop.arrays import warp_array
+from ...interop.streams import on_torch_stream
+from ...kernels import depthwise
+from .graph import KINDS, Node, OperatorGraph, convolve
+
+_A_PICTURE = 2**28  # [bytes] of a device's memory for each picture of a graph, which takes some hundredths of it
+_NUMBERS = ("rows", "concatenate", "sigmoid")  # operators that only rearrange what a convolution has said, or nearly
+_LARGEST = torch.finfo(torch.float16).max
+_LIMITS = {"none": (-_LARGEST, _LARGEST), "relu": (0.0, _LARGEST), "relu6": (0.0, 6.0)}
+
+
+class HalfGraph(OperatorGraph):
+    """The same network in float16; outputs are float32.
+
+    Convolutions of a pixel are products of matrices; those of each channel by itself are a kernel of ours, which also
+    cuts off what these products have left uncut (``activation``).
+
+    Args:
+        graph: In float32.
+    """
+
+    def __init__(self, graph: OperatorGraph) -> None:
+        weights = {name.replace("_", "."): values for name, values in graph.named_buffers()}
+        super().__init__(graph.size, graph.start, graph.outputs, graph.nodes, weights)
+        self._exact = _numbers(graph)
+        for node in self.nodes:
+            if node.kind == "convolution" and node.output not in self._exact:
+                weight, bias = (getattr(self, f"{node.output}_{name}").half() for name in ("weight", "bias"))
+                if _is_depthwise(node, weight):
+                    weight = weight[:, 0].permute(1, 2, 0).contiguous()
+                setattr(self, f"{node.output}_weight", weight)
+                setattr(self, f"{node.output}_bias", bias)
+        by_channel = {node.output for node in self.nodes if self._weight(node).dim() == 3}
+        self._uncut = {
+            node.output: node.activation
+            for node in self.nodes
+            if node.kind == "convolution"
+            and node.output not in by_channel | self._exact | set(self.outputs.values())
+            and all(other.output in by_channel for other in self.nodes if node.output in other.inputs)
+        }
+
+    def most_captured(self, device: torch.device) -> int:
+        """As in float32, of a network that computes for half as long as a host takes to launch it."""
+        return min(torch.cuda.get_device_properties(device).total_memory // _A_PICTURE, 256)
+
+    def _weight(self, node: Node) -> torch.Tensor:
+        return getattr(self, f"{node.output}_weight") if node.kind == "convolution" else torch.empty(0)
+
+    def _run(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
+        with on_torch_stream(pictures.device):
+            return {name: values.float() for name, values in super()._run(pictures.half()).items()}
+
+    def _computed(self, node: Node, inputs: list[torch.Tensor]) -> torch.Tensor:
+        if node.output in self._exact:
+            return super()._computed(node, [values.float() for values in inputs])
+        if node.kind != "convolution":
+            return KINDS[node.kind](node, *inputs)
+        weight, bias = self._weight(node), getattr(self, f"{node.output}_bias")
+        activation = "none" if node.output in self._uncut else node.activation
+        if weight.dim() == 3:
+            limits = _LIMITS[self._uncut.get(node.inputs[0], "none")], _LIMITS[activation]
+            return _by_channel(node, inputs[0], weight, bias, limits)
+        if weight.shape[2:] == (1, 1):
+            values = F.linear(inputs[0].permute(0, 2, 3, 1), weight[:, :, 0, 0], bias).permute(0, 3, 1, 2)
+            return values if activation == "none" else values.clamp_(*_LIMITS[activation])
+        return convolve(node, inputs[0], weight, bias, activation)
+
+
+def _numbers(graph: OperatorGraph) -> set[int]:
+    """Values that are numbers rather than maps: rows, and the convolutions whose results they are."""
+    found = set(graph.outputs.values())
+    rows: set[int] = set()
+    for node in reversed(graph.nodes):
+        if node.output in rows or (node.output in found and node.kind in _NUMBERS):
+            rows.add(node.output)
+            if node.kind in _NUMBERS:
+                rows |= set(node.inputs)
+    return rows
+
+
+def _is_depthwise(node: Node, weight: torch.Tensor) -> bool:
+    square = weight.shape[2] == weight.shape[3]
+    return bool(weight.shape[1] == 1 and node.groups == len(weight) and square) and not len(weight) % depthwise.TOGETHER
+
+
+def _by_channel(
+    node: Node,
+    values: torch.Tensor,
+    weight: torch.Tensor,
+    bias: torch.Tensor,
+    limits: tuple[tuple[float, float], tuple[float, float]],
+) -> torch.Tensor:
+    values = values.permute(0, 2, 3, 1).contiguous()
+    batch, height, width, channels = values.shape
+    size, (left, right, above, below) = len(weight), node.zeros
+    rows, columns = ((length - size) // node.stride + 1 for length in (height + above + below, width + left + right))
+    found = values.new_empty(batch, rows, columns, channels)
+    words = [warp_array(each.view(torch.int64).flatten()) for each in (values, weight, bias)]
+    numbers = [height, width, channels // depthwise.TOGETHER, size, node.stride, left, above]
+    depthwise.launch_depthwise(words, numbers, limits, warp_array(found.view(torch.int64).flatten(2)))
+    return found.permute(0, 3, 1, 2)

@@ -1,0 +1,40 @@
+"""One person who was found in a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from ...inputs.keypoints import Keypoints2D
+from ...inputs.person import Box
+from .crops import TurnedCrops
+
+SKELETON = "blazepose33"
+
+
+@dataclass(frozen=True)
+class FoundPerson:
+    """One person of a picture.
+
+    Attributes:
+        keypoints: 33 landmarks, "blazepose33"; the confidence is that a landmark is in the picture and not hidden.
+        score: Confidence that there is a person, 0 to 1.
+        box: Left, top, right and bottom of the mask, or else of the keypoints, within the picture [px].
+        crop: The one crop, turned upright, that the landmarks were found in.
+        mask: Probability that a pixel of the crop shows the person, 0 beyond the picture, shape (256, 256), float32,
+            on the device that found it; ``draw_mask`` and ``instance_map`` bring it into the picture.
+        next_crop: The crop that the landmarks place about the person, for the next picture of a film.
+    """
+
+    keypoints: Keypoints2D
+    score: float
+    box: Box
+    crop: TurnedCrops
+    mask: torch.Tensor
+    next_crop: TurnedCrops
+
+    @property
+    def seen(self) -> bool:
+        """False of somebody whom another detector's box shows, but of whom no landmark is known."""
+        return bool(self.keypoints.confident.any())

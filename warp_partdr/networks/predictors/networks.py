@@ -1,0 +1,106 @@
+"""Networks of others as functions, and the crop in which they see a person."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ...body.labels import LabelSet
+from ...body.skeletons import Skeleton, skeleton
+from ...errors import check_type
+from ...interop.checks import check_image_size
+from ..detection.crops import Pyramid, TurnedCrops, cut_crops
+from ..detection.given_boxes import BoxNetwork
+from ..detection.person import FoundPerson
+
+Predict = Callable[[torch.Tensor], torch.Tensor]
+
+_MARGIN = 1.25  # extent of a crop, the person's being 1, as ViTPose and most others have it
+_SHOWN = 0.5  # least probability of a pixel of the mask that shows the person
+_SMALLEST = 1e-3  # least extent of a person, as a share of the detector's crop
+
+
+@dataclass(frozen=True)
+class PartNetwork:
+    """Network that says which part each pixel of a person's picture shows.
+
+    Attributes:
+        labels: Label set of its results.
+        size: (H, W) of the pictures that it takes [px].
+        predict: From pictures, RGB from 0 to 1, shape (N, 3, H, W), to probabilities, one map per id of
+            ``labels.channel_ids``, shape (N, K, h, w), which sum to 1, or to ids, integers (N, h, w). Both may be
+            smaller than the pictures.
+        stretch: Most that a picture may be stretched in one direction to have that size; 1 keeps its shape.
+        about: Its name and size, for people.
+        name: Its name or folder, for reports.
+    """
+
+    labels: LabelSet
+    size: tuple[int, int]
+    predict: Predict
+    stretch: float = 1.0
+    about: str = ""
+    name: str = "unnamed"
+
+    def __post_init__(self) -> None:
+        check_type("labels", self.labels, LabelSet, "of label_set")
+        check_image_size(self.size)
+        if not self.stretch >= 1:
+            raise ValueError(f"stretch: {self.stretch}; expected a number of 1 or more")
+
+
+@dataclass(frozen=True)
+class KeypointNetwork:
+    """Network that finds the keypoints of the person in a picture.
+
+    Attributes:
+        skeleton: Keypoint format of its results, by name, or one's own.
+        size: (H, W) of the pictures that it takes [px].
+        predict: From pictures, RGB from 0 to 1, shape (N, 3, H, W), to x and y, from 0 to 1 across the picture, and a
+            confidence from 0 to 1, of each point of the format, shape (N, count, 3).
+        about: Its name and size, for people.
+        name: Its name or folder, for reports.
+        boxes: Network that finds the people, in photos; None: the packaged one.
+    """
+
+    skeleton: str | Skeleton
+    size: tuple[int, int]
+    predict: Predict
+    about: str = ""
+    name: str = "unnamed"
+    boxes: BoxNetwork | None = None
+
+    def __post_init__(self) -> None:
+        skeleton(self.skeleton)
+        check_type("boxes", self.boxes, BoxNetwork | None, "of load_box_network")
+        check_image_size(self.size)
+
+
+def upright_crop(person: FoundPerson, size: tuple[int, int], *, stretch: float = 1.0) -> TurnedCrops:
+    """Crop about a person, with a margin, turned as the detector's.
+
+    It is as the person's mask and keypoints lie in that, but made wider or higher until it has the shape of (H, W), or
+    is at most ``stretch`` narrower or wider.
+    """
+    pixels = (person.mask > _SHOWN).nonzero().cpu().numpy()
+    shown = (pixels[:, ::-1] + 0.5) / person.mask.shape[::-1]
+    keypoints = person.keypoints
+    sure = person.crop.from_picture(keypoints.points[None, keypoints.confident].astype(np.float64))[0]
+    places = np.concatenate([shown, sure])
+    if not len(places):  # nobody was seen in another detector's box
+        places = person.crop.from_picture(np.array(person.box, dtype=np.float64).reshape(1, 2, 2))[0]
+    low, high = places.min(axis=0), places.max(axis=0)
+    width, height = _MARGIN * np.maximum(high - low, _SMALLEST) * person.crop.sides
+    aspect = size[1] / size[0]
+    width = max(width, height * aspect / stretch)
+    height = max(height, width / (aspect * stretch))
+    centre = person.crop.to_picture(((low + high) / 2)[None, None])[0]
+    return TurnedCrops(centre, np.array([height]), person.crop.angles, np.zeros(1, np.int64), float(width / height))
+
+
+def cut_upright(picture: Pyramid, person: FoundPerson, size: tuple[int, int], *, stretch: float = 1.0) -> torch.Tensor:
+    """Picture (1, 3, H, W) of a person, from 0 to 1, as a network takes it: of ``upright_crop``."""
+    return cut_crops([picture], upright_crop(person, size, stretch=stretch), size)

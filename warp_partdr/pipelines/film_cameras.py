@@ -1,0 +1,159 @@
+"""Places of films' cameras that nobody calibrated: who is who in the films, and from where each was taken.
+
+Without cameras nothing says who is whom, without people nothing places cameras. So two films are placed by each likely
+pair of their people, and the pair stands whose rays meet best.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from itertools import chain, product
+
+import numpy as np
+import torch
+
+from ..body.stature import check_stature
+from ..errors import InputError
+from ..inputs.scene import Scene, Sight
+from ..networks.detection.film_people import areas
+from ..solve.ellipsoids.fitting import Progress
+from ..solve.scene.looks import Looked, look_in_batches, looked_at_together
+from .camera_places import Moments, Places, place_cameras
+from .matched_times import uneven_times
+from .photo import check_whose, person_place
+from .same_people import Track, check_films, match_people
+from .seen_film import SeenFilm
+
+FRAMES = 32  # of the films, that are looked at, at most
+_PEOPLE = 4  # of a film, the largest ones, who are looked at
+_TRIES = 3  # pairs of two films' people whose rays are compared, of those whose poses are most alike
+_ENOUGH = 0.5  # of the most moments that two have in common, that another pair must have
+
+_Looks = Mapping[Track, Sequence[Looked]]
+
+
+def place_film_cameras(
+    films: Sequence[SeenFilm],
+    *,
+    stature: float | None = None,
+    person: int | None = None,
+    device: torch.device | str = "cpu",
+    progress: Progress | None = None,
+) -> list[SeenFilm]:
+    """Place the cameras of films of the same moments by the people in them: the same films, in the first one's world.
+
+    Args:
+        films: Two or more, frame by frame; lenses are known or assumed, as each film's view says.
+        stature: Height of a person, standing [m]; None: as large as people seem.
+        person: Whose it is, 0 = the most and largest seen, by whom alone cameras are placed then; may be left out where
+            films have one in common.
+        device: "cpu" or a CUDA device.
+        progress: Called with (stage name, films done, films in all).
+
+    Raises:
+        InputError: If nobody is seen by two cameras at once, or the stature is of several people.
+        TypeError: If an argument is of another type.
+    """
+    check_films(films)
+    stature = check_stature(stature)
+    tell = progress or (lambda name, done, total: None)
+    tell("cameras", 0, len(films))
+    looks = _look(films, device)
+    between = cache(lambda one, other: _beside(films, looks, one, other))
+    views = {0: films[0].view}
+    while len(views) < len(films):
+        tell("cameras", len(views), len(films))
+        pairs = [(one, other) for one in views for other in range(len(films)) if other not in views]
+        one, other = min(pairs, key=lambda pair: between(*pair).energy)
+        places = between(one, other)
+        if math.isinf(places.energy):
+            raise InputError(f"films[{other}]: shows nobody when another film does; expected films of the same moments")
+        views[other] = places.views_of([views[one], films[other].view])[1]
+    placed = [film.standing(views[place].rotation, views[place].translation) for place, film in enumerate(films)]
+    placed = _by_all(placed, looks, stature, person)
+    tell("cameras", len(films), len(films))
+    return placed
+
+
+def _look(films: Sequence[SeenFilm], device: torch.device | str) -> _Looks:
+    """Looks at the largest people of films, in frames in which several films show somebody."""
+    frames, counts = np.unique(
+        np.concatenate([np.unique(film.people.rows["frames"]) for film in films]), return_counts=True
+    )
+    return look_at_frames(films, [spread(frames[counts > 1])] * len(films), device)
+
+
+def spread(frames: np.ndarray) -> np.ndarray:
+    """So many of the frames as are looked at, evenly."""
+    places = np.linspace(0, max(len(frames) - 1, 0), FRAMES).round().astype(int)
+    return frames[np.unique(places)[: len(frames)]]
+
+
+def look_at_frames(
+    films: Sequence[SeenFilm], frames: Sequence[np.ndarray], device: torch.device | str
+) -> dict[Track, list[Looked]]:
+    """Looks at the largest people of films, in these frames of each."""
+    tracks: list[Track] = []
+    sights: list[Sight] = []
+    for place, (film, chosen) in enumerate(zip(films, frames, strict=True)):
+        sizes = [float(areas(film.people.of(track)["boxes"]).sum()) for track in range(film.people.num_people)]
+        for track in np.argsort(sizes)[::-1][:_PEOPLE].tolist():
+            rows = film.people.of(track)
+            own = list(film.sights(rows[np.isin(rows["frames"], chosen)], 0, place))
+            tracks += [(place, track)] * len(own)
+            sights += own
+    together = looked_at_together(device)
+    batches = [sights[start : start + together] for start in range(0, len(sights), together)]
+    found: dict[Track, list[Looked]] = {}
+    seen = chain.from_iterable(look_in_batches([film.small_view for film in films], batches, device))
+    for track, look in zip(tracks, seen, strict=True):
+        found.setdefault(track, []).append(look)
+    return found
+
+
+def _beside(films: Sequence[SeenFilm], looks: _Looks, one: int, other: int) -> Places:
+    """Two films placed by the pair of their people whose rays meet best; of infinite energy if there is none."""
+    mine, theirs = ([seen for (film, _), seen in looks.items() if film == place] for place in (one, other))
+    pairs = [moments_of((films[one], films[other]), each) for each in product(mine, theirs)]
+    most = max((pair.num_common for pair in pairs), default=0)
+    likely = [pair for pair in pairs if pair.num_common >= max(_ENOUGH * most, 1)]
+    starts = sorted(((pair, pair.chained()) for pair in likely), key=lambda each: each[0].unlike(each[1]))
+    found = [pair.refined(start) for pair, start in starts[:_TRIES]]
+    nowhere = Places(torch.zeros(0, 3, 3), torch.zeros(0, 3), math.inf)
+    return min(found, key=lambda places: places.energy, default=nowhere)
+
+
+def moments_of(films: Sequence[SeenFilm], seen: Sequence[Sequence[Looked]]) -> Moments:
+    """Moments of one person, who was looked at in each of the films."""
+    looks = [replace(look, sight=replace(look.sight, view=view)) for view, each in enumerate(seen) for look in each]
+    return Moments.of(_scene(films, looks), looks)
+
+
+def _scene(films: Sequence[SeenFilm], looks: Sequence[Looked]) -> Scene:
+    views, sights = [film.small_view for film in films], [look.sight for look in looks]
+    times = uneven_times(films, range(1 + max(sight.frame for sight in sights)))
+    return Scene(views, sights, films[0].people.rate, times=times)
+
+
+def _by_all(films: Sequence[SeenFilm], looks: _Looks, stature: float | None, person: int | None) -> list[SeenFilm]:
+    """Films placed by all whom several of them show, who are told apart by where the films stand."""
+    everyone = match_people(films)
+    if stature is not None and person is not None:
+        everyone = [everyone[person_place(person, len(everyone))]]
+    people = [tracks for tracks in everyone if len({film for film, _ in tracks}) > 1]
+    if not people:
+        raise InputError("films: nobody is the same in two of them; expected films of the same moments, frame by frame")
+    check_whose(stature, len(people))
+    if alone := set(range(len(films))) - {film for tracks in people for film, _ in tracks}:
+        raise InputError(f"films[{min(alone)}]: nobody to place it by; expected somebody who is in another one, too")
+    seen = [
+        replace(look, sight=replace(look.sight, person=number))
+        for number, tracks in enumerate(people)
+        for track in tracks
+        for look in looks.get(track, ())
+    ]
+    views = place_cameras(_scene(films, seen), looks=seen, stature=stature).views
+    return [film.standing(view.rotation, view.translation) for film, view in zip(films, views, strict=True)]

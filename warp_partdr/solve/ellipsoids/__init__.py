@@ -1,0 +1,1 @@
+"""Fit of EllipBody: the energy before an observation, its minimisation, stages, starts, result and warnings."""

@@ -1,0 +1,375 @@
+"""Second stage of the paper as a captured Warp graph: ``refine`` without torch inside the loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
+from typing import Any
+
+import torch
+import warp as wp
+
+from ...body.parameters import ROW, BodyParameters
+from ...body.template import LOCKED_PARTS, NUM_PARTS
+from ...errors import check_whole
+from ...interop.arrays import warp_array
+from ...interop.checks import check_steps, check_tensor
+from ...interop.graph_cache import BYTES_PER_PIXEL, graphs
+from ...interop.streams import capture_graph, on_torch_stream
+from ...kernels.ellipsoids.forces import NUM_SUMS
+from ...kernels.launch import launch_side_by_side, run_slices, split_batch
+from ...kernels.refine.iteration import launch_compare, launch_start, launch_step
+from ...kernels.refine.state import (
+    NUM_TERMS,
+    Bodies,
+    Drawn,
+    Load,
+    Problem,
+    Pull,
+    State,
+    StepRule,
+    Terms,
+    Wrench,
+)
+from ...kernels.refine.step import BETAS
+from ...render.captured import CapturedEllipsoids
+from ...render.renderers import RendererEllipsoids
+from .batch import Batch
+from .energy import TERMS, Energy
+from .stepper import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, size_bounds
+from .tables import LANDMARK_NAMES, bone_arrays, landmark_arrays, mixture_arrays, rule_arrays
+
+_WIDTHS = [math.prod(shape) for shape in ROW.values()]  # of a body's parameters as they follow one another in a row
+
+_BYTES_PER_BODY = 2**15  # of a kept graph, beside pictures, on the CPU, where nobody counts
+
+
+class CapturedRefinement:
+    """Minimise an energy from B starts side by side, as ``refine`` does, in fixed buffers.
+
+    An iteration is the renderer's launches and one more. They are captured once and replayed, and the host waits for
+    nothing in between. A run repeats bit for bit.
+
+    Args:
+        energies: One for all bodies, or N of them, of which body b takes number b % N. They may differ in their
+            observations, and in nothing else. Or one of the kind of all of ``people``.
+        batch_size: B, the number of bodies refined at once.
+        people: N observations, in place of the energies' own.
+        iterations: Steps of Adam.
+        learning_rate: As in ``refine``.
+        frozen: As in ``refine``.
+
+    Raises:
+        ValueError: If the energies differ in more than their observations, see probabilities, or draw a mesh, or
+            ``frozen`` names what is no parameter, or all of them.
+    """
+
+    def __init__(
+        self,
+        energies: Energy | Sequence[Energy],
+        batch_size: int,
+        *,
+        iterations: int = 50,
+        learning_rate: float = LEARNING_RATE,
+        frozen: Collection[str] = (),
+        people: Batch | None = None,
+    ) -> None:
+        free = BodyParameters.free(frozen)
+        iterations, batch_size = check_steps(iterations, learning_rate), check_whole("batch_size", batch_size, 0)
+        energies = [energies] if isinstance(energies, Energy) else list(energies)
+        self._energy = energy = energies[0]
+        self._device = energy.observation.points.device
+        if energy.observation.maps is not None:
+            raise ValueError("energies: probabilities of labels; expected labels, ``refine`` takes probabilities")
+        if not can_capture(energy):
+            raise ValueError(f"energies: {energy.renderer}; expected exact ellipsoids, ``refine`` takes others")
+        for other in energies:
+            _check_alike(energy, other)
+        self._people = people = people or Batch.of([each.observation for each in energies], energy)
+
+        # What the host reads or writes, in torch's memory.
+        buffer = partial(torch.zeros, device=self._device)
+        rows = batch_size, sum(_WIDTHS)
+        self._parameters, self._gradient, self._best = buffer(rows), buffer(rows), buffer(rows)
+        self._best_energy, self._best_terms = buffer(batch_size), buffer(batch_size, NUM_TERMS)
+        self._history = buffer(iterations + 1, batch_size)
+        # At rate 0, after the last step, the energy is looked at once more.
+        shares = [rate_share(step, iterations) for step in range(iterations)]
+        self._rates = [learning_rate * share for share in (*shares, 0.0)]
+        with on_torch_stream(self._device, torch_memory=True) as where:  # a graph's budget counts it
+            self._state = self._make_state(where)
+            self._problem = self._make_problem(where, people, free)
+            self._renderer = self._make_renderer(people)
+            self._drawn = Drawn() if self._renderer is None else self._renderer.drawn
+        if batch_size > 0:
+            self._rewind_graph = capture_graph(self._rewind, self._device)
+            self._graph = capture_graph(self.iterate, self._device)
+
+    def _make_renderer(self, people: Batch) -> CapturedEllipsoids | None:
+        """Renderer that draws the posed ellipsoids and compares them with label images; None if there are none."""
+        renderer, label_set = self._energy.renderer, self._energy.observation.label_set
+        if people.targets is None or label_set is None:
+            return None
+        assert isinstance(renderer, RendererEllipsoids)
+        labels = [int(group) for group in label_set.part_groups[1:]]
+        perspective = self._energy.observation.lens is not None
+        return CapturedEllipsoids(renderer, labels, people.targets, self._state.ellipsoids, perspective)
+
+    def _make_state(self, where: str) -> State:
+        """Allocate the bodies' state."""
+        batch, prior = len(self._parameters), self._energy.prior
+
+        def zeros(*shape: int, dtype: Any = float) -> wp.array:
+            return wp.zeros((batch, *shape), dtype=dtype, device=where)
+
+        state = State()
+        state.iteration = zeros(dtype=int)
+        state.bodies, state.gradient = _bodies(self._parameters), _bodies(self._gradient)
+        rows = state.rows
+        rows.parameters, rows.gradient, rows.best = map(warp_array, (self._parameters, self._gradient, self._best))
+        rows.first_moment, rows.second_moment = zeros(sum(_WIDTHS)), zeros(sum(_WIDTHS))
+        records = state.records
+        records.better = zeros(dtype=int)
+        records.energy, records.terms = warp_array(self._best_energy), warp_array(self._best_terms, Terms)
+        records.history = warp_array(self._history)
+
+        state.turns, state.orientations = zeros(NUM_PARTS, dtype=wp.mat33), zeros(dtype=wp.mat33)
+        state.roots = zeros(dtype=wp.vec3)
+        ellipsoids = state.ellipsoids
+        ellipsoids.centres, ellipsoids.axes = zeros(NUM_PARTS, dtype=wp.vec3), zeros(NUM_PARTS, dtype=wp.mat33)
+        ellipsoids.semi_axes, ellipsoids.camera = zeros(NUM_PARTS, dtype=wp.vec3), zeros(dtype=wp.vec4)
+        components, directions = mixture_arrays(where, prior).means.shape
+        likelihood = state.likelihood
+        likelihood.directions = zeros(directions, dtype=wp.vec3)
+        likelihood.slopes = zeros(components, directions, dtype=wp.vec3)
+        likelihood.exponents, likelihood.shares = zeros(components), zeros(components)
+        likelihood.log_density = zeros()
+        state.pulls = zeros(len(LANDMARK_NAMES), dtype=Pull)
+        state.drawn, state.drawn_cost = zeros(NUM_PARTS, NUM_SUMS), zeros()
+        state.pushes = zeros(NUM_PARTS, dtype=wp.vec3)
+        state.wrenches, state.costs = zeros(NUM_PARTS, dtype=Wrench), zeros(NUM_PARTS, dtype=Terms)
+        state.loads = zeros(NUM_PARTS + 1, dtype=Load)
+        return state
+
+    def _make_problem(self, where: str, people: Batch, free: Collection[str]) -> Problem:
+        """Set up the problem's constants, those of the N observations among them."""
+        energy, problem = self._energy, Problem()
+        problem.bones, problem.locked = bone_arrays(where), sum(1 << part for part in LOCKED_PARTS)
+        problem.half_size = energy.size / 2
+        problem.lenses = warp_array(people.lenses, wp.vec3)
+        points, votes = warp_array(people.points, wp.vec2), warp_array(people.votes)
+        problem.landmarks = landmark_arrays(where, people.seen, points, votes)
+        usual = (people.lengths, people.thicknesses, people.depths, people.depth_scales)
+        problem.rules = rule_arrays(where, energy.prior, *map(warp_array, usual))
+        problem.mixture = mixture_arrays(where, energy.prior)
+        problem.weights, problem.step_rule = _term_weights(energy), _step_rule(self._rates, free, self._device)
+        return problem
+
+    def iterate(self) -> None:
+        """Launch one iteration on Warp's current stream: draw, compare, step; what ``refine`` replays.
+
+        After ``iterations`` of them the last one repeats, at rate 0: it leaves the bodies where they are.
+        """
+        # The prior looks at poses alone, so it needs no picture.
+        launch_side_by_side(self._draw, partial(launch_compare, self._problem, self._state))
+        launch_step(self._problem, self._state, self._drawn)
+
+    def _draw(self) -> None:
+        if self._renderer is not None:
+            self._renderer.launch()
+
+    @torch.no_grad()
+    def take(self, people: Batch) -> None:
+        """Take other people from now on, who are alike: as many, with the same landmarks and pictures' size."""
+        torch._foreach_copy_(self._people.tensors(), people.tensors())
+
+    @torch.no_grad()
+    def _put(self, bodies: BodyParameters) -> None:
+        """Write bodies into the rows of parameters."""
+        rows = [tensor.reshape(-1, width) for tensor, width in zip(bodies.tensors().values(), _WIDTHS, strict=True)]
+        torch.cat(rows, dim=1, out=self._parameters)
+
+    def _replay(self, graph: wp.Graph, times: int = 1) -> None:
+        with on_torch_stream(self._device):
+            for _ in range(times):
+                wp.capture_launch(graph)
+
+    def _rewind(self) -> None:
+        """Start again from the parameters as they are."""
+        launch_start(self._problem, self._state)
+
+    def evaluate(self, bodies: BodyParameters) -> tuple[torch.Tensor, torch.Tensor]:
+        """Energy of bodies, (B,), by a refinement of 0 steps; their numbers and its gradient as ``Buffers.numbers``."""
+        self._put(bodies)
+        self._replay(self._rewind_graph)
+        self._replay(self._graph)
+        return self._history[-1].clone(), torch.cat([self._parameters.flatten(), self._gradient.flatten()])
+
+    def refine(self, start: BodyParameters, *, on_iteration: Callable[[int], None] | None = None) -> Refined:
+        """Refine B bodies.
+
+        Args:
+            start: B bodies.
+            on_iteration: Called with the number of steps asked for; on CUDA the device may be behind.
+
+        Raises:
+            ValueError: If a shape, dtype or device is wrong.
+        """
+        batch = self._parameters.shape[0]
+        for name, tensor in start.tensors().items():
+            like = ("energies", self._parameters)
+            check_tensor(name, tensor, (batch, *ROW[name]), dtypes=(torch.float32,), like=like)
+        self._put(start)
+        if batch > 0:
+            self._replay(self._rewind_graph)
+            if on_iteration is None:
+                self._replay(self._graph, len(self._rates))
+            else:
+                for step in range(1, len(self._rates)):
+                    self._replay(self._graph)
+                    on_iteration(step)
+                self._replay(self._graph)
+        terms = self._best_terms.clone()
+        return Refined(
+            BodyParameters(**{name: tensor.clone() for name, tensor in _split(self._best).items()}),
+            self._best_energy.clone(),
+            {term.name: terms[:, term.column] for term in TERMS if term.applies(self._energy)},
+            self._history[:-1].clone(),
+        )
+
+
+def can_capture(energy: Energy) -> bool:
+    """True if the kernels have all that an energy asks for: labels, not probabilities, and exact ellipsoids."""
+    drawn = energy.target is None or isinstance(energy.renderer, RendererEllipsoids)
+    return energy.observation.maps is None and drawn
+
+
+def refine_captured(
+    start: BodyParameters,
+    energy: Energy,
+    rule: dict[str, Any],
+    *,
+    on_iteration: Callable[[int], None] | None = None,
+    people: Batch | None = None,
+) -> Refined:
+    """Refine by captured graphs, a thread's bodies by one; ``rule`` are arguments of ``CapturedRefinement``.
+
+    Of ``people``, each body has its own; then graphs are kept for the next batch that is alike.
+    """
+    device, count = start.shift.device, start.batch_size
+    if people is not None and (size := _rounded(count)) > count:
+        rows = torch.arange(size, device=device).clamp_max(count - 1)
+        start, people = start.select(rows), people.select(rows)
+    made: dict[int, tuple[CapturedRefinement, BodyParameters]] = {}
+    done: dict[int, Refined] = {}
+    slices = split_batch(start.batch_size, on_cpu=device.type == "cpu")
+    for part in slices:
+        bodies = start.select(torch.arange(part.start, part.stop, device=device))
+        if people is None:
+            captured = CapturedRefinement(energy, bodies.batch_size, **rule)
+        else:
+            captured = _find_captured(energy, people.select(part), rule, part.start)
+        made[part.start] = captured, bodies
+
+    def work(part: slice) -> None:
+        captured, bodies = made[part.start]
+        done[part.start] = captured.refine(bodies, on_iteration=on_iteration if part is slices[0] else None)
+
+    run_slices(work, slices)
+    return _join([done[part.start] for part in slices], count)
+
+
+def _rounded(count: int) -> int:
+    """Size of a batch that has a graph: rounded up by an eighth at most, so that few sizes occur."""
+    step = 1 << max(count.bit_length() - 4, 0)
+    return -(-count // step) * step
+
+
+def _find_captured(energy: Energy, people: Batch, rule: dict[str, Any], start: int) -> CapturedRefinement:
+    """Refinement of a body of each person, captured before or now; ``start`` is the slice's, for each has its own."""
+    labels, count, device = energy.observation.label_set, len(people), people.votes.device
+    kind = (
+        *(energy.size, energy.weights, energy.prior, energy.renderer, energy.observation.lens is None),
+        None if labels is None else tuple(labels.part_groups.tolist()),
+        tuple(term.applies(energy) for term in TERMS),
+    )
+    key = CapturedRefinement, start, kind, people.kind, tuple(sorted(rule.items()))
+    num_bytes = count * (_BYTES_PER_BODY + (0 if people.targets is None else BYTES_PER_PIXEL * energy.size**2))
+    captured = graphs.find(
+        key,
+        device,
+        num_bytes,
+        lambda: CapturedRefinement(energy, count, people=people.copied(), **rule),
+        at_once=True,
+    )
+    if captured is None:
+        return CapturedRefinement(energy, count, people=people, **rule)
+    captured.take(people)
+    return captured
+
+
+def _join(parts: Sequence[Refined], count: int) -> Refined:
+    """Concatenate results of slices of a batch, of which the first so many bodies count."""
+    names = parts[0].parameters.tensors()
+    return Refined(
+        BodyParameters(
+            **{name: torch.cat([part.parameters.tensors()[name] for part in parts])[:count] for name in names}
+        ),
+        torch.cat([part.energy for part in parts])[:count],
+        {name: torch.cat([part.terms[name] for part in parts])[:count] for name in parts[0].terms},
+        torch.cat([part.history for part in parts], dim=1)[:, :count],
+    )
+
+
+def _check_alike(first: Energy, other: Energy) -> None:
+    """Raise ValueError if energies differ in more than their observations."""
+    for name in ("size", "weights", "prior", "renderer"):
+        if getattr(other, name) != getattr(first, name):
+            raise ValueError(f"energies: {name} differs; expected {getattr(first, name)}, as at first")
+    for name, what in (("target", "labels"), ("depths", "depths")):
+        if (getattr(other, name) is None) != (getattr(first, name) is None):
+            raise ValueError(f"energies: some with {what}, some without; expected the same of all")
+    if (first.observation.lens is None) != (other.observation.lens is None):
+        raise ValueError("energies: some with a lens, some without; expected the same of all")
+    expected = first.observation.label_set
+    if first.target is not None and expected is not None and other.observation.label_set != expected:
+        raise ValueError(f"energies: another label set; expected {expected.name!r}")
+
+
+def _split(rows: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Views of rows by name, shaped as ``BodyParameters`` has them."""
+    columns = rows.split(_WIDTHS, dim=1)
+    return {name: part.reshape(len(rows), *shape) for (name, shape), part in zip(ROW.items(), columns, strict=True)}
+
+
+def _bodies(rows: torch.Tensor) -> Bodies:
+    parts, bodies = _split(rows), Bodies()
+    bodies.orientation = warp_array(parts["orientation"].unflatten(1, (2, 3)), wp.vec3)
+    bodies.rotations = warp_array(parts["rotations"], wp.vec3)
+    bodies.lengths, bodies.thicknesses = warp_array(parts["lengths"]), warp_array(parts["thicknesses"])
+    bodies.log_scale, bodies.shift = warp_array(parts["log_scale"]), warp_array(parts["shift"], wp.vec2)
+    return bodies
+
+
+def _term_weights(energy: Energy) -> Any:
+    weights = Terms()
+    for term in TERMS:
+        weights[term.column] = energy.weight(term) if term.applies(energy) else 0.0
+    return weights
+
+
+def _step_rule(rates: Sequence[float], free: Collection[str], device: torch.device) -> StepRule:
+    factors, lower, upper = (torch.full((1, sum(_WIDTHS)), value) for value in (0.0, -math.inf, math.inf))
+    for name in free:
+        _split(factors)[name].fill_(SHAPE_RATE if name in SIZES else 1.0)
+        if name in SIZES:
+            for row, bound in zip((lower, upper), size_bounds(name, "cpu"), strict=True):
+                _split(row)[name].copy_(bound)
+    schedule = [
+        (rate / (1 - BETAS[0] ** step), math.sqrt(1 - BETAS[1] ** step)) for step, rate in enumerate(rates, start=1)
+    ]
+    rule = StepRule()
+    rule.schedule = warp_array(torch.tensor(schedule, device=device), wp.vec2)
+    rule.rates, rule.lower, rule.upper = (warp_array(row[0].to(device)) for row in (factors, lower, upper))
+    return rule

@@ -1,0 +1,263 @@
+"""Energy of a fit: L_proj + L_seg + L_l + L_t (paper, section 3.4), a pose prior, joint limits, a hold in depth.
+
+Units decide what the paper's weights 1 : 1e-2 : 1e-3 : 1e-3 mean. Here L_proj is in pixels of a crop of 256 px, L_seg
+in pixels of the same (whatever size is drawn), L_l, L_t and the hold in square millimetres, the prior in nats.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, NamedTuple
+
+import torch
+
+from ...body.landmarks import landmark_points
+from ...body.lens import place_bodies
+from ...body.parameters import BodyParameters
+from ...body.pose_prior import PosePrior, up_direction
+from ...body.posing import LandmarkGather, Posed
+from ...body.template import NUM_PARTS
+from ...cameras import Camera
+from ...errors import check_type, check_whole
+from ...inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
+from ...render.renderers import Renderer, RendererEllipsoids
+
+_MILLIMETRES = 1000.0
+
+
+class Term(NamedTuple):
+    """Term of the energy: the row of ``Weights`` beside its weight."""
+
+    name: str  # in ``Weights`` and in the energy's result
+    column: int  # in the kernels (``kernels.refine``)
+    value: Callable[[Energy, BodyParameters, Posed], torch.Tensor]  # before the weight, shape (B,)
+    applies: Callable[[Energy], bool]
+    factor: Callable[[Energy], float]  # of the weight; brings ``value`` and the kernel to the term's unit
+
+
+def _term(
+    weight: float,
+    column: int,
+    value: Callable[[Energy, BodyParameters, Posed], torch.Tensor],
+    applies: Callable[[Energy], bool] = lambda energy: True,
+    factor: Callable[[Energy], float] = lambda energy: 1.0,
+) -> Any:
+    return field(default=weight, metadata={"term": (column, value, applies, factor)})
+
+
+def _length(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+    return ((parameters.lengths - energy.usual_lengths) * _MILLIMETRES).square().sum(1)
+
+
+def _thickness(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+    return ((parameters.thicknesses - energy.usual_thicknesses) * _MILLIMETRES).square().sum(1)
+
+
+def _prior(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+    assert energy.prior is not None
+    return energy.prior(parameters.free_rotations(), up_direction(parameters.global_orient()))
+
+
+def _limits(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+    assert energy.prior is not None
+    return energy.prior.joint_limits(parameters.free_rotations())
+
+
+def _depth(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+    assert energy.depths is not None
+    return ((posed.centres[..., 2] - energy.depths) * energy.depth_scales).square().sum(1)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the energy's terms, a unit of each: the rows of the table ``TERMS``. The first four are the paper's.
+
+    A new term is a row here with its torch function, and a device function of ``kernels.refine.rules``.
+
+    Attributes:
+        proj: Of L_proj [1/px of a crop of 256 px].
+        seg: Of L_seg [1/px of the same].
+        length: Of L_l [1/mm²].
+        thickness: Of L_t [1/mm²].
+        prior: Of the pose's negative log-likelihood [1/nat].
+        limits: Of the squared excess over joint limits [1/rad²].
+        depth: Of the squared distance from ``Energy.depths`` along z, in their spreads [1/spread²; 1/mm² without
+            spreads]; without depths it does nothing.
+    """
+
+    proj: float = _term(
+        1.0,
+        0,
+        lambda energy, parameters, posed: energy.misses(parameters, posed),
+        factor=lambda energy: REFERENCE_SIZE / 2,
+    )
+    seg: float = _term(
+        3e-2,
+        1,
+        lambda energy, parameters, posed: energy.segmentation(parameters, posed),
+        lambda energy: energy.target is not None,
+        lambda energy: energy.scale_of_labels,
+    )
+    length: float = _term(1e-3, 2, _length)
+    thickness: float = _term(1e-3, 3, _thickness)
+    prior: float = _term(3.0, 4, _prior, lambda energy: energy.prior is not None)
+    limits: float = _term(20.0, 5, _limits, lambda energy: energy.prior is not None)
+    depth: float = _term(0.0, 6, _depth, lambda energy: energy.observation.depths is not None)
+
+    def __post_init__(self) -> None:
+        for term in fields(self):
+            weight = getattr(self, term.name)
+            if not 0 <= weight < math.inf:
+                raise ValueError(f"{term.name}: {weight}; expected 0 or a positive number")
+
+
+def landmark_votes(seen: Observation) -> torch.Tensor:
+    """Weights of landmarks, shape (L,): those of a part share its vote, for ten of a face say little more than one."""
+    parts = torch.from_numpy(landmark_points(seen.landmarks).parts[:, 0]).to(seen.confidence.device)
+    return split_votes(seen.confidence[None], parts[None])[0]
+
+
+def split_votes(confidence: torch.Tensor, parts: torch.Tensor) -> torch.Tensor:
+    """``landmark_votes`` of B people, whose L landmarks lie on these parts, 0 to 19; all are of shape (B, L)."""
+    votes = confidence.new_zeros(len(confidence), NUM_PARTS).scatter_add(1, parts, confidence)
+    return confidence / votes.clamp_min(1.0).gather(1, parts)
+
+
+def stack_depth_scales(spreads: Sequence[torch.Tensor | None], device: torch.device) -> torch.Tensor:
+    """1 / ``depth_spreads`` of N people [1/m], of 1 mm each without, shape (N, 20)."""
+    known = [each for each in spreads if each is not None]
+    if len(known) == len(spreads):
+        return 1 / torch.stack(known)
+    even = torch.full((NUM_PARTS,), _MILLIMETRES, device=device)
+    return torch.stack([even if each is None else 1 / each for each in spreads])
+
+
+TERMS = tuple(Term(row.name, *row.metadata["term"]) for row in fields(Weights))
+SEG = next(term for term in TERMS if term.name == "seg")
+
+
+@dataclass
+class Energy:
+    """The terms of the fit's energy for one observation and any batch of bodies.
+
+    Args:
+        observation: Keypoints and labels.
+        size: Side of the drawn crop [px].
+        weights: Of the terms.
+        prior: The pose prior.
+        renderer: Exact ellipsoids, or their mesh; a level that is "auto" is chosen for the first bodies that are drawn.
+            With a label set of one group no z gradient is looked for: nothing that shows hides something else.
+
+    Attributes:
+        votes: Weight of each landmark, shape (L,).
+        usual_lengths: Lengths at which L_l is 0 [m], shape (12,).
+        usual_thicknesses: Thicknesses at which L_t is 0 [m], shape (15,).
+        depths: Where the parts' centres are to stay along z, pelvis at 0 [m], shape (20,); None: anywhere. Neither
+            labels nor keypoints say so, and a body leans to fit an outline.
+        depth_scales: 1 / the observation's ``depth_spreads`` [1/m], of 1 mm each without, shape (20,).
+        target: Target labels, shape (size, size), uint8; None if nothing is drawn.
+        key: Of this energy among others.
+    """
+
+    observation: Observation
+    size: int = REFERENCE_SIZE
+    weights: Weights = field(default_factory=Weights)
+    prior: PosePrior | None = None
+    renderer: Renderer = field(default_factory=RendererEllipsoids)
+
+    def __post_init__(self) -> None:
+        seen = self.observation
+        check_type("observation", seen, Observation, "of observe")
+        self.size = check_whole("size", self.size, 1)
+        device = seen.points.device
+        self._gather = LandmarkGather(seen.body_points, device)
+        self.votes = landmark_votes(seen)
+        mean = BodyParameters.mean(1, device=device)
+        self.usual_lengths = mean.lengths[0] if seen.lengths is None else seen.lengths
+        self.usual_thicknesses = mean.thicknesses[0] if seen.thicknesses is None else seen.thicknesses
+        self.depths: torch.Tensor | None = seen.depths
+        self.depth_scales = stack_depth_scales([seen.depth_spreads], device)[0]
+        self.target: torch.Tensor | None = None
+        self.key = object()
+        self._fixed: Renderer | None = None
+        self._part_labels: list[int] = []
+        if seen.labels is not None and seen.label_set is not None and self.weights.seg > 0:
+            self._part_labels = [int(group) for group in seen.label_set.part_groups[1:]]
+            if seen.label_set.num_groups == 1:
+                self.renderer = replace(self.renderer, depth_weight=0.0)
+            self.target = resize_nearest(seen.labels, self.size)
+        self._maps = None if seen.maps is None else resize_nearest(seen.maps, self.size)
+        self._known = None if seen.known is None else resize_nearest(seen.known, self.size)
+
+    def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
+        """Weighted terms by name, shape (B,) each."""
+        posed = parameters.posed()
+        if self.target is None or self._maps is not None or self.observation.lens is not None:
+            return self.terms(parameters, posed)
+        found = self.terms(parameters, posed, [term.name for term in TERMS if term is not SEG])
+        # From the parameters, in one graph.
+        renderer = self._fix(parameters, posed)
+        found[SEG.name] = self.weight(SEG) * renderer.crop_loss(
+            parameters, self._targets, part_labels=self._part_labels
+        )
+        return {term.name: found[term.name] for term in TERMS if term.name in found}
+
+    def terms(
+        self, parameters: BodyParameters, posed: Posed, names: Collection[str] | None = None
+    ) -> dict[str, torch.Tensor]:
+        """Weighted terms of bodies that are posed already; ``names`` leaves the other terms out."""
+        return {
+            term.name: self.weight(term) * term.value(self, parameters, posed)
+            for term in TERMS
+            if term.applies(self) and (names is None or term.name in names)
+        }
+
+    def weight(self, term: Term) -> float:
+        """Factor of a term's value: weight times unit."""
+        weight: float = getattr(self.weights, term.name)
+        return weight * term.factor(self)
+
+    @property
+    def scale_of_labels(self) -> float:
+        """Pixels of a 256 px crop in one of the drawn crop's."""
+        return (REFERENCE_SIZE / self.size) ** 2
+
+    def segmentation(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+        """L_seg against labels, or against probabilities where there are such [pixels], shape (B,)."""
+        renderer, labels = self._fix(parameters, posed), self._part_labels
+        posed, camera = self.place(parameters, posed, self.size)
+        if self._maps is None:
+            return renderer.label_loss(posed, camera, self._targets, part_labels=labels, validate=False)[0]
+        size, count = (self.size, self.size), len(self._maps)
+        maps = renderer.draw(posed, camera, size, part_labels=labels, num_maps=count, validate=False).maps
+        assert maps is not None
+        assert self._known is not None
+        return ((maps - self._maps).square() * self._known).sum((1, 2, 3))
+
+    def place(self, parameters: BodyParameters, posed: Posed, size: int) -> tuple[Posed, Camera]:
+        """Bodies before their camera, which draws the crop at ``size`` px: the observation's, or weak perspective."""
+        return place_bodies(parameters, posed, self.observation.lens, size)
+
+    @property
+    def _targets(self) -> torch.Tensor:
+        """Label images, one for all bodies or one each, shape (N, size, size)."""
+        assert self.target is not None
+        return self.target.view(-1, self.size, self.size)
+
+    def _fix(self, parameters: BodyParameters, posed: Posed) -> Renderer:
+        """Renderer with the level that the first bodies need."""
+        if self._fixed is None:
+            self._fixed = self.renderer.fixed(*self.place(parameters, posed, self.size))
+        return self._fixed
+
+    def misses(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+        """L1 distance of the keypoints [half-sides of the crop], weighted with their confidence, shape (B,)."""
+        posed, camera = self.place(parameters, posed, 2)
+        image = camera.project(self._gather(posed))[..., :2] - 1
+        return ((image - self.observation.points).abs().sum(-1) * self.votes).sum(1)
+
+    def reprojection(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+        """L_proj: ``misses`` in px of a 256 px crop."""
+        return self.misses(parameters, posed) * (REFERENCE_SIZE / 2)

@@ -1,0 +1,52 @@
+"""A longer lens where part labels show that a person is much farther away than an assumed lens puts them.
+
+A picture that was cropped, or taken through a long lens, shows people large although they are far away. A usual lens
+puts them near the camera, and perspective would then distort their bodies. The label network sees the true distance in
+part labels: of the first 60 people of PartBench, it says so of 45 at the level "far" and of 3 at the level "realistic",
+who in truth were made without perspective. It doesn't see the distance in keypoints alone, or in a mask.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeVar
+
+import torch
+
+from ...inputs.observation import Observation
+from ...inputs.stacked import StackedObservations
+from ...networks.regression.predicted import Predicted
+
+Seen = TypeVar("Seen", Observation, StackedObservations)
+
+MUCH_FARTHER = 2.0  # times the distance of an assumed lens; the lenses of usual photos differ by less
+_FARTHEST = 10.0  # [m]; bodies look the same from all distances beyond, so what the network says there means nothing
+
+
+def with_longer_lens(seen: Seen, predicted: Predicted) -> Seen | None:
+    """Returns the observations with a longer lens for each person who is much farther away than assumed.
+
+    The longer lens shows the person as large as before, at the distance that the network says.
+
+    Args:
+        seen: N people, or one.
+        predicted: What the label network says of them, N bodies.
+
+    Returns:
+        None if all lenses stay: those that are known, and of people who have no labels of parts.
+    """
+    if seen.lens is None or not seen.lens_assumed or not shows_parts(seen) or predicted.uncertainty is None:
+        return None
+    lenses = seen.lens.reshape(-1, 3)
+    # A lens shows one metre, at a distance of one metre, as long as its focal length.
+    focal = predicted.log_scale.exp() / predicted.uncertainty.nearness.clamp_min(1 / _FARTHEST)
+    far = focal > MUCH_FARTHER * lenses[:, 0]
+    if not bool(far.any()):
+        return None
+    longer = torch.cat([torch.where(far, focal, lenses[:, 0])[:, None], lenses[:, 1:]], dim=1)
+    return replace(seen, lens=longer.reshape(seen.lens.shape))
+
+
+def shows_parts(seen: Observation | StackedObservations) -> bool:
+    """Returns True if labels tell parts of the body apart; a mask of the whole person does not."""
+    return seen.label_set is not None and seen.label_set.num_groups > 1

@@ -1,0 +1,137 @@
+"""Options of a fit: its stages, weights and start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from ...body.labels import LabelSet
+from ...body.pose_prior import PosePrior
+from ...body.stature import check_stature
+from ...inputs.observation import Observation
+from ...inputs.part_labels import PartLabels
+from ...networks.detection import LandmarkNetwork, check_landmark_network
+from ...render.renderers import Renderer, RendererEllipsoids
+from ..mesh.mesh_options import MeshOptions
+from .energy import Energy, Weights
+from .stages import OUTLINE, STAGES, Quality, Stage, Start
+
+_LABELS_FIRST = Stage(OUTLINE, 1, 1000, 0.01, 256, Weights(seg=1.0), RendererEllipsoids("coverage"))
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """Options of a fit.
+
+    Attributes:
+        stages: In order. The first one of a search lifts its hypotheses into 3D; a network's body goes through all of
+            them, and stays as it is where there are none.
+        weights: Of the energy's terms, where a stage has none of its own.
+        trust_background: Believe background where confident keypoints say that a limb is; else it is ignored there.
+        seed: Of the random choice of hypotheses, where there are too many.
+        start: "network": the label network's body; "search": many hypotheses.
+        network: File of a label network of `partdr train`; None takes the packaged one.
+        search: Stages of the search that is tried too where the network's body ends far from keypoints or labels; the
+            lower energy wins. Empty: never.
+        depth_flips: Try the network's body with limbs mirrored in depth, where parts overlap (``repair_depth_order``).
+        guess_camera: Where no camera is known, assume a usual lens (``UsualLens``), if labels or
+            ``Keypoints2D.image_size`` tell the picture's size. Otherwise the camera is one of weak perspective. Where
+            part labels show that the person is much farther away, a longer lens (``with_longer_lens``).
+        stature: The person's height, standing [m], which the body then has; one picture does not tell sizes. None: the
+            network's guess. Of one person (``fit_body``, ``fit_photo``).
+        mirror: Ask the network about the mirror image, too; without, it is asked in half the time.
+        half: Ask it in bfloat16.
+        landmarks: Network whose keypoints are taken where people are found in a photo (``find_people``).
+        mesh: Of the mesh stage, which follows in `partdr fit` and ``fit_photo``.
+    """
+
+    stages: tuple[Stage, ...] = STAGES["network"]["balanced"]
+    weights: Weights = field(default_factory=Weights)
+    trust_background: bool = False
+    seed: int = 0
+    start: Start = "network"
+    network: str | None = None
+    search: tuple[Stage, ...] = STAGES["search"]["balanced"]
+    depth_flips: bool = True
+    guess_camera: bool = True
+    stature: float | None = None
+    mirror: bool = True
+    half: bool = False
+    landmarks: LandmarkNetwork = "heavy"
+    mesh: MeshOptions = field(default_factory=MeshOptions)
+
+    def __post_init__(self) -> None:
+        if self.start not in STAGES:
+            raise ValueError(f"start: {self.start!r}; expected {', '.join(STAGES)}")
+        object.__setattr__(self, "stature", check_stature(self.stature))
+        check_landmark_network(self.landmarks)
+
+    @classmethod
+    def at(cls, quality: Quality, start: Start = "network") -> FitOptions:
+        """Options of a quality: "fast", "balanced" (the default) or "accurate"; ``replace`` changes any of them.
+
+        Raises:
+            ValueError: If there is no such quality or start.
+        """
+        if start not in STAGES:
+            raise ValueError(f"start: {start!r}; expected {', '.join(STAGES)}")
+        if quality not in STAGES[start]:
+            raise ValueError(f"quality: {quality!r}; expected {', '.join(STAGES[start])}")
+        stages, search = STAGES[start][quality], STAGES["search"][quality]
+        landmarks: LandmarkNetwork = "full" if quality == "fast" else "heavy"
+        return cls(stages=stages, start=start, search=search, landmarks=landmarks, mesh=MeshOptions.at(quality))
+
+    def drawn_by(self, change: Callable[[Renderer], Renderer]) -> FitOptions:
+        """Options whose stages, also of the search, have renderers that ``change`` makes of theirs.
+
+        ``options.drawn_by(lambda old: RendererMesh(1, max_distance=old.max_distance))`` draws the paper's mesh.
+        """
+
+        def changed(stages: tuple[Stage, ...]) -> tuple[Stage, ...]:
+            return tuple(replace(stage, renderer=change(stage.renderer)) for stage in stages)
+
+        return replace(self, stages=changed(self.stages), search=changed(self.search))
+
+    @property
+    def renderer(self) -> Renderer:
+        """Renderer of the last stage; exact ellipsoids where there is none."""
+        return self.stages[-1].renderer if self.stages else RendererEllipsoids()
+
+    def energy(self, stage: Stage, seen: Observation, prior: PosePrior) -> Energy:
+        """Energy of one of the stages."""
+        weights = stage.weights or self.weights
+        if stage.size == 0:
+            weights = replace(weights, seg=0.0)
+        return Energy(seen, max(stage.size, 1), weights, prior, renderer=stage.renderer)
+
+    def labels_first(self) -> FitOptions:
+        """Options whose last stage follows the labels' outlines as far as it can, at the cost of the joints.
+
+        With the coverage gradient, whose steps lower the loss, and the default weights but for L_seg's, which is 1.
+        """
+        return replace(self, stages=(*self.without_outline().stages, _LABELS_FIRST))
+
+    def without_outline(self) -> FitOptions:
+        """Options without the last stage: joints nearer to the truth, outlines farther from the labels."""
+        return replace(self, stages=tuple(stage for stage in self.stages if stage.name != OUTLINE))
+
+
+def stages_of(options: FitOptions, parts: PartLabels | LabelSet | None) -> tuple[Stage, ...]:
+    """Stages of a fit; without labels, nothing is drawn, and a network's body follows the keypoints alone.
+
+    Raises:
+        ValueError: If a search has none left.
+    """
+    if options.start == "network":
+        if parts is not None:
+            return options.stages
+        return tuple(replace(stage, size=0) for stage in options.without_outline().stages)
+    stages = drawn_or_not(options.stages, parts)
+    if not stages:
+        raise ValueError("options.stages: none without labels; expected at least one of size 0")
+    return stages
+
+
+def drawn_or_not(stages: tuple[Stage, ...], parts: PartLabels | LabelSet | None) -> tuple[Stage, ...]:
+    """Leave out the stages that draw if there are no labels."""
+    return tuple(stage for stage in stages if parts is not None or stage.size == 0)

@@ -1,0 +1,108 @@
+"""Stages of each quality of a fit, chosen from the measurements of ``partdr bench tradeoff``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from ...body.parameters import BodyParameters
+from ...errors import check_whole
+from ...interop.checks import MAX_PICTURE, MAX_PIXELS, check_steps
+from ...render.renderers import Renderer, RendererEllipsoids
+from .energy import Weights
+
+Quality = Literal["fast", "balanced", "accurate"]
+Start = Literal["network", "search"]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Stage of a fit: refine the remaining bodies, then keep the best.
+
+    Attributes:
+        name: For the progress bar and the report.
+        bodies: Largest number of hypotheses that enter.
+        iterations: Steps of Adam.
+        learning_rate: Of these steps.
+        size: Side of the drawn crop [px]; 0 draws nothing and looks at keypoints alone.
+        weights: Of the energy's terms in this stage; None takes the fit's. Depth, which one body alone can
+            have held, is held to where the stage starts.
+        renderer: Exact ellipsoids or their mesh, with the options of the gradient.
+        frozen: Parameters that stay as they are, names of ``BodyParameters``.
+    """
+
+    name: str
+    bodies: int
+    iterations: int
+    learning_rate: float
+    size: int = 0
+    weights: Weights | None = None
+    renderer: Renderer = field(default_factory=RendererEllipsoids)
+    frozen: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        whole = {
+            "bodies": check_whole("bodies", self.bodies, 1, MAX_PIXELS),
+            "size": check_whole("size", self.size, 0, math.isqrt(MAX_PICTURE) - 1),
+            "iterations": check_steps(self.iterations, self.learning_rate),
+        }
+        for name, value in whole.items():  # as ints, which JSON takes
+            object.__setattr__(self, name, value)
+        BodyParameters.free(self.frozen)
+
+
+# Labels tell a body's outline better than its joints: where thighs end and torsos begin, label sets and ellipsoids
+# disagree. So the winner is chosen with labels and keypoints in balance, and only its last stage leans on the labels,
+# with keypoints, sizes and pose held harder too, and pixels acting on near edges alone.
+OUTLINE = "outline"
+OUTLINE_WEIGHTS = Weights(proj=3.0, seg=0.5, prior=10.0, length=1e-2, thickness=2e-3)
+
+_EDGES = RendererEllipsoids("edges")
+
+_SEARCH: dict[Quality, tuple[Stage, ...]] = {
+    "fast": (
+        Stage("lift", 64, 20, 0.15),
+        Stage("keypoints", 64, 15, 0.05),
+        Stage("labels, coarse", 8, 25, 0.03, 64, renderer=_EDGES),
+        Stage("labels, fine", 2, 25, 0.02, 128, renderer=_EDGES),
+        Stage(OUTLINE, 1, 50, 0.01, 128, OUTLINE_WEIGHTS, renderer=_EDGES),
+    ),
+    "balanced": (
+        Stage("lift", 256, 30, 0.1),
+        Stage("keypoints", 256, 20, 0.04),
+        Stage("labels, coarse", 40, 25, 0.03, 64),
+        Stage("labels, middle", 12, 25, 0.02, 128),
+        Stage("labels, fine", 4, 50, 0.01, 256),
+        Stage(OUTLINE, 1, 250, 0.01, 256, OUTLINE_WEIGHTS, renderer=RendererEllipsoids(max_distance=2.0)),
+    ),
+    "accurate": (
+        Stage("lift", 256, 30, 0.1),
+        Stage("keypoints", 256, 40, 0.04),
+        Stage("labels, coarse", 64, 50, 0.03, 64, renderer=_EDGES),
+        Stage("labels, middle", 24, 50, 0.02, 128, renderer=_EDGES),
+        Stage("labels, fine", 8, 100, 0.01, 256, renderer=_EDGES),
+        Stage(OUTLINE, 1, 250, 0.01, 256, replace(OUTLINE_WEIGHTS, seg=0.7), renderer=_EDGES),
+    ),
+}
+
+# From the network's body, a few iterations do; keypoints count less beside labels than in a search, and sizes are held
+# to what the network says. Neither labels nor keypoints hold depth, so bodies lean and limbs tilt to fill an outline,
+# and bones stretch to where label sets end parts. So depth is held as hard as the network is sure of it, and for an
+# outline the pose and keypoints more. (In a search it pays nothing: its depth is no better than an outline's.)
+_NEAR = Weights(proj=0.3, prior=1.0, length=1e-2, thickness=2e-3, depth=1.0)
+_NEAR_OUTLINE = Weights(proj=2.5, seg=0.5, prior=10.0, length=2e-2, thickness=2e-3, depth=10.0)
+_NEAR_OUTLINE_FIRST = Weights(proj=4.0, seg=1.0, prior=10.0, length=3e-3, depth=30.0)
+
+_NETWORK: dict[Quality, tuple[Stage, ...]] = {
+    "fast": (Stage("labels", 1, 50, 0.007, 128, _NEAR, renderer=_EDGES),),
+    "balanced": (
+        Stage("labels", 1, 50, 0.007, 192, _NEAR, renderer=_EDGES),
+        Stage(OUTLINE, 1, 300, 0.01, 192, _NEAR_OUTLINE, renderer=_EDGES),
+    ),
+    "accurate": (
+        Stage("labels", 1, 50, 0.007, 192, _NEAR, renderer=_EDGES),
+        Stage(OUTLINE, 1, 400, 0.01, 192, _NEAR_OUTLINE_FIRST, renderer=_EDGES),
+    ),
+}
+STAGES: dict[Start, dict[Quality, tuple[Stage, ...]]] = {"network": _NETWORK, "search": _SEARCH}
