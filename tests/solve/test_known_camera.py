@@ -14,6 +14,7 @@ from warp_partdr.body.lens import turn_to_rays
 from warp_partdr.body.posing import LandmarkGather
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.inputs.keypoints import Keypoints2D
+from warp_partdr.inputs.observation import observe
 from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.networks.regression.checkpoint import packaged_network
 from warp_partdr.networks.regression.predict import predict_bodies
@@ -55,7 +56,7 @@ def test_the_networks_body_is_turned_to_its_ray(device):
     keypoints, parts, joints = seen_aside(device)
     alone = {"options": FitOptions(stages=(), search=(), guess_camera=False), "device": device}
     found = [fit_body(keypoints, parts, camera=camera, **alone) for camera in (CAMERA, None)]
-    seen = found[0].observation
+    seen, _ = observe(keypoints, parts, camera=CAMERA, device=device)
     assert seen.lens is not None
     turned = turn_to_rays(predict_bodies([seen], packaged_network(str(seen.points.device))), seen.lens)
     torch.testing.assert_close(found[0].parameters.orientation, turned.orientation)
