@@ -15,19 +15,34 @@ from inputs import EXAMPLE, make_crowd, write_coco, write_crowd_film, write_labe
 from PIL import Image
 
 _PERSON = f"--keypoints {EXAMPLE / 'keypoints.json'} --parts {EXAMPLE / 'parts.png'} --labels cdcl14"
-_FEW = "--set mesh.iterations=10"
+_FEW_MESH_STEPS = "--set mesh.iterations=5 --set mesh.learning_rate=0.0005"
+_FEW_LABEL_STEPS = "--set labels.iterations=5 --set labels.learning_rate=0.0005"
+_FEW_STEPS = f"{_FEW_MESH_STEPS} {_FEW_LABEL_STEPS}"
+
+
+def saved_by_default() -> Found:
+    """Files of fits with the default options: of a person, also without labels, and everyone in a photo.
+
+    And those of a registration, which goes on from the first of them.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        Image.fromarray(make_crowd()).save(Path(folder) / "photo.png")
+        return {
+            **_run(folder, f"fit {EXAMPLE / 'photo.png'} {_PERSON} --set threads=1", "person"),
+            **_run(folder, f"fit --keypoints {EXAMPLE / 'keypoints.json'}", "keypoints"),
+            **_run(folder, f"register person/body.npz --photo {EXAMPLE / 'photo.png'}", "registered"),
+            **_run(folder, "fit photo.png", "photo"),
+        }
 
 
 def saved_person() -> Found:
-    """Files of one person's fit: all of them, those without a detailed body or labels, and of a registration."""
+    """Files of one person's fit, also before a known camera, and without a detailed body."""
     photo = EXAMPLE / "photo.png"
     with tempfile.TemporaryDirectory() as folder:
         return {
-            **_run(folder, f"fit {photo} {_PERSON} --set threads=1", "all"),
-            **_run(folder, f"fit {photo} {_PERSON} --quality fast --model none", "ellipsoids"),
-            **_run(folder, f"fit {photo} {_PERSON} --quality fast --fov 50", "known camera"),
-            **_run(folder, f"fit --keypoints {EXAMPLE / 'keypoints.json'} --quality fast", "keypoints"),
-            **_run(folder, f"register all/body.npz --photo {photo}", "registered"),
+            **_run(folder, f"fit {photo} {_PERSON} {_FEW_STEPS}", "all"),
+            **_run(folder, f"fit {photo} {_PERSON} {_FEW_STEPS} --fov 50", "known camera"),
+            **_run(folder, f"fit {photo} {_PERSON} {_FEW_LABEL_STEPS} --model none", "ellipsoids"),
         }
 
 
@@ -36,9 +51,9 @@ def saved_photo() -> Found:
     with tempfile.TemporaryDirectory() as folder:
         Image.fromarray(make_crowd()).save(Path(folder) / "photo.png")
         return {
-            **_run(folder, "fit photo.png", "balanced"),
-            **_run(folder, "fit photo.png --quality fast --person 0", "one, fast"),
-            **_run(folder, f"fit {EXAMPLE / 'astronaut.jpg'} --quality fast", "half a body"),
+            **_run(folder, f"fit photo.png {_FEW_STEPS}", "everyone"),
+            **_run(folder, f"fit photo.png {_FEW_STEPS} --person 1", "one"),
+            **_run(folder, f"fit {EXAMPLE / 'astronaut.jpg'} {_FEW_STEPS}", "half a body"),
         }
 
 
@@ -47,14 +62,14 @@ def saved_film() -> Found:
     with tempfile.TemporaryDirectory() as folder:
         write_crowd_film(Path(folder) / "film.mp4")
         windows = "--set window=5 --set overlap=2 --set shape_frames=3"
-        return _run(folder, f"fit film.mp4 {windows} {_FEW}", "film")
+        return _run(folder, f"fit film.mp4 {windows} {_FEW_MESH_STEPS}", "film")
 
 
 def saved_views() -> Found:
     """Files of a person before two cameras, which are known or are found."""
     with tempfile.TemporaryDirectory() as folder:
         write_views(Path(folder))
-        line = f"scene left.mp4 right.mp4 {_FEW}"
+        line = f"scene left.mp4 right.mp4 {_FEW_MESH_STEPS}"
         return {**_run(folder, f"{line} --cameras rig.json", "known"), **_run(folder, line, "found")}
 
 
@@ -66,7 +81,7 @@ def dataset() -> Found:
         write_labelled_photos(Path(folder) / "labelled")
         found: Found = {}
         for source in ("photos", "coco/people.json", "labelled --labels cdcl14"):
-            for quality in ("fast", f"mesh {_FEW}"):
+            for quality in (f"fast {_FEW_LABEL_STEPS}", f"mesh {_FEW_STEPS}"):
                 name = f"{source.split()[0]}, {quality.split()[0]}"
                 found |= _run(folder, f"dataset {source} --quality {quality}", name)
         return found

@@ -7,6 +7,7 @@ import json
 import re
 import struct
 from collections.abc import Iterator
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from warp_partdr.inputs.films import read_frames
 
 # Keys of reports and metadata, which belong to a run.
 _LEFT_OUT = {"seconds", "seconds_total", "versions", "version", "device", "files", "asset", "sha256", "options_sha256"}
+_NORMAL = 10  # a normal counts so much less than a length in metres
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
@@ -43,6 +45,12 @@ def _read_bytes(path: Path) -> Iterator[tuple[str, np.ndarray]]:
 
 def _read_text(path: Path) -> Iterator[tuple[str, np.ndarray]]:
     return text_arrays(path.read_text(encoding="utf-8"))
+
+
+def _read_bvh(path: Path) -> Iterator[tuple[str, np.ndarray]]:
+    """A motion's text; angles become radians, so that a thousandth of one moves a limb by about a millimetre."""
+    for kind, array in _read_text(path):
+        yield kind, np.radians(array) if kind == "numbers" else array
 
 
 def _read_json(path: Path) -> Iterator[tuple[str, np.ndarray]]:
@@ -83,12 +91,16 @@ def _read_glb(path: Path) -> Iterator[tuple[str, np.ndarray]]:
     for kind, array in text_arrays(json.dumps(_lasting(document))):
         yield f"document, {kind}", array
     body = data[20 + length + 8 :]
+    primitives = [each for mesh in document["meshes"] for each in mesh["primitives"]]
+    normals = {primitive["attributes"].get("NORMAL") for primitive in primitives}
     types = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
     for number, accessor in enumerate(document["accessors"]):
         view = document["bufferViews"][accessor["bufferView"]]
         width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}[accessor["type"]]
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         values = np.frombuffer(body, types[accessor["componentType"]], accessor["count"] * width, start)
+        if number in normals:  # those of small triangles turn far when vertices move little
+            values = values / np.float32(_NORMAL)
         yield f"array {number}", values.reshape(-1, width)
 
 
@@ -99,7 +111,8 @@ def _read_ply(path: Path) -> Iterator[tuple[str, np.ndarray]]:
     yield "header", np.array("\n".join(lines))
     count = next(int(line.split()[2]) for line in lines if line.startswith("element vertex"))
     types = {"float": "<f4", "double": "<f8", "uchar": "u1"}
-    properties = [line.split()[1:] for line in lines if line.startswith("property") and "list" not in line]
+    start = lines.index(f"element vertex {count}") + 1
+    properties = [line.split()[1:] for line in takewhile(lambda line: line.startswith("property"), lines[start:])]
     form = np.dtype([(name, types[kind]) for kind, name in properties])
     vertices = np.frombuffer(body, form, count)
     yield from ((name, vertices[name].copy()) for name in form.names or ())
@@ -131,6 +144,6 @@ _READERS = {
     ".ply": _read_ply,
     ".obj": _read_text,
     ".mtl": _read_text,
-    ".bvh": _read_text,
+    ".bvh": _read_bvh,
     ".parquet": _read_parquet,
 }

@@ -38,7 +38,19 @@ from warp_partdr.synthetic.scene_people import make_group, make_pair, make_views
 
 PEOPLE = (("clean", 0), ("clean", 1), ("realistic", 2), ("realistic", 3), *(("hard", i) for i in range(4, 8)))
 PAIR = 103  # of PartBench's pairs
-FEW = MeshOptions(iterations=20)
+_ITERATIONS, _RATE = 5, 5e-4  # of a fit with few steps, so small that Adam does not magnify rounding
+
+
+def _options(quality: Quality, few_steps: bool) -> FitOptions:
+    options = replace(FitOptions.at(quality), search=())
+    if not few_steps:
+        return options
+    stages = [replace(stage, iterations=_ITERATIONS, learning_rate=_RATE) for stage in options.stages]
+    return replace(options, stages=tuple(stages), mesh=_mesh_options(few_steps))
+
+
+def _mesh_options(few_steps: bool) -> MeshOptions:
+    return MeshOptions(iterations=_ITERATIONS, learning_rate=_RATE) if few_steps else MeshOptions()
 
 
 def example() -> Found:
@@ -56,21 +68,21 @@ def example() -> Found:
     return {**found, **_of_fit("drawn as a mesh", result), "registered": clothed.detailed.vertices.numpy()}
 
 
-def people() -> Found:
+def people(*, few_steps: bool) -> Found:
     """People of PartBench, each alone: the fits, and their scores against the truth."""
     found: Found = {}
     for level, index in PEOPLE:
         name, sample = f"{level} {index}", make_sample(index, level)
-        result = fit_body(sample.keypoints, sample.parts, others=sample.others)
-        figures = score_fit(sample, "parts", result, 0.0)
+        result = fit_body(sample.keypoints, sample.parts, others=sample.others, options=_options("balanced", few_steps))
+        score = score_fit(sample, "parts", result, 0.0)
+        assert score.pixels is not None
         found |= _of_fit(name, result)
-        assert figures.pixels is not None
-        found[f"{name}, pixels"] = np.asarray(figures.pixels.parts, dtype=np.float64)
-        found[f"{name}, errors"] = np.array([figures.mpjpe, figures.pa_mpjpe]) / 1000
+        found[f"{name}, errors"] = np.array([score.mpjpe, score.pa_mpjpe]) / 1000
+        found[f"{name}, shares of pixels"] = score.pixels.parts / score.pixels.parts.sum()
     return found
 
 
-def together() -> Found:
+def together(*, few_steps: bool) -> Found:
     """The same people side by side, with labels and without, and their mesh stages."""
     people = []
     for level, index in PEOPLE:
@@ -79,41 +91,43 @@ def together() -> Found:
             evidence = weigh_evidence(sample.keypoints, parts, sample.others)[0]
             people.append(CutPerson(evidence, *crop_evidence(evidence)))
     found: Found = {}
-    for quality in ("fast", "balanced"):
-        fits = fit_together(people, replace(FitOptions.at(quality), search=()), packaged_network("cpu"))
+    qualities: tuple[Quality, ...] = ("fast", "balanced")
+    for quality in qualities:
+        fits = fit_together(people, _options(quality, few_steps), packaged_network("cpu"))
         for (level, index), pair in zip(PEOPLE, zip(fits[::2], fits[1::2], strict=True), strict=True):
             for fit, labels in zip(pair, ("with labels", "without"), strict=True):
                 found |= _of_fit(f"{quality}, {level} {index} {labels}", fit)
     labelled = [fit for fit in fits if fit.observation.label_set is not None]
-    for (level, index), mesh in zip(PEOPLE, refine_meshes(labelled, options=FEW), strict=True):
+    for (level, index), mesh in zip(PEOPLE, refine_meshes(labelled, options=_mesh_options(few_steps)), strict=True):
         found |= _of_mesh(f"meshes, {level} {index}", mesh)
     return found
 
 
-def overlap() -> Found:
+def overlap(*, few_steps: bool) -> Found:
     """People of PartBench who overlap: a pair and a group as scenes, and the pair as people of a photo."""
-    options = replace(SceneOptions(), mesh=FEW)
+    options = SceneOptions(mesh=_mesh_options(few_steps))
     found: Found = {}
     for name, sample in (("pair", make_pair(PAIR)), ("group", make_group(1))):
         found |= _of_scene(name, fit_scene(sample.scene, options=options))
     scene = make_pair(PAIR, "clean").scene
     readings = [weigh_evidence(sight.keypoints, sight.parts) for sight in scene.sights]
-    given = replace(FitOptions.at("fast"), guess_camera=False)
+    given = replace(_options("fast", few_steps), guess_camera=False)
     results = [fit_evidence(each, given, camera=scene.views[0].camera) for each in readings]
-    for place, mesh in enumerate(refine_people(results, options=FEW)):
+    for place, mesh in enumerate(refine_people(results, options=given.mesh)):
         found |= _of_mesh(f"photo, person {place}", mesh)
     return found
 
 
-def views() -> Found:
+def views(*, few_steps: bool) -> Found:
     """A person of PartBench before two calibrated cameras, and one before four."""
     found: Found = {}
     for count in (2, 4):
-        found |= _of_scene(f"{count} views", fit_scene(make_views(count, count).scene))
+        options = SceneOptions(mesh=_mesh_options(few_steps))
+        found |= _of_scene(f"{count} views", fit_scene(make_views(count, count).scene, options=options))
     return found
 
 
-def photo() -> Found:
+def photo(*, few_steps: bool) -> Found:
     """Everyone in a photo, of whom two overlap; these must be one scene, or the photo is no example of it any more."""
     stages: set[str] = set()
 
@@ -121,9 +135,10 @@ def photo() -> Found:
         stages.add(name)
 
     found: Found = {}
-    for quality in ("fast", "balanced"):
+    qualities: tuple[Quality, ...] = ("fast", "balanced")
+    for quality in qualities:
         stages.clear()
-        fit = fit_photo(make_crowd(), options=FitOptions.at(quality), progress=note)
+        fit = fit_photo(make_crowd(), options=_options(quality, few_steps), progress=note)
         if len(fit.fits) != 3 or not {"scene", "mesh"} <= stages:
             raise RuntimeError(f"photo: {len(fit.fits)} people, stages {stages}; expected 3, two of them in a scene")
         found[f"{quality}, owners"] = fit.owners
