@@ -19,22 +19,32 @@ import typer
 import warp as wp
 from PIL import Image, ImageDraw, ImageFont
 
-from warp_partdr.body.parameters import BodyParameters
-from warp_partdr.body.posing import Posed
-from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PART_NAMES, SIZE_COLUMNS
-from warp_partdr.cameras import WeakPerspective
-from warp_partdr.models.anny import anny
-from warp_partdr.models.growth import MEASURES, UNGROWN
-from warp_partdr.models.registration import Registered, register
-from warp_partdr.models.surfaces import vertex_parts
-from warp_partdr.results.pictures import blend, shade_body, shade_detailed
-from warp_partdr.viewer.targets import read_body
+from warp_partdr import (
+    BONE_STARTS,
+    JOINT_NAMES,
+    LENGTH_NAMES,
+    PART_NAMES,
+    SIZE_COLUMNS,
+    THICKNESS_NAMES,
+    BodyParameters,
+    Posed,
+    Registered,
+    WeakPerspective,
+    anny,
+    load_body,
+    register,
+    vertex_parts,
+)
+from warp_partdr.plot import blend, shade_body, shade_detailed
 
 OUT = Path("out/edit_body")
 SIZE = (560, 400)  # (H, W) of a picture
 BAR = 44  # [px] above, for names
 SCALE = 270.0  # [px/m]
 STEPS = 5  # from one body to another
+
+MEASURES = LENGTH_NAMES + THICKNESS_NAMES
+HIDDEN = ("pelvis height", "shoulder thickness")  # in the trunk: a mesh need not follow them
 
 # Factors of ``MEASURES`` by name.
 EDITS: dict[str, dict[str, float]] = {
@@ -50,7 +60,7 @@ TOGETHER = ("longer legs", "bigger head", "thicker arms", "wider trunk")
 
 def mean_body() -> BodyParameters:
     """The mean adult, arms hanging a little away from the body."""
-    rotations = torch.zeros(1, NUM_PARTS, 3)
+    rotations = torch.zeros(1, len(PART_NAMES), 3)
     rotations[0, PART_NAMES.index("left_upper_arm"), 2] = -1.0
     rotations[0, PART_NAMES.index("right_upper_arm"), 2] = 1.0
     return replace(BodyParameters.mean(1), rotations=rotations)
@@ -96,7 +106,7 @@ def mesh_measures(registered: Registered, posed: Posed) -> torch.Tensor:
     joints = registered.model.landmarks(registered.detailed, JOINT_NAMES)
     sizes = torch.zeros_like(posed.semi_axes)
     sizes[..., 0] = (joints[:, 1:] - joints[:, BONE_STARTS]).norm(dim=-1)
-    for part in range(NUM_PARTS):
+    for part in range(len(PART_NAMES)):
         weights = (areas * (parts == part) / areas[parts == part].sum())[:, None]
         across = registered.detailed.vertices @ posed.axes[:, part, :, 1:]
         middle = (weights * across).sum(1, keepdim=True)
@@ -124,7 +134,7 @@ def following(
             {name: share for name, share, was in zip(MEASURES, shares, asked.tolist(), strict=True) if was is kind}
             for kind in (True, False)
         )
-        rows.append((followed, {name: share for name, share in others.items() if name not in UNGROWN}))
+        rows.append((followed, {name: share for name, share in others.items() if name not in HIDDEN}))
     return rows
 
 
@@ -148,7 +158,7 @@ def main(path: Annotated[Path | None, typer.Argument(metavar="BODY.npz")] = None
     wp.config.log_level = wp.LOG_WARNING
     out.mkdir(parents=True, exist_ok=True)
 
-    body = read_body(path) if path else mean_body()
+    body = load_body(path).parameters() if path else mean_body()
     bodies = {name: edited(body, name) for name in EDITS}
     registered = register_all([*bodies.values()])
     picture(bodies, registered).save(out / "edits.png", optimize=True)

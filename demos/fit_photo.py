@@ -16,7 +16,7 @@ import warp as wp
 import warp_partdr
 from warp_partdr import FitResult, choose_person, fit_body, label_set, read_keypoints, read_parts, read_photo
 from warp_partdr.metrics import mpjpe
-from warp_partdr.results.plot import compare_bodies, loss_curve, overlay, part_panels, turntable
+from warp_partdr.plot import compare_bodies, loss_curve, overlay, part_panels, turntable
 
 EXAMPLE = Path(warp_partdr.__path__[0]) / "assets" / "example"
 

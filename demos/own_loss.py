@@ -16,7 +16,7 @@ import typer
 import warp as wp
 
 from warp_partdr import PART_NAMES, BodyParameters, draw_ellipsoids
-from warp_partdr.results.plot import loss_curve, part_panels
+from warp_partdr.plot import loss_curve, part_panels
 
 K = len(PART_NAMES)
 

@@ -15,7 +15,7 @@ import typer
 import warp as wp
 
 from warp_partdr import PART_NAMES, BodyParameters, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.results.plot import gradient_field, loss_curve, part_panels, turntable
+from warp_partdr.plot import gradient_field, loss_curve, part_panels, turntable
 
 
 def turned(arms: float, forward: float) -> torch.Tensor:

@@ -20,8 +20,7 @@ from matplotlib.figure import Figure
 from torch import nn
 
 from warp_partdr import PART_NAMES, BodyParameters, RendererEllipsoids, draw_ellipsoids
-from warp_partdr.results.palette import PART_COLOURS
-from warp_partdr.results.plot import loss_curve
+from warp_partdr.plot import PART_COLOURS, loss_curve
 
 BONES = ("upper_arm", "forearm", "upper_leg")
 SIGN = {"left": 1.0, "right": -1.0}  # the same number lifts a left limb and a right one

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from warp_partdr.cameras import ScreenCamera
-from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
-from warp_partdr.render.part_mesh import PartMesh
+from warp_partdr import PartMesh, ScreenCamera, draw_mesh, mesh_label_loss
 
 IMAGE_SIZE = (64, 80)  # (H, W)
 CAMERA = ScreenCamera(perspective=False)
@@ -153,8 +151,9 @@ def optimize(scenes: Scenes, supervision: Supervision) -> torch.Tensor:
 
     course = [vertices().detach()]
     for iteration in range(ITERATIONS):
-        options = {"depth_weight": supervision.depth_weight, "validate": iteration == 0}  # the target stays
-        loss, _ = mesh_label_loss(vertices(), mesh, CAMERA, target, **options)
+        first = iteration == 0  # the target stays, so it is checked once
+        weight = supervision.depth_weight
+        loss, _ = mesh_label_loss(vertices(), mesh, CAMERA, target, depth_weight=weight, validate=first)
         optimizer.zero_grad()
         loss.sum().backward()
         optimizer.step()

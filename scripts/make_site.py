@@ -9,6 +9,7 @@ elsewhere; the gallery shows the pictures of all pages.
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 import shutil
 import sys
@@ -22,6 +23,7 @@ import warp_partdr
 
 ROOT = Path(__file__).resolve().parent.parent
 API = "api"
+SUBMODULES = ("benchmark", "metrics", "plot")  # public ones of the package: a page each
 _COPIED = (".png", ".gif", ".jpg", ".ipynb", ".json", ".toml", ".js")
 _LINK = re.compile(r"(\]\()([^)\s:]+?)(#[^)\s]*)?(\))")
 _PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
@@ -47,6 +49,8 @@ def make_pages(folder: Path) -> None:
         waiting += linked
     for name, module in warp_partdr._EXPORTS.items():
         write(folder / API / f"{name}.md", api_page(name, module))
+    for face in SUBMODULES:
+        write(folder / API / f"{face}.md", submodule_page(face))
     write(folder / "gallery.md", gallery())
 
 
@@ -56,7 +60,7 @@ def demos() -> list[Path]:
 
 
 def page_path(source: Path) -> Path:
-    """Where a file's page lies, in the folder of pages."""
+    """Path of a file's page, in the folder of pages."""
     path = source.relative_to(ROOT)
     if path.suffix == ".md":
         return path
@@ -169,6 +173,17 @@ def api_page(name: str, module: str) -> str:
     used = [path for path in places if re.search(rf"\b{re.escape(name)}\b", path.read_text(encoding="utf-8"))]
     links = ", ".join(f"[{path.stem}](../{page_path(path).as_posix()})" for path in used)
     return f"# {name}\n\n`from warp_partdr import {name}`\n\n::: warp_partdr.{module}.{name}\n\nUsed in: {links}\n"
+
+
+def submodule_page(face: str) -> str:
+    """A public submodule's page: its docstring, then that of each of its names."""
+    module = importlib.import_module(f"warp_partdr.{face}")
+    where = getattr(module, "_EXPORTS", dict.fromkeys(module.__all__, face))
+    names = [
+        f"## {name}\n\n`from warp_partdr.{face} import {name}`\n\n::: warp_partdr.{where[name]}.{name}\n"
+        for name in module.__all__
+    ]
+    return "\n".join([f"# warp_partdr.{face}\n\n{(module.__doc__ or '').strip()}\n", *names])
 
 
 def write(path: Path, text: str) -> None:

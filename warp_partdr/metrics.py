@@ -16,6 +16,19 @@ from .body.labels import BACKGROUND, IGNORE
 from .errors import check_whole
 from .interop.checks import check_finite
 
+__all__ = [
+    "accuracy",
+    "bootstrap_sum",
+    "confusion",
+    "f1_scores",
+    "foreground_counts",
+    "mpjpe",
+    "pa_mpjpe",
+    "part_f1",
+    "pooled",
+    "pve",
+]
+
 Array = np.ndarray | torch.Tensor
 
 RESAMPLES = 10_000  # of the bootstrap

@@ -42,8 +42,7 @@ class Plotted:
 
     def _add_status(self) -> Any:
         """Lines of text in the active view's upper left."""
-        look = {"viewport": True, "font_size": 9, "color": INK, "font": "arial"}
-        status = self.plotter.add_text("", position=(0.025, 0.985), **look)
+        status = self.plotter.add_text("", position=(0.025, 0.985), viewport=True, font_size=9, color=INK, font="arial")
         status.prop.SetVerticalJustificationToTop()
         return status
 

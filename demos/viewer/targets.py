@@ -14,9 +14,8 @@ from PIL import Image
 from ..body.labels import BACKGROUND, IGNORE, LabelSet, label_set
 from ..body.parameters import BodyParameters
 from ..body.posing import LandmarkGather, Posed
-from ..body.rotations import rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle
+from ..body.rotations import rotation_from_axis_angle, rotation_to_6d
 from ..body.skeletons import skeleton
-from ..cameras import Perspective
 from ..errors import InputError
 from ..inputs.observation import LABEL_SIZE, Observation, observe, resize_nearest
 from ..inputs.person import PersonInputs
@@ -95,20 +94,7 @@ def network_body(target: Target) -> BodyParameters:
 
 def read_body(path: str | Path) -> BodyParameters:
     """The body of a ``body.npz``; the longer side of its picture becomes the side of the crop."""
-    stored = load_body(path)
-    height, width = stored.image_size.tolist()
-    half, camera = max(height, width) / 2, stored.camera()
-    if isinstance(camera, Perspective):
-        camera = camera.to_weak(torch.from_numpy(stored.translation)[None])
-    shift = (camera.translation - torch.tensor([width / 2, height / 2])) / half
-    return BodyParameters(
-        orientation=rotation_to_6d(torch.from_numpy(stored.global_orient))[None],
-        rotations=rotation_to_axis_angle(torch.from_numpy(stored.rotations))[None],
-        lengths=torch.from_numpy(stored.lengths)[None],
-        thicknesses=torch.from_numpy(stored.thicknesses)[None],
-        log_scale=(camera.scale / half).log(),
-        shift=shift,
-    )
+    return load_body(path).parameters()
 
 
 def body_target(body: BodyParameters) -> Target:

@@ -96,8 +96,16 @@ async def serve(window: ControlledWindow, host: str, port: int, ready: Callable[
     server.controller.on_server_bind.add(bind)
     server.controller.on_server_ready.add(lambda **_: ready(server.port))
     # thread: signals are asyncio's matter; timeout: the server stays when nobody looks
-    options = {"thread": True, "timeout": 0, "open_browser": False, "show_connection_info": False}
-    serving = asyncio.ensure_future(server.start(port=port, host=host, exec_mode="coroutine", **options))
+    started = server.start(
+        port=port,
+        host=host,
+        exec_mode="coroutine",
+        thread=True,
+        timeout=0,
+        open_browser=False,
+        show_connection_info=False,
+    )
+    serving = asyncio.ensure_future(started)
     playing = asyncio.ensure_future(_play(window))
     try:
         done, _ = await asyncio.wait({serving, playing}, return_when=asyncio.FIRST_COMPLETED)

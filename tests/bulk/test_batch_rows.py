@@ -83,7 +83,7 @@ def test_a_body_that_is_not_finite_is_an_error(batch: BatchFits) -> None:
 
 
 def test_columns_are_those_of_rows_made_one_by_one() -> None:
-    """What is missing is null, also where parts come later; the last one holds."""
+    """A missing value is null, also where parts come later; the last one holds."""
     rows = PeopleRows()
     assert rows.extend(PeopleRows.of([{"picture": "a", "error": "torn"}])).tolist() == [0]
     numbers = rows.extend(PeopleRows.of([{"picture": name, "annotation": None, "warnings": []} for name in "bcd"]))

@@ -20,7 +20,7 @@ from warp_partdr.bulk.cutting import Cutter
 from warp_partdr.bulk.opening import open_source
 from warp_partdr.bulk.people import PeopleFitter, stages_of_quality
 from warp_partdr.bulk.processes import read_in_processes, shared_memory
-from warp_partdr.bulk.run import source_readers
+from warp_partdr.bulk.run import Readers, source_readers
 from warp_partdr.bulk.sources import SourcePicture
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.observation import LABEL_SIZE
@@ -35,7 +35,7 @@ HOW = "--quality network --device cpu --fov 50"
 
 
 def by_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bulk_run, "source_readers", lambda *given: {"threads": 1, "processes": 1})
+    monkeypatch.setattr(bulk_run, "source_readers", lambda *given: Readers(1, 1))
 
 
 def fitter(device: str, batch: int, label_size: int = LABEL_SIZE) -> PeopleFitter:
@@ -73,13 +73,13 @@ def test_a_gpu_has_them_where_people_are_known(monkeypatch: pytest.MonkeyPatch) 
     write_tar(Path("unknown.tar"), members("000", keypoints=False, parts=False))
     known, unknown = open_source(Path("known.tar"), labels="cdcl14"), open_source(Path("unknown.tar"))
     monkeypatch.setattr(bulk_run, "shared_memory", lambda: 2**30)
-    assert source_readers(known, fitter("cuda", 256), 16) == {"threads": 16, "processes": 16}
-    assert source_readers(known, fitter("cpu", 256), 16) == {"threads": 16, "processes": 0}
-    assert source_readers(unknown, fitter("cuda", 256), 16) == {"threads": 16, "processes": 0}
-    assert source_readers(known, fitter("cuda", 4096), 16) == {"threads": 16, "processes": 0}
+    assert source_readers(known, fitter("cuda", 256), 16) == (16, 16)
+    assert source_readers(known, fitter("cpu", 256), 16) == (16, 0)
+    assert source_readers(unknown, fitter("cuda", 256), 16) == (16, 0)
+    assert source_readers(known, fitter("cuda", 4096), 16) == (16, 0)
     monkeypatch.setattr(bulk_run, "shared_memory", lambda: 2**26)
-    assert source_readers(known, fitter("cuda", 256), 16) == {"threads": 16, "processes": 0}
-    assert source_readers(known, fitter("cuda", 256, 128), 16) == {"threads": 16, "processes": 16}
+    assert source_readers(known, fitter("cuda", 256), 16) == (16, 0)
+    assert source_readers(known, fitter("cuda", 256, 128), 16) == (16, 16)
 
 
 def test_free_memory_is_known_where_it_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

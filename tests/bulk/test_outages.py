@@ -23,6 +23,7 @@ from warp_partdr.bulk import run as bulk_run
 from warp_partdr.bulk.cutting import read_picture
 from warp_partdr.bulk.opening import open_source
 from warp_partdr.bulk.outages import PassingError, is_passing
+from warp_partdr.bulk.run import Readers
 from warp_partdr.bulk.shards import Shards, Tally, read_about
 from warp_partdr.errors import InputError
 from warp_partdr.inputs import part_labels
@@ -176,7 +177,7 @@ def test_processes_tell_what_may_pass(run: Run, monkeypatch: pytest.MonkeyPatch)
     write_beside(Path("s"), members("b", parts=False, keypoints=False))
     Path("s/c.jpg").symlink_to("away.jpg")
     Path("s/c.keypoints.json").write_bytes(Path("s/a.keypoints.json").read_bytes())
-    monkeypatch.setattr(bulk_run, "source_readers", lambda *given: {"threads": 1, "processes": 1})
+    monkeypatch.setattr(bulk_run, "source_readers", lambda *given: Readers(1, 1))
     line = "dataset s --quality network --device cpu --out out"
     code, _, complaint = run(line)
     assert code == 0
@@ -341,9 +342,9 @@ def test_an_actor_makes_what_is_left() -> None:
 
     class Done(cluster._Maker):
         def __init__(self) -> None:
-            self.source, self.shards, self.columns, self.fitter, self.readers = None, shards, (), None, {}
+            self.source, self.shards, self.columns, self.fitter, self.readers = None, shards, (), None, Readers(1, 0)
 
-    def make(source: Any, given: Shards, fitter: Any, columns: Any, *, todo: list[int]) -> Tally:
+    def make(source: Any, given: Shards, fitter: Any, columns: Any, *, todo: list[int], **readers: int) -> Tally:
         made.extend(todo)
         return Tally(shards=1, unread=1)
 

@@ -8,9 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.interop.torch_threads import one_torch_thread
+from warp_partdr.results.film_file import write_film
 
 ROOT = Path(__file__).resolve().parents[2]
+FILM = "walk.mp4"  # the film of pages' readers
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
@@ -53,7 +56,12 @@ def test_links_and_json(page):
 def test_python_runs(page, tmp_path, monkeypatch):
     (tmp_path / "warp_partdr").symlink_to(ROOT / "warp_partdr")  # pages name the example's files from the root
     monkeypatch.chdir(tmp_path)
+    code = "\n".join(blocks(page, "python"))
+    if FILM in code:
+        pytest.importorskip("av", reason="needs PyAV, the extra film")
+        write_film(tmp_path / FILM, [read_photo(ROOT / "warp_partdr/assets/example/photo.png")] * 3, rate=10)
     # With names of its own, but in this process: in one of its own, most of a page's time went into imports.
     with one_torch_thread():
-        exec(compile("\n".join(blocks(page, "python")), page.name, "exec"), {"__name__": "__main__"})
-    assert {path.name for path in tmp_path.iterdir()} <= {"warp_partdr", "out"}, "a page leaves files where it is run"
+        exec(compile(code, page.name, "exec"), {"__name__": "__main__"})
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left <= {"warp_partdr", "out", FILM}, "a page leaves files where it is run"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import runpy
 from pathlib import Path
@@ -35,7 +36,7 @@ def test_the_navigation_has_all(pages: Path) -> None:
     assert len(set(nav)) == len(nav)
     expected = {f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")}
     expected |= {f"demos/{path.stem}.md" for path in (ROOT / "demos").glob("*.py")}
-    expected |= {f"api/{name}.md" for name in warp_partdr._EXPORTS}
+    expected |= {f"api/{name}.md" for name in [*warp_partdr._EXPORTS, "benchmark", "metrics", "plot"]}
     expected |= {f"warp_partdr/assets/{path.name}" for path in (ROOT / "warp_partdr/assets").glob("*.md")}
     assert expected | {"README.md", "CHANGELOG.md", "gallery.md"} == set(nav)
     for entry in nav:
@@ -66,6 +67,16 @@ def test_a_public_name_has_an_example(pages: Path) -> None:
         text = (pages / "api" / f"{name}.md").read_text()
         assert f"from warp_partdr import {name}" in text
         assert re.search(r"Used in: \[", text), name
+
+
+@pytest.mark.parametrize("face", ["benchmark", "metrics", "plot"])
+def test_a_public_submodule_has_a_page_with_all_its_names(pages: Path, face: str) -> None:
+    text = (pages / "api" / f"{face}.md").read_text()
+    names = importlib.import_module(f"warp_partdr.{face}").__all__
+    assert re.findall(rf"`from warp_partdr\.{face} import (\w+)`", text) == names
+    for name in names:
+        (path,) = re.findall(rf"(?m)^::: (warp_partdr\..*)\.{name}$", text)
+        assert hasattr(importlib.import_module(path), name)
 
 
 def test_a_demo_is_a_page_of_its_own_words(pages: Path) -> None:

@@ -98,7 +98,7 @@ def test_pixels_beside_the_bones_of_a_tiny_person_are_theirs(device):
 
 
 def test_people_in_parts_of_the_batch_are_the_same(device, rng, monkeypatch):
-    """Where memory holds a few at a time."""
+    """Memory holds a few people at a time."""
     monkeypatch.setattr(masked_people, "_PIXELS", {"cpu": 2**18, "cuda": 2**18})
     assert_as_alone(odd_people(rng, 12), device)
 

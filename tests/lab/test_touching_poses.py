@@ -35,7 +35,7 @@ def touched(count: int, device: str) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def depth_over(rotations: torch.Tensor, part: str) -> torch.Tensor:
-    """How far both hands' middles are from a part's skin, along the ray from its middle [m], shape (N, 2)."""
+    """Distances of both hands' middles from a part's skin, along the ray from its middle [m], shape (N, 2)."""
     posed, index = mean_body(rotation_from_axis_angle(rotations)), PART_NAMES.index(part)
     offsets = posed.centres[:, HANDS] - posed.centres[:, None, index]
     inside = (offsets @ posed.axes[:, index] / posed.semi_axes[:, None, index]).norm(dim=-1)

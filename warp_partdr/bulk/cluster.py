@@ -66,13 +66,13 @@ def connected_cluster(address: str) -> Iterator[dict[str, float]]:
         os.environ.setdefault(name, value)  # without the first, Ray reports home
     import ray
 
-    local: dict[str, Any] = {"include_dashboard": False} if address == LOCAL else {}
+    dashboard = False if address == LOCAL else None
     for left in reversed(range(_ATTEMPTS if address == LOCAL else 1)):
         try:
             if ":" in address:  # Ray would try for minutes, and end the process
                 place = urlsplit(address if "//" in address else f"//{address}")
                 socket.create_connection((place.hostname or "", place.port or _PORT), timeout=_PATIENCE).close()
-            ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False, **local)
+            ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False, include_dashboard=dashboard)
             break
         except Exception as error:  # Ray's own are of many kinds, also of none
             ray.shutdown()
@@ -160,8 +160,15 @@ class _Maker:
             if not self.shards.left(index):  # an actor wrote it, and died before it said so
                 tally = self.shards.count_rows(index)
             else:
-                how: dict[str, Any] = {"todo": [index], **self.readers}
-                tally = make_dataset(self.source, self.shards, self.fitter, self.columns, **how)
+                tally = make_dataset(
+                    self.source,
+                    self.shards,
+                    self.fitter,
+                    self.columns,
+                    todo=[index],
+                    threads=self.readers.threads,
+                    processes=self.readers.processes,
+                )
         except InputError as error:
             fault = str(error)
         return {name: [value] for name, value in {"shard": index, "fault": fault, **asdict(tally)}.items()}

@@ -71,8 +71,15 @@ def draw_worst(
             photo = None if read is None else _photo(read, person)
             buffer = io.BytesIO()
             draw_person(person, form, photo, model).save(buffer, "JPEG", quality=80)
-            told = row["picture"], row["person"], row["warnings"] or ()
-            yield DrawnPerson(address, values[address], *told, photo is not None, buffer.getvalue())
+            yield DrawnPerson(
+                address,
+                values[address],
+                picture=row["picture"],
+                person=row["person"],
+                warnings=row["warnings"] or (),
+                on_photo=photo is not None,
+                jpeg=buffer.getvalue(),
+            )
 
 
 def _photo(read: Callable[[str], np.ndarray], person: PersonRow) -> np.ndarray | None:

@@ -78,9 +78,9 @@ class PeopleFitter:
 
     options: FitOptions
     network: LabelNetwork
-    model: DetailedModel | None
-    device: str
-    batch: int
+    model: DetailedModel | None = None
+    device: str = "cpu"
+    batch: int = 16
     min_score: float = MIN_SCORE
     cutter: Cutter = field(default_factory=Cutter)
 

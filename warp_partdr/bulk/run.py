@@ -6,14 +6,16 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
+from typing import NamedTuple
 
 from ..errors import printable
 from .cutting import Held, Read, read_picture
 from .people import PeopleFitter
 from .processes import needed_memory, read_in_processes, shared_memory
 from .rows import UNREAD, Column, PeopleRows, metadata, people_table
+from .rows import columns as people_columns
 from .shards import Shards, Tally
 from .sources import PictureSource
 
@@ -24,9 +26,9 @@ def make_dataset(
     source: PictureSource,
     shards: Shards,
     fitter: PeopleFitter,
-    columns: Sequence[Column],
+    columns: Sequence[Column] | None = None,
     *,
-    todo: Sequence[int],
+    todo: Sequence[int] | None = None,
     threads: int = 2,
     processes: int = 0,
     told: Callable[[str], None] | None = None,
@@ -37,12 +39,13 @@ def make_dataset(
     Killed at any time, it leaves whole shards alone; what was in work is made again by a later call.
 
     Args:
-        source: Of the pictures.
-        shards: Of ``source.names``.
-        fitter: Of the people.
-        columns: Of the rows.
-        todo: The shards to make, such as all but ``shards.done()``; of those that are there, pictures are read again
-            that could not be read.
+        source: The pictures, such as ``open_source`` finds.
+        shards: Shards of ``source.names``, in a folder.
+        fitter: Finds and fits the people.
+        columns: Columns of the rows, with keypoints in the format of ``fitter.cutter``; default: all that the fitter
+            makes, with keypoints in the format of ``source``.
+        todo: Indices of the shards to make; default: all that are not whole in the folder. Pictures that could not be
+            read before are read again.
         threads: Threads that decode pictures while people are fitted.
         processes: Instead, so many processes that cut out those who are known, too.
         told: Called with each picture's name.
@@ -51,6 +54,12 @@ def make_dataset(
     Raises:
         InputError: If a shard can't be written.
     """
+    if columns is None:
+        fitter = replace(fitter, cutter=replace(fitter.cutter, skeleton=source.skeleton))
+        columns = people_columns(source.skeleton, fitter.model)
+    if todo is None:
+        whole = {index for index, unread in shards.there().items() if not unread}
+        todo = [index for index in range(shards.count) if index not in whole]
     tally = Tally()
     pool = ThreadPoolExecutor(threads, thread_name_prefix="decode")
     workers = ThreadPoolExecutor(fitter.workers, thread_name_prefix="people")
@@ -119,7 +128,14 @@ class _Shard:
         tally.add(len(self.read), table, len(places), whole)
 
 
-def source_readers(source: PictureSource, fitter: PeopleFitter, cores: int) -> dict[str, int]:
+class Readers(NamedTuple):
+    """Numbers of threads and of processes that read pictures."""
+
+    threads: int
+    processes: int
+
+
+def source_readers(source: PictureSource, fitter: PeopleFitter, cores: int) -> Readers:
     """Threads and processes of ``make_dataset`` on so many cores.
 
     A GPU waits for pictures: where people are known, processes cut them out. Pictures in which they have to be found
@@ -127,7 +143,7 @@ def source_readers(source: PictureSource, fitter: PeopleFitter, cores: int) -> d
     """
     needed = needed_memory(cores, fitter.batch, fitter.cutter.label_size)
     apart = fitter.device != "cpu" and source.digest is not None and shared_memory() >= needed
-    return {"threads": cores, "processes": cores if apart else 0}
+    return Readers(cores, cores if apart else 0)
 
 
 def _read_ahead(source: PictureSource, names: Iterator[str], pool: ThreadPoolExecutor, threads: int) -> Iterator[Held]:

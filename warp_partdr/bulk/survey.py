@@ -261,7 +261,7 @@ def worst_people(files: PeopleFiles, by: str, count: int, told: Callable[[str], 
 
 
 def flat_facts(about: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
-    """What shards of one data set have in common, by name; of tables in it, each entry."""
+    """Metadata that all shards of a data set share, by name; tables give each of their entries."""
     for name, value in about.items():
         if name in _OF_ONE_SHARD:
             continue

@@ -332,15 +332,25 @@ class _Work:
                     on_gpu = setup.device != "cpu"
                     workers = Workers(cluster.workers, cluster.cores or (8 if on_gpu else 1), int(on_gpu))
                     form = columns(source.skeleton, replace(setup, device="cpu").model())
-                    how: dict[str, Any] = {"todo": self.todo, "workers": workers, "written": written}
-                    tally = make_on_cluster(source, shards, setup, form, **how)
+                    tally = make_on_cluster(
+                        source, shards, setup, form, todo=self.todo, workers=workers, written=written
+                    )
                 else:
                     detailed = setup.model()
                     fitter = setup(source, detailed)
                     started = time.perf_counter()
-                    how = {"todo": self.todo, "told": progress, "written": written}
-                    how |= source_readers(source, fitter, get_num_threads())
-                    tally = make_dataset(source, shards, fitter, columns(source.skeleton, detailed), **how)
+                    readers = source_readers(source, fitter, get_num_threads())
+                    tally = make_dataset(
+                        source,
+                        shards,
+                        fitter,
+                        columns(source.skeleton, detailed),
+                        todo=self.todo,
+                        threads=readers.threads,
+                        processes=readers.processes,
+                        told=progress,
+                        written=written,
+                    )
             except KeyboardInterrupt:
                 there = f"{len(shards.there())} of {shards.count} shards"
                 progress.say(f"partdr: stopped; {shards.folder} has {there}, the same command goes on")

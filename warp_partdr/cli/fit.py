@@ -28,7 +28,7 @@ from .options import (
     take_formats,
     take_whole,
 )
-from .register import MODEL_HELP, clothe, describe_scores, read_model, say_detailed
+from .register import MODEL_HELP, SeenBody, clothe, describe_scores, read_model, say_detailed
 
 if TYPE_CHECKING:
     import numpy as np
@@ -106,13 +106,13 @@ def fit(
         fit_motions(files, photo, out, device, model, view, values, score)
         return
     if files.keypoints is None:
-        from .fit_photo import fit_everyone
+        from .fit_photo import PhotoSettings, fit_everyone
 
         if explain:
             raise InputError("--explain: without --keypoints; expected them with it")
         formats = take_formats(values)
         options = before_mesh(fit_options(quality, start, values), values)
-        chosen = take_whole(values, "threads"), score, options, formats
+        chosen = PhotoSettings(take_whole(values, "threads"), score, options, formats)
         fit_everyone(files, photo, out, device, model, view, chosen)
         return
     if min_score is not None:
@@ -156,8 +156,15 @@ def fit(
     mesh, failure = None, None
     with FitProgress() as progress:
         load_kernels(where, options, with_labels=person.parts is not None)
-        how: dict[str, Any] = {"options": options, "device": where, "camera": camera, "progress": progress}
-        result = fit_body(person.keypoints, person.parts, others=person.others, **how)
+        result = fit_body(
+            person.keypoints,
+            person.parts,
+            others=person.others,
+            options=options,
+            device=where,
+            camera=camera,
+            progress=progress,
+        )
         if clothed:
             try:
                 load_mesh_kernels(where)
@@ -176,7 +183,7 @@ def fit(
         if failure is not None:
             raise failure
         with FitProgress() as progress:
-            seen = result.camera, size, person.photo, result.evidence
+            seen = SeenBody(result.camera, size, person.photo, result.evidence)
             if mesh is None:
                 told = clothe(result.posed, detailed_model, out, seen, formats=formats, progress=progress)
             else:

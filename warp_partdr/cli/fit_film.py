@@ -130,23 +130,49 @@ def fit_films(run: FilmRun) -> None:
                 camera.fitted((picture.shape[0], picture.shape[1]))
     photos = [film for film in films if rig is None and is_photo(film)]
     lenses = {film: run.view.of_photo(scan_photo(film), film) for film in photos}
-    networks = GivenNetworks(**run.networks.load(where))
+    loaded = run.networks.load(where)
+    networks = GivenNetworks(loaded.parts_from, loaded.keypoints_from)
     detailed = read_model(run.model, where)
     with FitProgress() as progress:
         load_mesh_kernels(where)
         others = [] if run.cameras is None or run.cameras.is_dir() else [run.cameras]
         given = (*films, *others, *run.networks.files)
-        rest = rig, run.view, run.networks, options, run.person, run.model, run.min_score, run.align
-        pieces = FilmPieces(run.out, given, *rest)
+        pieces = FilmPieces(
+            run.out,
+            given,
+            rig,
+            run.view,
+            run.networks,
+            options,
+            run.person,
+            run.model,
+            run.min_score,
+            run.align,
+        )
         seen: list[SeenFilm] = []
         for place, film in enumerate(films):
             told = partial(progress, "people" if len(films) == 1 else f"people of {film.name}")
-            look: dict[str, Any] = {"min_score": run.min_score, "device": where, "progress": told}
-            look["landmarks"] = options.landmarks
             if run.networks.given:
-                people, sights = pieces.sights(place, networks, partial(find_film_sights, film, networks, **look))
+                ask = partial(
+                    find_film_sights,
+                    film,
+                    networks,
+                    min_score=run.min_score,
+                    device=where,
+                    progress=told,
+                    landmarks=options.landmarks,
+                )
+                people, sights = pieces.sights(place, networks, ask)
             else:
-                people, sights = pieces.people(place, partial(find_film_people, film, **look)), None
+                find = partial(
+                    find_film_people,
+                    film,
+                    min_score=run.min_score,
+                    device=where,
+                    progress=told,
+                    landmarks=options.landmarks,
+                )
+                people, sights = pieces.people(place, find), None
             if rig is None:
                 lens = lenses.get(film) or run.view.read(people.image_size, None)
                 seen.append(SeenFilm.of(people, lens, given=sights))
@@ -160,12 +186,25 @@ def fit_films(run: FilmRun) -> None:
                 starts = pieces.starts(partial(film_starts, seen, device=where, progress=progress))
             seen = match_films(seen, starts)
             if rig is None and len(films) > 1:
-                tall = {"stature": options.stature, "person": run.person}
-                how: dict[str, Any] = {**tall, "device": where, "progress": progress}
-                seen = pieces.placed(seen, partial(place_film_cameras, seen, **how))
+                place_all = partial(
+                    place_film_cameras,
+                    seen,
+                    stature=options.stature,
+                    person=run.person,
+                    device=where,
+                    progress=progress,
+                )
+                seen = pieces.placed(seen, place_all)
                 options = replace(options, stature=None)  # cameras are as far away as it says
-        kind: dict[str, Any] = {"options": options, "model": detailed, "device": where}
-        fit = fit_film(seen, person=run.person, progress=progress, pieces=pieces, **kind)
+        fit = fit_film(
+            seen,
+            person=run.person,
+            options=options,
+            model=detailed,
+            device=where,
+            progress=progress,
+            pieces=pieces,
+        )
         report = save_film_fit(fit, run.out, films=films, formats=formats, progress=progress)
         pieces.remove()
     for warning in report["warnings"]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -17,6 +17,23 @@ if TYPE_CHECKING:
     from ..solve.ellipsoids.options import FitOptions
 
 
+@dataclass(frozen=True)
+class PhotoSettings:
+    """Settings of a fit to everyone in a photo.
+
+    Attributes:
+        threads: Number of CPU threads; 0: one a core.
+        min_score: Least confidence that there is a person.
+        options: Options of each person's fit.
+        formats: Formats of more files.
+    """
+
+    threads: int
+    min_score: float
+    options: FitOptions
+    formats: tuple[str, ...]
+
+
 def fit_everyone(
     files: PhotoFiles,
     photo: Path | None,
@@ -24,7 +41,7 @@ def fit_everyone(
     device: str,
     model: str,
     view: CameraOptions,
-    chosen: tuple[int, float, FitOptions, tuple[str, ...]],
+    settings: PhotoSettings,
 ) -> None:
     """Fit bodies to everyone in a photo, or to one of them.
 
@@ -35,7 +52,7 @@ def fit_everyone(
         device: As the option says.
         model: Name or file of the detailed model.
         view: The camera.
-        chosen: Number of threads, least confidence in a person, the fit's options, and formats of more files.
+        settings: What the command line sets of the fit and its files.
     """
     if photo is None:
         raise InputError("PHOTO: missing; expected a photo, or --keypoints FILE.json of a person")
@@ -53,8 +70,8 @@ def fit_everyone(
 
     if model == NO_MODEL:
         raise InputError("--model: none, without keypoints; expected a detailed model")
-    where, (threads, score, options, formats) = choose_device(device), chosen
-    set_num_threads(threads)
+    where, options = choose_device(device), settings.options
+    set_num_threads(settings.threads)
     check_folder(out)
     check_inputs(out, (photo,), PHOTO_FILES)
     networks = files.networks.load(where)
@@ -65,11 +82,21 @@ def fit_everyone(
     with FitProgress() as progress:
         load_kernels(where, options, with_labels=True)
         load_mesh_kernels(where)
-        how: dict[str, Any] = {"options": options, "model": detailed, "device": where, "camera": camera}
         with told_as("photo", photo):
-            fit = fit_photo(picture, person=files.person, min_score=score, progress=progress, **networks, **how)
+            fit = fit_photo(
+                picture,
+                person=files.person,
+                min_score=settings.min_score,
+                parts_from=networks.parts_from,
+                keypoints_from=networks.keypoints_from,
+                options=options,
+                model=detailed,
+                device=where,
+                camera=camera,
+                progress=progress,
+            )
         progress("writing results", 0, 1)
-        report = save_photo_fit(fit, out, photo=picture, formats=formats)
+        report = save_photo_fit(fit, out, photo=picture, formats=settings.formats)
     for person in report["people"]:
         for warning in person["warnings"]:
             typer.echo(f"partdr: warning: {person['folder']}: {warning}", err=True)

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..cameras import Perspective
+    from ..networks.predictors.networks import KeypointNetwork, PartNetwork
 
 EXIF, NO_CAMERA = "exif", "none"  # values of --focal beside numbers
 
@@ -194,6 +195,14 @@ KeypointsFromOption = Annotated[
 
 
 @dataclass(frozen=True)
+class LoadedNetworks:
+    """Networks of others; None where none was asked for."""
+
+    parts_from: PartNetwork | None
+    keypoints_from: KeypointNetwork | None
+
+
+@dataclass(frozen=True)
 class NetworkOptions:
     """Options for networks of others, and what their results mean."""
 
@@ -240,17 +249,17 @@ class NetworkOptions:
                 "expected keypoints alone"
             )
 
-    def load(self, device: str) -> dict[str, Any]:
-        """Networks that were asked for, as arguments of ``fit_photo`` and ``GivenNetworks``."""
+    def load(self, device: str) -> LoadedNetworks:
+        """Load the networks that were asked for."""
         from ..networks.predictors.checkpoints import load_keypoint_network, load_part_network
 
-        found: dict[str, Any] = {}
+        parts_from, keypoints_from = None, None
         if self.parts_from is not None:
-            found["parts_from"] = load_part_network(self.parts_from, self.labels, device=device, say=echo)
+            parts_from = load_part_network(self.parts_from, self.labels, device=device, say=echo)
         if self.keypoints_from is not None:
             form = self.keypoint_format
-            found["keypoints_from"] = load_keypoint_network(self.keypoints_from, form, device=device, say=echo)
-        return found
+            keypoints_from = load_keypoint_network(self.keypoints_from, form, device=device, say=echo)
+        return LoadedNetworks(parts_from, keypoints_from)
 
 
 @dataclass(frozen=True)

@@ -202,11 +202,16 @@ class _Run:
         times: list[float] = []
         guessed: list[bool] = []
         cuts: list[int] = []
-        how: dict[str, Any] = {"min_score": self.choice.min_score, "device": self.device}
-        how["landmarks"] = self.choice.landmarks
         try:
             rate = film_facts(source.path).rate
-            for followed in follow_people(source.path, rate, **how):
+            found_people = follow_people(
+                source.path,
+                rate,
+                min_score=self.choice.min_score,
+                device=self.device,
+                landmarks=self.choice.landmarks,
+            )
+            for followed in found_people:
                 frame, found = followed.frame, followed.people
                 size = frame.picture.shape[:2]
                 times.append(frame.time)

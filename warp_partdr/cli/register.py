@@ -86,7 +86,8 @@ def register_body(
             raise InputError(f"--parts: missing; expected the part labels that {body}, another method's, is to follow")
         if how.inscribed or how.grow:
             raise InputError(f"--inscribed, --grow: with {body}, another method's body; expected one of partdr fit")
-        _refine((body, model, photo, keypoints, labels, parts), picture, image, out, device, formats)
+        files = _GivenFiles(body, model, photo, keypoints, labels, parts)
+        _refine(files, picture, image, out, device, formats)
         return
     if keypoints is not None:
         raise InputError(f"--keypoints: with {body}, a fit's; expected another method's body")
@@ -110,14 +111,48 @@ def register_body(
     detailed_model = read_model(model, where)
     posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in BODY_ARRAYS))
     person = None if image is None else _evidence_of(posed, fitted.camera(), image)
-    view = fitted.camera(), (height, width), picture, person
+    view = SeenBody(fitted.camera(), (height, width), picture, person)
     with FitProgress() as progress:
         told = clothe(posed, detailed_model, out, view, how, formats=formats, progress=progress)
     typer.echo(told)
 
 
+@dataclass(frozen=True)
+class _GivenFiles:
+    """Files of another method's body, as the command line names them."""
+
+    body: Path
+    model: str
+    photo: Path | None
+    keypoints: Path | None
+    labels: str | None
+    parts: Path | None
+
+    def paths(self) -> list[Path | None]:
+        """Paths of all files; names of models and label sets count as paths, too."""
+        labels = None if self.labels is None else Path(self.labels)
+        return [self.body, Path(self.model), self.photo, self.keypoints, labels, self.parts]
+
+
+@dataclass(frozen=True, eq=False)
+class SeenBody:
+    """Picture in which a body was seen.
+
+    Attributes:
+        camera: The camera of the picture.
+        image_size: (H, W) of the picture [px].
+        photo: The picture, shape (H, W, 3), uint8; None: there is none.
+        evidence: Keypoints and labels of the person; None: they are not known.
+    """
+
+    camera: Camera
+    image_size: tuple[int, int]
+    photo: np.ndarray | None
+    evidence: Evidence | None
+
+
 def _refine(
-    files: tuple[Path, str, Path | None, Path | None, str | None, Path | None],
+    files: _GivenFiles,
     photo: np.ndarray | None,
     parts: PartLabels,
     out: Path,
@@ -135,14 +170,15 @@ def _refine(
     from ..solve.mesh.given_start import refine_given
     from .progress import FitProgress
 
-    body, model, picture, keypoints, *_ = files
     height, width = parts.groups.shape[:2]
     check_sizes(photo=None if photo is None else photo.shape[:2], parts=(height, width))
     where = choose_device(device)
     check_folder(out)
-    check_inputs(out, [None if name is None else Path(name) for name in files], (*DETAILED_FILES, SMPLX_FILE))
-    given, camera = read_given(body, read_model(model, where), (height, width))
-    people = [] if keypoints is None else read_keypoints(keypoints, photo=picture, size=(height, width))
+    check_inputs(out, files.paths(), (*DETAILED_FILES, SMPLX_FILE))
+    given, camera = read_given(files.body, read_model(files.model, where), (height, width))
+    people = []
+    if files.keypoints is not None:
+        people = read_keypoints(files.keypoints, photo=files.photo, size=(height, width))
     person = choose_person(people, parts.groups) if people else None
     others = [other for other in people if other is not person]
     started = time.perf_counter()
@@ -159,7 +195,7 @@ def _refine(
             evidence=fit.ellipbody.evidence,
             clothes=fit.clothes,
             formats=formats,
-            start=str(body),
+            start=str(files.body),
             seconds=seconds,
         )
     for warning in fit.ellipbody.evidence.warnings:
@@ -198,7 +234,7 @@ def clothe(
     posed: Posed,
     model: DetailedModel,
     out: Path,
-    seen: tuple[Camera, tuple[int, int], np.ndarray | None, Evidence | None],
+    seen: SeenBody,
     how: ClotheOptions = ClotheOptions(),
     *,
     formats: tuple[str, ...] = (),
@@ -206,10 +242,9 @@ def clothe(
 ) -> str:
     """Register a model to one EllipBody (B = 1) and write it as ``save_registered`` does; returns a line about it.
 
-    ``seen``: the camera, the picture's size, the picture and what is known of the person in it. ``how.inscribed``: the
-    ellipsoids are to lie within the skin. ``how.grow``: EllipBody's lengths and thicknesses count one by
-    one, and parts may grow beyond the model's people. A fit's are too rough for that: hands and feet came out as thin
-    as boards.
+    ``how.inscribed``: the ellipsoids are to lie within the skin. ``how.grow``: EllipBody's lengths and thicknesses
+    count one by one, and parts may grow beyond the model's people. A fit's are too rough for that: hands and feet came
+    out as thin as boards.
     """
     import warp as wp
 
@@ -231,9 +266,16 @@ def clothe(
     registered = register(posed, model, options=options, progress=progress)
     seconds = round(time.perf_counter() - started, 3)
     progress("writing results", 1, 1)
-    camera, size, photo, evidence = seen
-    about: dict[str, Any] = {"photo": photo, "evidence": evidence, "seconds": seconds}
-    report = save_registered(registered, out, camera, size, formats=formats, **about)
+    report = save_registered(
+        registered,
+        out,
+        seen.camera,
+        seen.image_size,
+        photo=seen.photo,
+        evidence=seen.evidence,
+        formats=formats,
+        seconds=seconds,
+    )
     return say_detailed(report, out)
 
 

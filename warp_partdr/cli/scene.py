@@ -67,5 +67,17 @@ def scene(
     networks.check()
     for film in films:
         film_facts(film)  # faults are told before anything is loaded
-    how = networks, view, rig.cameras, rig.align
-    fit_films(FilmRun(tuple(films), out, device, model, person, score, values, *how))
+    run = FilmRun(
+        tuple(films),
+        out,
+        device,
+        model,
+        person,
+        score,
+        values,
+        networks=networks,
+        view=view,
+        cameras=rig.cameras,
+        align=rig.align,
+    )
+    fit_films(run)

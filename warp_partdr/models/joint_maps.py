@@ -73,7 +73,7 @@ class _Mapped(torch.autograd.Function):
 
 
 def _some(parents: tuple[int, ...], missing: Sequence[bool], *inputs: torch.Tensor) -> torch.Tensor:
-    """What is not missing of the results, in a row."""
+    """All results that are not missing, flattened into one vector."""
     found = zip(_map(parents, *inputs), missing, strict=True)
     return torch.cat([each.flatten() for each, none in found if not none])
 

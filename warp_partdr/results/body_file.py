@@ -25,6 +25,8 @@ import numpy as np
 import torch
 
 from ..body.ellipbody import EllipBody
+from ..body.parameters import BodyParameters
+from ..body.rotations import rotation_to_6d, rotation_to_axis_angle
 from ..body.template import BODY_SHAPES, PART_NAMES
 from ..cameras import Camera, Perspective, WeakPerspective
 from ..errors import InputError
@@ -86,6 +88,22 @@ class BodyFile:
         if self.camera_perspective:
             return Perspective(scale[:, None].expand(-1, 2), translation)
         return WeakPerspective(scale, translation)
+
+    def parameters(self) -> BodyParameters:
+        """Parameters of the body, B = 1, in a square crop whose side is the longer side of the picture."""
+        height, width = self.image_size.tolist()
+        half, camera = max(height, width) / 2, self.camera()
+        if isinstance(camera, Perspective):
+            camera = camera.to_weak(torch.from_numpy(self.translation)[None])
+        shift = (camera.translation - torch.tensor([width / 2, height / 2])) / half
+        return BodyParameters(
+            orientation=rotation_to_6d(torch.from_numpy(self.global_orient))[None],
+            rotations=rotation_to_axis_angle(torch.from_numpy(self.rotations))[None],
+            lengths=torch.from_numpy(self.lengths)[None],
+            thicknesses=torch.from_numpy(self.thicknesses)[None],
+            log_scale=(camera.scale / half).log(),
+            shift=shift,
+        )
 
     def save(self, path: str | Path) -> None:
         """Write the file.

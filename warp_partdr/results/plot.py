@@ -8,7 +8,7 @@ screen, and ``figure.axes`` are there to be changed. Of a batch, the first body 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import torch
@@ -178,12 +178,24 @@ def gradient_field(
     longest = float(np.linalg.norm(downhill[:, :2], axis=1).max(initial=0)) or 1.0
     steepest = float(np.abs(downhill[:, 2]).max(initial=0)) or 1.0
     colour_map = LinearSegmentedColormap.from_list("depth", DEPTH_COLOURS / 255)
-    look: dict[str, Any] = {"cmap": colour_map, "norm": Normalize(-steepest, steepest)}
+    norm = Normalize(-steepest, steepest)
     sixth = max(expected.shape) / 6  # of the picture: the longest arrow
-    sizes: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": longest / sixth, "width": width}
     u, v = places[there].T
-    arrows = axes.quiver(u, v, *downhill[there].T, edgecolor="white", linewidth=0.4, zorder=3, **sizes, **look)
-    axes.scatter(u, v, dot, downhill[there, 2], zorder=4, **look)
+    arrows = axes.quiver(
+        u,
+        v,
+        *downhill[there].T,
+        angles="xy",
+        scale_units="xy",
+        scale=longest / sixth,
+        width=width,
+        edgecolor="white",
+        linewidth=0.4,
+        cmap=colour_map,
+        norm=norm,
+        zorder=3,
+    )
+    axes.scatter(u, v, dot, downhill[there, 2], zorder=4, cmap=colour_map, norm=norm)
     key = float(f"{longest / 2:.1g}")
     axes.quiverkey(arrows, 0.12, 0.95, key, f"-dL/dx, -dL/dy: {key:g} px/m", labelpos="E", color=DEPTH_COLOURS[1] / 255)
     figure.colorbar(arrows, ax=axes, shrink=0.8, label="-dL/dz [px/m]; above 0: away from the viewer")

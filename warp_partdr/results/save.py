@@ -179,8 +179,8 @@ def save_registered(
         save_detailed_arrays(registered, temporary, clothes)
         picture.save(temporary / "detailed.png")
         if model.name in POSES and bool((registered.growth[0] == 1).all()):
-            pose = registered.shape[:1], registered.rotations[:1], registered.translation[:1]
-            of_smplx: dict[str, Any] = {**to_smplx(model, *pose), **camera_arrays(camera, size)}
+            smplx = to_smplx(model, registered.shape[:1], registered.rotations[:1], registered.translation[:1])
+            of_smplx: dict[str, Any] = {**smplx, **camera_arrays(camera, size)}
             np.savez(temporary / SMPLX_FILE, **of_smplx)
     return report
 

@@ -168,7 +168,7 @@ class _ReachingArm(NamedTuple):
 def _over_skin(
     posed: Posed, places: list[Place], which: torch.Tensor, rng: TorchRng
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Where left hands' middles go, about one of ``places`` each, and the skin's normals there, (N, 3) each."""
+    """Targets of left hands' middles, about one of ``places`` each, and the skin's normals there, (N, 3) each."""
     row, device = torch.arange(len(which), device=which.device), which.device
     parts = torch.tensor([PART_NAMES.index(place.part) for place in places], device=device)[which]
     directions, gaps = (

@@ -1,4 +1,4 @@
-"""What was seen of N people side by side, as the captured refinement reads it."""
+"""Observations of N people side by side, as the captured refinement reads them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How right gradients of meshes are, ours and others': beside the derivative of the area that shows a wrong label."""
+"""Errors of gradients of meshes, ours and others': beside the derivative of the area that shows a wrong label."""
 
 from __future__ import annotations
 

@@ -494,7 +494,7 @@ def _picture_size(views: Views, row: int) -> tuple[int, int] | None:
 
 
 def _picture(views: Views, row: int) -> Path | FilmPicture | None:
-    """Where the picture of a view is, or the frame of its film."""
+    """File of a view's picture, or the frame of its film."""
     if views.picture is not None and views.picture[row]:
         return views.folder / str(views.picture[row])
     if views.film is not None and views.film_frame is not None and views.film[row]:
