@@ -57,8 +57,8 @@ def _save_npz(body: Body, folder: Path) -> None:
 
 
 def _save_json(body: Body, folder: Path) -> None:
-    saved = body.person.saved
-    save_description(describe_posed(saved, body.posed.joints, saved.camera()), folder)
+    saved, guessed = body.person.saved, bool(body.person.row.get("camera_guessed"))
+    save_description(describe_posed(saved, body.posed.joints, saved.camera(), guessed=guessed), folder)
 
 
 # What --to names; another format, such as SMPL-X's own NPZ, is one more line.

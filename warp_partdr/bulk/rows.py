@@ -19,6 +19,7 @@ with its ``error``; a person who can't be fitted has ``error``, too, and no body
 | global_orient, rotations, translation | (3, 3), (20, 3, 3), (3) | as ``body.npz``, in the camera frame |
 | lengths, thicknesses | (12), (15) | measurements [m] |
 | camera_perspective, camera_scale, camera_translation | (), (), (2) | as ``body.npz`` |
+| camera_guessed | | True if the camera is not known, and a lens is assumed (``UsualLens``) |
 | joints | (21, 3) | in the camera frame [m]: x right, y down, z away |
 | joints_2d | (21, 2) | in the picture [px] |
 | joint_spreads | (20) | of joints but the pelvis along the view, 68 % [m]: how sure the label network was |
@@ -180,6 +181,7 @@ def columns(form: str | Skeleton, model: DetailedModel | None = None) -> tuple[C
         Column("camera_perspective", "bool"),
         Column("camera_scale", "float32", unit="px/m, or px of perspective"),
         Column("camera_translation", "float32", (2,), "px"),
+        Column("camera_guessed", "bool"),
         Column("joints", "float32", (len(JOINT_NAMES), 3), "m", JOINT_NAMES),
         Column("joints_2d", "float32", (len(JOINT_NAMES), 2), "px", JOINT_NAMES),
         Column("joint_spreads", "float32", (len(JOINT_NAMES) - 1,), "m", JOINT_NAMES[1:]),
@@ -236,6 +238,7 @@ def describe_bodies(fits: Sequence[FitResult] | Sequence[MeshFit]) -> list[RowPa
     columns: dict[str, Values] = {
         **numbers,
         "camera_perspective": np.full(len(fits), lenses is not None),
+        "camera_guessed": np.full(len(fits), known.lens_assumed),
         "keypoint_error": _keypoint_errors(known, seen.cpu().numpy()),
         "energy": known.energies,
         "warnings": known.warnings,
@@ -253,6 +256,7 @@ class _Known:
 
     bodies: BodyParameters
     lenses: torch.Tensor | None
+    lens_assumed: bool
     joint_spreads: torch.Tensor
     crops: Sequence[Crop]
     skeleton: str | Skeleton
@@ -267,6 +271,7 @@ def _known_of(fits: Sequence[FitResult] | Sequence[MeshFit]) -> _Known:
         return _Known(
             fits.parameters,
             fits.lenses,
+            fits.seen.lens_assumed,
             fits.uncertainty.depths,
             fits.people.crops,
             fits.people.skeleton,
@@ -281,6 +286,7 @@ def _known_of(fits: Sequence[FitResult] | Sequence[MeshFit]) -> _Known:
     return _Known(
         BodyParameters.joined([each.parameters for each in results]),
         torch.stack(lenses) if lenses else None,
+        results[0].observation.lens_assumed,
         torch.cat([each.uncertainty.depths for each in results if each.uncertainty is not None]),
         [each.crop for each in results],
         keypoints[0].skeleton,

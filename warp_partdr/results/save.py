@@ -291,9 +291,7 @@ def save_description(described: Mapping[str, Any], folder: Path) -> None:
 def describe_body(result: FitResult, mesh: Registered | None = None) -> dict[str, Any]:
     """Measurements in cm and joint positions, for people and programs that don't read npz."""
     saved = body_file(result.parameters, result.camera, (1, 1))
-    described = describe_posed(saved, result.posed.joints, result.camera, mesh)
-    if result.camera_guessed:
-        described["camera"]["guessed"] = True
+    described = describe_posed(saved, result.posed.joints, result.camera, mesh, guessed=result.camera_guessed)
     if result.stature is not None:
         described["stature_given_cm"] = round(100 * result.stature, 1)
     return described
@@ -307,14 +305,22 @@ def describe_distance(result: FitResult) -> str:
 
 
 def describe_posed(
-    saved: BodyFile, positions: torch.Tensor, camera: Camera, mesh: Registered | None = None
+    saved: BodyFile,
+    positions: torch.Tensor,
+    camera: Camera,
+    mesh: Registered | None = None,
+    *,
+    guessed: bool = False,
 ) -> dict[str, Any]:
-    """The same of a body with joints at (1, 21, 3) [m] before a camera of the full picture."""
+    """Measurements and joints of a body with joints at (1, 21, 3) [m], before a camera of the full picture.
+
+    ``guessed`` says that the camera is not known, and a lens is assumed.
+    """
     measured = saved.body("cpu").measure()
     joints = positions[0].detach().cpu().numpy()
     pixels = camera.project(positions)[0, :, :2].detach().cpu().numpy()
     scale, _, *centre = camera.intrinsics[0].detach().cpu().tolist()
-    return {
+    described: dict[str, Any] = {
         "measurements_cm": {name: round(100 * value, 2) for name, value in measured.items()}
         | ({} if mesh is None else describe_mesh(mesh)),
         "joints": {
@@ -336,6 +342,9 @@ def describe_posed(
             "translation_px": np.round(centre, 3).tolist(),
         },
     }
+    if guessed:
+        described["camera"]["guessed"] = True
+    return described
 
 
 def make_report(result: FitResult) -> dict[str, Any]:

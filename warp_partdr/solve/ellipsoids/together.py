@@ -20,6 +20,7 @@ from ...body.pose_prior import packaged_prior
 from ...body.skeletons import Skeleton, skeleton
 from ...errors import check_each, check_type
 from ...inputs.cut_people import CutPeople, CutPerson, stack_alike
+from ...inputs.stacked import StackedObservations
 from ...interop.gradient_mode import with_gradients
 from ...interop.torch_threads import one_torch_thread
 from ...networks.regression.label_network import LabelNetwork
@@ -44,7 +45,8 @@ class BatchFits(Sequence[FitResult]):
     """Fits of N people as arrays of all; a person's ``FitResult`` is made when it is asked for.
 
     Attributes:
-        people: Who was fitted.
+        people: Who was fitted, as they were given.
+        seen: Their observations as the fits saw them: with longer lenses, and less confidence in keypoints.
         stages: Stages of the fits.
         parameters: Bodies and their cameras in the crops, B = N.
         lenses: Of the cameras, where these are known, shape (N, 3).
@@ -58,6 +60,7 @@ class BatchFits(Sequence[FitResult]):
     """
 
     people: CutPeople
+    seen: StackedObservations
     stages: tuple[Stage, ...]
     parameters: BodyParameters
     lenses: torch.Tensor | None
@@ -86,7 +89,7 @@ class BatchFits(Sequence[FitResult]):
         return FitResult(
             parameters=self.parameters.select(own),
             crop=person.crop,
-            observation=replace(person.observation, **{name: values[row] for name, values in self.hints.items()}),
+            observation=replace(self.seen[row], **{name: values[row] for name, values in self.hints.items()}),
             stages=self.stages,
             energy={name: float(values[row]) for name, values in self.energy.items()},
             history=[each[row] for each in self.history],
@@ -158,7 +161,7 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
     predicted = ask_network(seen, network, mirror=options.mirror, half=options.half)
     longer = with_longer_lens(seen, predicted)
     if longer is not None:
-        seen, people = longer, replace(people, seen=longer)
+        seen = longer
         predicted = ask_network(seen, network, mirror=options.mirror, half=options.half)
     said = predicted.uncertainty
     assert said is not None
@@ -167,7 +170,6 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
         bodies = turn_to_rays(bodies, seen.lens)
     lengths, thicknesses = bodies.lengths, bodies.thicknesses
     given, seen = seen, doubt_keypoints(seen, predicted)
-    people = replace(people, seen=seen)
     first = replace(seen[0], lengths=lengths[0], thicknesses=thicknesses[0])
     # Of a person alone, what is drawn differs from stage to stage.
     everyone = replace(Batch.of_stacked(seen, Energy(first, 1, prior=prior)), lengths=lengths, thicknesses=thicknesses)
@@ -195,6 +197,7 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
     warnings = _complaints(bodies, judged, judge, skeleton(people.skeleton))
     return BatchFits(
         people=people,
+        seen=seen,
         stages=stages,
         parameters=bodies,
         lenses=seen.lens,
