@@ -61,7 +61,7 @@ _SIDED: dict[str, Point] = {
     "heel": ("left_foot", (-1.25, 0.03, -0.99)),
 }
 # Limb joints as COCO's annotators mark them, 6 to 29 mm from the joints: the middle of what is seen there. Measured on
-# 2,000 random people by scripts/measure_landmarks.py, against whose bodies they move by 4 to 12 mm.
+# 2,000 random people by ``python -m warp_partdr.lab landmarks``, against whose bodies they move by 4 to 12 mm.
 _ANNOTATED: dict[str, Point] = {
     "shoulder": ("left_shoulder", (0.84, -0.01, -0.23)),
     "elbow": ("left_upper_arm", (0.84, 0.10, 0.01)),

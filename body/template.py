@@ -109,7 +109,7 @@ class Template:
 
 @lru_cache(maxsize=1)
 def template() -> Template:
-    """Template with the mean shape of ``mean_body.json`` (made by ``scripts/measure_mean_body.py``)."""
+    """Template with the mean shape of ``mean_body.json`` (made by ``scripts/make_mean_body.py``)."""
     data = json.loads(resources.files(__package__).joinpath("mean_body.json").read_text())
     directions = np.array([data["rest_directions"][name] for name in PART_NAMES], dtype=np.float64)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

@@ -16,6 +16,7 @@ import torch
 
 from warp_partdr.body.rotations import rotation_between
 from warp_partdr.body.template import PART_NAMES
+from warp_partdr.lab.silhouettes import Surface
 
 # Anny bones -> part, by the bones' names without their side; the first part with a matching prefix wins.
 _SIDED_BONES: dict[str, tuple[str, ...]] = {
@@ -67,12 +68,9 @@ def part_of_bone(bone: str) -> str | None:
 
 
 @dataclass(frozen=True)
-class Person:
+class Person(Surface):
     """One posed Anny person in the body frame [m]."""
 
-    vertices: np.ndarray  # shape (V, 3)
-    faces: np.ndarray  # vertex indices, shape (F, 3)
-    face_parts: np.ndarray  # part index of each face, 0 to 19, shape (F,)
     bones: dict[str, np.ndarray]  # head of each Anny bone, by name
     coco: dict[str, np.ndarray]  # COCO-17 and foot keypoints of Anny's regressor, by name
 

@@ -8,12 +8,12 @@ Wortsman et al., 2022). Such a mean may err less than either on people who are u
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import torch
 
 from warp_partdr.errors import InputError
+from warp_partdr.lab.harness import run_script
 from warp_partdr.networks.regression.checkpoint import load_label_network, save_label_network
 from warp_partdr.networks.regression.label_network import LabelNetwork
 
@@ -36,20 +36,22 @@ def average(first: LabelNetwork, second: LabelNetwork, share: float) -> dict[str
     return weights
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("first", type=Path, help="network from which the other was trained on")
-    parser.add_argument("second", type=Path, help="network that was trained on")
-    parser.add_argument("--share", type=float, default=0.5, help="of the second network, 0 to 1 (default: 0.5)")
-    parser.add_argument("--bits", type=int, default=8, help="of a weight in the file (default: 8)")
-    parser.add_argument("--out", type=Path, required=True, help="file to write")
-    options = parser.parse_args()
-    first, second = load_label_network(options.first), load_label_network(options.second)
-    weights = average(first, second, options.share)
-    about = {"mean of": [options.first.name, options.second.name], "share": options.share}
-    save_label_network(options.out, weights, second.config, about, bits=options.bits)
-    print(f"{options.out}: {1 - options.share:.2f} of {options.first}, {options.share:.2f} of {options.second}")
+def main(first: Path, second: Path, /, *, share: float = 0.5, bits: int = 8, out: Path) -> None:
+    """Average two networks and write the mean.
+
+    Args:
+        first: Network from which the other was trained on.
+        second: Network that was trained on.
+        share: Share of the second network, 0 to 1.
+        bits: Bits of a weight in the file.
+        out: File to write.
+    """
+    ours, theirs = load_label_network(first), load_label_network(second)
+    weights = average(ours, theirs, share)
+    about = {"mean of": [first.name, second.name], "share": share}
+    save_label_network(out, weights, theirs.config, about, bits=bits)
+    print(f"{out}: {1 - share:.2f} of {first}, {share:.2f} of {second}")
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

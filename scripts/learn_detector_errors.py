@@ -9,7 +9,6 @@ true places of ``LANDMARKS`` about their mean, its errors [statures] and its con
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.body.template import MEAN_STATURE
 from warp_partdr.cameras import Perspective
+from warp_partdr.lab.harness import run_script
 from warp_partdr.lab.synthetic import people
 from warp_partdr.lab.synthetic.detector_errors import BEYOND, HIDDEN, SEEN
 from warp_partdr.lab.synthetic.pose_sampler import PoseBank, PoseSampler
@@ -212,26 +212,28 @@ def report(rows: dict[str, np.ndarray], away: np.ndarray, overlaps: np.ndarray) 
     print(f"masks: overlap {np.quantile(overlaps, [0.1, 0.5, 0.9]).round(3).tolist()} (10, 50, 90 %)")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("mocap", type=Path, help="folder of motion capture, or a pose bank (.npz)")
-    parser.add_argument("--people", type=int, default=3328, help="how many to show")
-    parser.add_argument("--out", type=Path, default=DEFAULT, help="file to write (default: the package's own)")
-    parser.add_argument("--pictures", type=Path, help="folder for some of the pictures, with what was found")
-    options = parser.parse_args()
+def main(mocap: Path, /, *, people: int = 3328, out: Path = DEFAULT, pictures: Path | None = None) -> None:
+    """Learn, write and print.
+
+    Args:
+        mocap: Folder of motion capture, or a pose bank (.npz).
+        people: Number of people to show.
+        out: File to write; by default the package's own.
+        pictures: Folder for some of the pictures, with what was found.
+    """
     wp.config.log_level = wp.LOG_WARNING
-    source, kept, away, overlaps = Photographer(options.mocap), [], [], []
+    source, kept, away, overlaps = Photographer(mocap), [], [], []
     shown = several = 0
-    for batch in range(-(-options.people // BATCH)):
+    for batch in range(-(-people // BATCH)):
         seen = source(SIZES[batch // 2 % len(SIZES)], dressed=batch % 2 == 0)
         for k, found in enumerate(find_people_in(list(seen.pictures), landmarks="heavy")):
             shown += 1
             several += len(found) > 1
             true, stature = seen.points[k], float(seen.stature[k])
             person, landmarks = nearest(found, true, stature)
-            if options.pictures is not None and shown <= SHOWN:
-                options.pictures.mkdir(parents=True, exist_ok=True)
-                draw(seen.pictures[k], landmarks, true).save(options.pictures / f"{shown:03d}.png")
+            if pictures is not None and shown <= SHOWN:
+                pictures.mkdir(parents=True, exist_ok=True)
+                draw(seen.pictures[k], landmarks, true).save(pictures / f"{shown:03d}.png")
             if person is None:
                 continue
             known = landmarks[:, 2:] > 0
@@ -244,11 +246,11 @@ def main() -> None:
     points, errors, confidence, states = (np.stack(each) for each in zip(*kept, strict=True))
     halves = {"points": points, "errors": errors, "confidence": confidence}
     rows = {name: values.astype(np.float16) for name, values in halves.items()} | {"states": states}
-    np.savez_compressed(options.out, allow_pickle=False, **rows)
-    size = options.out.stat().st_size / 1024
-    print(f"{options.out}: {len(kept)} of {shown} people found, {several} pictures with several; {size:.0f} KiB")
+    np.savez_compressed(out, allow_pickle=False, **rows)
+    size = out.stat().st_size / 1024
+    print(f"{out}: {len(kept)} of {shown} people found, {several} pictures with several; {size:.0f} KiB")
     report(rows, np.array(away), np.array(overlaps))
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

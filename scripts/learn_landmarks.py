@@ -13,7 +13,6 @@ people. Offsets along a bone and up and forward at the hips are known least, for
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +27,7 @@ from warp_partdr.body.posing import LandmarkGather
 from warp_partdr.body.rotations import rotation_to_6d
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.files.array_files import read_npz
+from warp_partdr.lab.harness import run_script
 
 # The part that each joint is fixed to; "pelvis" is both hips.
 CARRIERS = {
@@ -145,13 +145,14 @@ def _trunk_frames(names: Sequence[str], joints: torch.Tensor) -> torch.Tensor:
     return torch.stack([left, torch.linalg.cross(forward, left), forward], dim=2)
 
 
-def main() -> None:
-    """Learn from everybody, and from everybody but one in turn."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("views", type=Path)
-    parser.add_argument("sets", nargs="+")
-    options = parser.parse_args()
-    frames = read_frames(options.views, options.sets)
+def main(views: Path, /, *sets: str) -> None:
+    """Learn from everybody, and from everybody but one in turn.
+
+    Args:
+        views: File of people with true joints.
+        sets: Names of data sets in it.
+    """
+    frames = read_frames(views, sets)
     persons = int(frames.people.max()) + 1
     print(f"{len(frames.joints)} moments of {persons} people")
     found = learn(frames)
@@ -167,4 +168,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -13,7 +13,6 @@ the acromion and 20 mm nearer the middle, an elbow's 10 mm above the radiale, a 
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 
@@ -21,6 +20,7 @@ import numpy as np
 import torch
 
 from warp_partdr.body.template import JOINT_NAMES
+from warp_partdr.lab.harness import run_script
 from warp_partdr.lab.synthetic.population import MEASURES
 from warp_partdr.models.anny import anny, anny_shape
 from warp_partdr.models.measuring import _TRUNK, _edges, _girths, measure_body
@@ -97,11 +97,13 @@ def linear_measures() -> np.ndarray:
     return np.linalg.lstsq(extended, measures)[0].T
 
 
-def main() -> None:
-    """Learn, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("ansur", type=Path)
-    with np.load(parser.parse_args().ansur, allow_pickle=False) as archive:
+def main(ansur: Path, /) -> None:
+    """Learn, print and write.
+
+    Args:
+        ansur: File ansur2.npz.
+    """
+    with np.load(ansur, allow_pickle=False) as archive:
         data = {name: archive[name] for name in archive.files}
     learned: dict[str, object] = {
         "source": "ANSUR II (US Army, 2012, public release), by scripts/learn_population.py; parameters only",
@@ -120,4 +122,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -9,7 +9,6 @@ Run it again when the template's rest directions change: joint rotations are rel
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from rich.table import Table
 from warp_partdr.body.landmarks import without_side
 from warp_partdr.body.pose_prior import FREE_PARTS, PosePrior, mirror_features
 from warp_partdr.body.template import NUM_PARTS, PART_NAMES, template
+from warp_partdr.lab.harness import run_script
 from warp_partdr.lab.synthetic import mocap, mocap_files
 
 ORDER, SIGN = mirror_features()
@@ -281,15 +281,19 @@ def report(prior: PosePrior, learned: mocap.Clip, held_out: mocap.Clip) -> None:
     print(table)
 
 
-def main() -> None:
-    default = Path(__file__).parents[1] / "warp_partdr" / "assets" / "pose_prior.npz"
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("mocap", type=Path, help="folder with cmu_expmap.npz, cmu_asfamc/, deepmimic/ (any of them)")
-    parser.add_argument("--out", type=Path, default=default, help="file to write (default: the package's own)")
-    options = parser.parse_args()
+DEFAULT = Path(__file__).parents[1] / "warp_partdr" / "assets" / "pose_prior.npz"
+
+
+def main(folder: Path, /, *, out: Path = DEFAULT) -> None:
+    """Learn and write.
+
+    Args:
+        folder: Folder with cmu_expmap.npz, cmu_asfamc/, deepmimic/ (any of them).
+        out: File to write; by default the package's own.
+    """
     random = np.random.default_rng(0)
 
-    clips = [mocap.without_errors(clip) for clip in mocap_files.load_clips(options.mocap)]
+    clips = [mocap.without_errors(clip) for clip in mocap_files.load_clips(folder)]
     learned = [clip for clip in clips if not mocap.is_held_out(clip)]
     all_frames = mocap.concatenate(learned, "learned")
     labels = np.concatenate([np.full(len(clip), activity(clip.name), dtype=object) for clip in learned])
@@ -324,7 +328,7 @@ def main() -> None:
         "rest_directions": template().rest_directions,
     }
     np.savez_compressed(
-        options.out,
+        out,
         allow_pickle=False,
         **{name: values.astype(np.float32) for name, values in arrays.items()},
         exemplars=vectors[exemplars].astype(np.float16),
@@ -334,12 +338,12 @@ def main() -> None:
             "and from DeepMimic's clips (MIT)."
         ),
     )
-    print(f"{options.out}: {options.out.stat().st_size / 1024:.0f} KiB")
+    print(f"{out}: {out.stat().st_size / 1024:.0f} KiB")
 
     shown = random.choice(len(frames), size=2000, p=weights)
     with torch.no_grad():
-        report(PosePrior(options.out), frames[shown], mocap_files.held_out_frames(options.mocap, 2000))
+        report(PosePrior(out), frames[shown], mocap_files.held_out_frames(folder, 2000))
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

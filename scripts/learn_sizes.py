@@ -1,6 +1,6 @@
 """Learn how far the mean of a clip's sizes lies from the mean person, for ``solve/scene/clip_sizes.py``, and print it.
 
-    python scripts/learn_sizes.py MOCAP [FIRST LAST]
+    python scripts/learn_sizes.py MOCAP [--people FIRST LAST]
 
 People of PartBench's kind from 1000 on, whom no level has, move for two seconds as in motion capture that networks
 learn from; the label network looks at 7.5 frames a second. It takes two seconds a person.
@@ -8,13 +8,14 @@ learn from; the label network looks at 7.5 frames a second. It takes two seconds
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from warp_partdr.lab.evaluation.evaluate import one_thread
+from warp_partdr.lab.harness import run_script
+from warp_partdr.lab.options import Mocap, People
 from warp_partdr.lab.synthetic.mocap import Clip, is_held_out, smooth_windows
 from warp_partdr.lab.synthetic.mocap_files import FRAME_RATE, load_clips
 from warp_partdr.lab.synthetic.scene_people import make_clip
@@ -47,15 +48,16 @@ def learned_windows(folder: Path) -> list[Clip]:
     return [windows[turn % len(windows)] for turn in range(max(map(len, some))) for windows in some]
 
 
-def main() -> None:
-    """Look, and print slopes and their fit."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("mocap", type=Path)
-    parser.add_argument("people", type=int, nargs="*", default=[1000, 1599], help="first and last")
-    options = parser.parse_args()
+def main(mocap: Mocap, /, *, people: People = range(1000, 1600)) -> None:
+    """Look, and print slopes and their fit.
+
+    Args:
+        mocap: Motion of the people.
+        people: People whom no level has.
+    """
     one_thread()
-    windows, true, seen = learned_windows(options.mocap), [], []
-    for index in range(options.people[0], options.people[1] + 1):
+    windows, true, seen = learned_windows(mocap), [], []
+    for index in people:
         sample = make_clip(index, windows[index % len(windows)][::_EVERY], FRAME_RATE / _EVERY)
         joints = sample.joints[0, 0]
         true.append(np.log(sum(float(np.linalg.norm(joints[one] - joints[other])) for one, other in _BONES)))
@@ -78,4 +80,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -1,6 +1,6 @@
 """Learn and print how tall an EllipBody stands, from the lengths of its bones: ``SHARES`` of ``body/stature.py``.
 
-    python scripts/learn_stature.py [PEOPLE]
+    python scripts/learn_stature.py [--count 4000]
 
 Least squares over Anny's bodies, with uniform phenotype values, whose lengths are a bit off, as those of fits are: else
 bones that grow together get shares of either sign. How far off that is, of as many others with exact lengths.
@@ -8,13 +8,12 @@ bones that grow together get shares of either sign. How far off that is, of as m
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import torch
 
 from warp_partdr.body.stature import SHARES
 from warp_partdr.body.template import LENGTH_NAMES
+from warp_partdr.lab.harness import run_script
 from warp_partdr.lab.synthetic import people
 from warp_partdr.models.anny import anny, anny_shape
 from warp_partdr.models.measuring import measure_ellipbody, statures
@@ -24,12 +23,17 @@ _BATCH = 250
 _OFF = 0.03  # share of a length
 
 
-def main(count: str = "4000") -> None:
+def main(*, count: int = 4000) -> None:
+    """Learn and print.
+
+    Args:
+        count: Number of people.
+    """
     rng = np.random.default_rng(0)
     model = anny()
     still = torch.eye(3).expand(_BATCH, model.num_joints, 3, 3)
     rows: list[np.ndarray] = []
-    for _ in range(-(-2 * int(count) // _BATCH)):
+    for _ in range(-(-2 * count // _BATCH)):
         phenotypes = rng.uniform(*people.PHENOTYPE_RANGES.T, size=(_BATCH, len(people.PHENOTYPE_RANGES)))
         shape = anny_shape(phenotypes)
         lengths = measure_ellipbody(ungrown(model, shape, still, torch.zeros(_BATCH, 3), {}))[3]
@@ -44,4 +48,4 @@ def main(count: str = "4000") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    run_script(main)

@@ -27,11 +27,12 @@ import numpy as np
 import torch
 from anny.shape_distribution import SimpleShapeDistribution
 from anny_person import JOINT_BONES, Person, PersonFactory, body_from_anny
-from measure_mean_body import TORSO, measure_joints, rest_pose
+from make_mean_body import measure_joints, rest_pose
 
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.landmarks import LANDMARKS, landmark_positions
 from warp_partdr.body.template import PART_NAMES
+from warp_partdr.lab.silhouettes import TORSO
 from warp_partdr.models.anny import FORMAT, PHENOTYPE_ANCHORS, corner_weights
 
 Solids = tuple[np.ndarray, np.ndarray, np.ndarray]  # centres (20, 3), axes (20, 3, 3), semi-axes (20, 3) of ellipsoids

@@ -8,7 +8,6 @@ Nothing is random: the same Anny package gives the same files.
 
 from __future__ import annotations
 
-import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cameras import Perspective
+from warp_partdr.lab.harness import run_script
 from warp_partdr.models.anny import anny
 from warp_partdr.models.model import parts_at_joints
 from warp_partdr.models.normals import vertex_normals
@@ -172,7 +172,12 @@ def photograph(rest: Person, person: Person, mesh: PartMesh, points: np.ndarray,
     return Image.fromarray((blocks.mean((1, 3)) * 255).round().astype(np.uint8))
 
 
-def main(out: Path) -> None:
+def main(out: Path = EXAMPLE, /) -> None:
+    """Make the example.
+
+    Args:
+        out: Folder to write; by default the package's own.
+    """
     out.mkdir(parents=True, exist_ok=True)
 
     rest, person = posed_person(PersonFactory())
@@ -219,4 +224,4 @@ def main(out: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else EXAMPLE)
+    run_script(main)

@@ -30,6 +30,7 @@ import torch
 from safetensors.numpy import save
 
 from warp_partdr.inputs.part_labels import read_photo
+from warp_partdr.lab.harness import run_script
 from warp_partdr.networks.detection.crops import Pyramid, cut_crops
 from warp_partdr.networks.detection.graph import Node, OperatorGraph
 from warp_partdr.networks.detection.people import find_people
@@ -389,11 +390,16 @@ def pack(source: Source, folder: Path) -> None:
     print(f"{target.name}: {target.stat().st_size / 1e6:.2f} MB, {len(tensors)} tensors")
 
 
-def main() -> None:
+def main(folder: Path | None = None, /) -> None:
+    """Pack all networks.
+
+    Args:
+        folder: Folder that holds their files, or for those that are fetched; by default a temporary one.
+    """
     with tempfile.TemporaryDirectory() as fetched:
         for source in SOURCES:
-            pack(source, Path(sys.argv[1] if len(sys.argv) > 1 else fetched))
+            pack(source, folder or Path(fetched))
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -201,6 +201,11 @@ def test_the_formula_book_is_read_by_tests_alone():
     assert [short(path) for path in tools if "warp_partdr.reference" in path.read_text(encoding="utf-8")] == []
 
 
+def test_the_product_imports_nothing_of_the_laboratory():
+    readers = {name for name, targets in imports().items() if "lab" in map(wing, targets)}
+    assert sorted(name for name in readers if wing(name) != "lab") == []
+
+
 def test_the_formula_book_needs_numpy_alone():
     foreign = set()
     for name, path in modules().items():

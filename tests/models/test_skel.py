@@ -25,7 +25,6 @@ from warp_partdr.models.registration import register
 from warp_partdr.models.skel import SKEL_ARRAYS
 from warp_partdr.models.smpl import SMPL_JOINTS
 
-CONVERTER = Path(__file__).resolve().parents[2] / "scripts" / "convert_smpl_pickle.py"
 BONES = (
     "pelvis femur_r tibia_r talus_r calcn_r toes_r femur_l tibia_l talus_l calcn_l toes_l lumbar_body thorax head "
     "scapula_r humerus_r ulna_r radius_r hand_r scapula_l humerus_l ulna_l radius_l hand_l"
@@ -110,7 +109,8 @@ def write_pickle(path: Path, **changes: Any) -> Path:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("skel")
     source = write_pickle(folder / "skel_male.pkl")
-    done = subprocess.run([sys.executable, CONVERTER, source, folder / "skel_male.npz"], capture_output=True, text=True)
+    line = [sys.executable, "-m", "warp_partdr", "convert", source, folder / "skel_male.npz"]
+    done = subprocess.run(line, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "skel, 96 vertices" in done.stdout
     return folder
@@ -284,7 +284,7 @@ def test_what_is_no_skel_is_named(tmp_path: Path, folder: Path) -> None:
         with pytest.raises(ValueError, match=f"^{path}: .*{says}"):
             load_model(source)
     for source, says in (
-        (f"skel:{folder / 'skel_male.pkl'}", "pickles can run code.*convert_smpl_pickle"),
+        (f"skel:{folder / 'skel_male.pkl'}", "pickles can run code.*partdr convert"),
         (f"skel:{tmp_path / 'none.npz'}", "No such file.*expected a file of SKEL"),
         (f"skel:{save_npz(tmp_path / 'smpl.npz')}", "no array 'skin_template_v'"),
         (str(folder / "skel_male.npz"), "no array 'v_template'"),
@@ -307,18 +307,17 @@ def test_a_folder_holds_one_body(tmp_path: Path) -> None:
 
 def test_sparse_matrices_of_older_scipys_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
     """A matrix by coordinates had ``row`` and ``col`` where it now has ``coords``."""
-    monkeypatch.syspath_prepend(CONVERTER.parent)
-    import convert_smpl_pickle as converter
+    from warp_partdr.models import model_pickles as converter
 
-    class Numbers(converter.Array):
+    class Numbers(converter._Array):
         def __init__(self, values: np.ndarray) -> None:
-            dtype = converter.DType(values.dtype.str[1:])
+            dtype = converter._DType(values.dtype.str[1:])
             self.state = (1, values.shape, dtype, False, values.tobytes())
 
     wanted = skel_arrays()["skin_weights"]
     matrix = coo_matrix(wanted)
     row, column, data = (Numbers(values) for values in (matrix.row, matrix.col, matrix.data))
     for places in ({"row": row, "col": column}, {"coords": (row, column)}):
-        found = type("coo_matrix", (converter.Shell,), {"kind": "coo_matrix"})()
+        found = type("coo_matrix", (converter._Shell,), {"kind": "coo_matrix"})()
         found.state = {**places, "_shape": matrix.shape, "data": data}
-        np.testing.assert_array_equal(converter.to_array(found), wanted)
+        np.testing.assert_array_equal(converter._to_array(found), wanted)

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from warp_partdr.errors import InputError
+from warp_partdr.lab.harness import run_script
 from warp_partdr.networks.regression.checkpoint import load_label_network, save_label_network
 from warp_partdr.networks.regression.label_network import LabelNetwork, LabelNetworkConfig
 
@@ -47,13 +48,12 @@ def test_networks_of_other_sizes_are_refused():
         average_networks.average(network(0), other, 0.5)
 
 
-def test_the_command_writes_a_network_that_is_read(tmp_path, monkeypatch, capsys):
+def test_the_command_writes_a_network_that_is_read(tmp_path, capsys):
     for seed, name in enumerate(("a", "b")):
         one = network(seed)
         save_label_network(tmp_path / name, one.state_dict(), one.config, {}, bits=16)
     files = [str(tmp_path / name) for name in ("a", "b", "mean")]
-    monkeypatch.setattr(sys, "argv", ["average_networks.py", *files[:2], "--out", files[2], "--bits", "16"])
-    average_networks.main()
+    run_script(average_networks.main, [*files[:2], "--out", files[2], "--bits", "16"])
     assert "0.50 of" in capsys.readouterr().out
     loaded = [load_label_network(file).state_dict() for file in files]
     weight = "keypoints.0.weight"

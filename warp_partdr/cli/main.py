@@ -16,6 +16,7 @@ from typer import Option
 from .. import __version__
 from ..errors import InputError, printable
 from .bench import bench
+from .convert import CONVERT_HELP, convert
 from .dataset import DATASET_HELP, dataset
 from .dataset_files import EXPORT_HELP, REPORT_HELP, export, report
 from .demo import DEMO_HELP, demo
@@ -59,6 +60,7 @@ app.command("predict", help=PREDICT_HELP)(grouped(predict))
 app.command("dataset", help=DATASET_HELP)(grouped(dataset))
 app.command("report", help=REPORT_HELP)(report)
 app.command("export", help=EXPORT_HELP)(export)
+app.command("convert", help=CONVERT_HELP)(convert)
 app.command("demo", help=DEMO_HELP)(grouped(demo))
 app.command("train", help=TRAIN_HELP)(train_network)
 app.add_typer(evaluate, name="evaluate")

@@ -4,4 +4,5 @@
 * ``evaluation``: methods side by side on people of known truth, and PartBench.
 * ``bench``: speed, and what it costs.
 * ``training``: training of the networks.
+* ``measurements``: what gives the documentation its figures, run by one ``harness``: ``python -m warp_partdr.lab``.
 """

@@ -16,7 +16,7 @@ MEASURES: tuple[str, ...] = LENGTH_NAMES + THICKNESS_NAMES
 
 # Thickness of the ellipsoids that match a person's silhouettes best over the standard deviation of the part's skin
 # along that axis; and how far single people are off, as the standard deviation of the ratio's logarithm. Over 100
-# people of the packaged Anny, by ``scripts/measure_thickness_ratios.py``.
+# people of the packaged Anny, by ``python -m warp_partdr.lab thickness-ratios``.
 THICKNESS_RATIOS: dict[str, tuple[float, float]] = {
     "torso depth": (2.974, 0.025),
     "pelvis height": (4.265, 0.149),

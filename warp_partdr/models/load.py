@@ -1,7 +1,7 @@
 """Body models from files that users bring: SMPL's three and SKEL as arrays, and folders of MHR and SOMA.
 
 A file is not trusted. Only the arrays that are needed are read, nothing is unpickled, and an archive's sizes are
-checked against limits first. ``scripts/convert_smpl_pickle.py`` makes an ``.npz`` of a legacy pickle.
+checked against limits first. ``partdr convert`` makes an ``.npz`` of a legacy pickle.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def load_model(
 def _read_arrays(path: Path, names: tuple[str, ...], kind: str) -> dict[str, np.ndarray]:
     """Those arrays of a file that are needed, as far as it has them."""
     if path.suffix in (".pkl", ".pickle"):
-        raise ValueError(f"{path}: pickles can run code; make an .npz of it with scripts/convert_smpl_pickle.py")
+        raise ValueError(f"{path}: pickles can run code; make an .npz of it with partdr convert")
     if path.suffix == ".npz":
         return read_npz(path, (), names, expected=f"a {kind}", most=MAX_BYTES)
     if path.suffix == ".safetensors":

@@ -121,7 +121,7 @@ def find_skel(source: Path) -> Path:
     found = sorted(source.glob("skel_*.npz"))
     if len(found) != 1:
         has = ", ".join(path.name for path in found) or "none"
-        raise InputError(f"{source}: {has}; expected one skel_*.npz, of scripts/convert_smpl_pickle.py; or name it")
+        raise InputError(f"{source}: {has}; expected one skel_*.npz, of partdr convert; or name it")
     return found[0]
 
 

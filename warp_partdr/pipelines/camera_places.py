@@ -28,7 +28,8 @@ from ..networks.regression.predicted import posed_landmarks
 from ..solve.scene.clip_sizes import alike_sizes
 from ..solve.scene.looks import Looked, look_at
 
-# Chosen on PartBench's people 0 to 39 and clips 0 to 7 before two cameras (scripts/measure_camera_places.py).
+# Chosen on PartBench's people 0 to 39 and clips 0 to 7 before two cameras, by
+# ``python -m warp_partdr.lab camera-places``.
 _OFF = 0.02  # standard deviation of keypoints [person's height]
 _FAR = 3.0  # standard deviations, from which on a keypoint says less and less (Geman and McClure, 1987)
 _APART = 0.05  # of the network's joints in two views [m]

@@ -60,7 +60,7 @@ def make_table(
         table.add_column(escape(headings[index]), justify="left" if index in left else "right", no_wrap=index in left)
     for index, row in enumerate(rows):
         is_last = index + 1 == len(rows) or rows[index + 1][0] != row[0]
-        table.add_row(*(row[column] for column in used), end_section=sections and is_last)
+        table.add_row(*(escape(row[column]) for column in used), end_section=sections and is_last)
     return table
 
 

@@ -43,10 +43,15 @@ def partbench_samples(count: int = NUM_PEOPLE, levels: Sequence[str] = tuple(LEV
         InputError: If a level is unknown, or there are not so many people.
     """
     check_people(range(count))
+    check_levels(levels)
+    return [make_sample(index, level) for level in levels for index in range(count)]
+
+
+def check_levels(levels: Sequence[str]) -> None:
+    """Raise InputError unless all are levels of single people."""
     if unknown := [level for level in levels if level not in _SINGLES]:
         known = ", ".join((*_SINGLES, CROSSED, *SCENES))
         raise InputError(f"level: {', '.join(unknown)}; expected {known}")
-    return [make_sample(index, level) for level in levels for index in range(count)]
 
 
 def check_people(indices: Sequence[int]) -> None:

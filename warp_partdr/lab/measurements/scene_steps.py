@@ -1,0 +1,106 @@
+"""Time of a scene's steps, for people and frames before one camera.
+
+One of PartBench's people is everybody in all frames, for a step's time does not ask who is who. To look at sights and
+what comes after the steps are not in it. Then the mesh stage's steps of that person, in turn with a scene's of one.
+Times are medians, after a first run.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from statistics import median
+from typing import Annotated, Any
+
+import torch
+from cyclopts import Parameter
+
+from ...errors import InputError
+from ...inputs.scene import Scene
+from ...interop.torch_threads import one_torch_thread
+from ...models.anny import anny
+from ...solve.ellipsoids.fitting import fit_body
+from ...solve.mesh.mesh_energy import gather_starts, mesh_energy
+from ...solve.mesh.mesh_options import MeshOptions
+from ...solve.mesh.steps import Steps, find_steps
+from ...solve.scene.fitting import scene_energy
+from ...solve.scene.looks import look_at
+from ...solve.scene.options import SceneOptions
+from ...solve.scene.start import gather_scene
+from ..clocks import synchronize
+from ..figures import FigureTable
+from ..options import Device
+from ..synthetic.scene_people import make_views
+
+_MESH, _REPEATS = MeshOptions(iterations=50), 5
+
+
+def _check_sizes(_: type, sizes: Sequence[str]) -> None:
+    for size in sizes:
+        if not re.fullmatch(r"[1-9]\d*x[1-9]\d*", size):
+            raise InputError(f"sizes: {size}; expected PEOPLExFRAMES, such as 8x64")
+
+
+def measure_scene_steps(
+    *,
+    sizes: Annotated[tuple[str, ...], Parameter(show_default=" ".join, validator=_check_sizes)] = ("1x1", "2x8"),
+    device: Device = "cpu",
+) -> Iterator[FigureTable | str]:
+    """Time steps of scenes.
+
+    Args:
+        sizes: Numbers of people and frames, PEOPLExFRAMES.
+        device: Device of the steps.
+    """
+    where = torch.device(device, 0) if device == "cuda" else torch.device(device)
+    columns = {"people": "d", "frames": "d", f"{_MESH.iterations} steps [ms]": ".0f"}
+    table = FigureTable(f"Steps of scenes on {device}", columns)
+    for size in sizes:
+        people, frames = map(int, size.split("x"))
+        with one_torch_thread():
+            (seconds,) = _seconds_of(device, _scene_steps(people, frames, where))
+        table.add(people, frames, 1000 * seconds)
+    yield table
+    with one_torch_thread():
+        scene, mesh = _seconds_of(device, _scene_steps(1, 1, where), _mesh_steps(where))
+    times = f"as a scene {1000 * scene:.0f} ms, as a mesh stage {1000 * mesh:.0f} ms"
+    yield f"One person: {times}, ratio {scene / mesh:.2f}"
+
+
+def _scene_steps(people: int, frames: int, device: torch.device) -> Steps[Any, Any]:
+    """Steps of so many people in so many frames."""
+    model, options = anny(device), SceneOptions(mesh=_MESH)
+    one = make_views(3, 1).scene
+    sights = [replace(one.sights[0], person=p, frame=t) for p in range(people) for t in range(frames)]
+    scene = Scene(one.views, sights)
+    looks = look_at(scene, device)
+    labels = looks[0].seen.label_set
+    assert labels is not None
+    energy = scene_energy(mesh_energy(model, options.mesh, labels), options, (tuple(range(people)),), labels.num_groups)
+    with torch.no_grad():
+        return find_steps(energy, gather_scene(energy, model, scene, looks), options.mesh)
+
+
+def _mesh_steps(device: torch.device) -> Steps[Any, Any]:
+    """Steps of the mesh stage of one person."""
+    model, scene = anny(device), make_views(3, 1).scene
+    sight, camera = scene.sights[0], scene.views[0].camera
+    fit = fit_body(sight.keypoints, sight.parts, quality="fast", device=str(device), camera=camera)
+    energy = mesh_energy(model, _MESH, fit.observation.label_set)
+    with torch.no_grad():
+        return find_steps(energy, gather_starts(energy, model, [fit]), _MESH)
+
+
+def _seconds_of(device: str, *ways: Steps[Any, Any]) -> list[float]:
+    """Median seconds of all steps of each, in turn, after a first run."""
+    found: list[list[float]] = [[] for _ in ways]
+    for _ in range(1 + _REPEATS):
+        for steps, times in zip(ways, found, strict=True):
+            started = time.perf_counter()
+            for _ in range(_MESH.iterations):
+                steps.step(0.5)
+            synchronize(device)
+            times.append(time.perf_counter() - started)
+    return [median(times[1:]) for times in found]
