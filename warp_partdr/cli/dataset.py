@@ -77,8 +77,9 @@ error, its exit code is 1. Files that are no pictures are counted on stderr.
 
 Columns: picture, person, people, error, height, width, annotation, score, box, keypoints, keypoint_error, energy,
 warnings; global_orient, translation, rotations, lengths, thicknesses (metres), camera_perspective, camera_scale,
-camera_translation as in body.npz, camera_guessed; joints (21, 3), joints_2d (21, 2), joint_spreads (20); with mesh also
-mesh_shape, mesh_rotations, mesh_translation, stature, clothes. The schema's metadata has versions, options and their SHA-256.
+camera_translation as in body.npz, camera_guessed; joints (21, 3), joints_2d (21, 2), joint_spreads (20); with mesh
+also mesh_shape, mesh_rotations, mesh_translation, stature, clothes. The schema's metadata has versions, options and
+their SHA-256.
 """
 
 
