@@ -72,8 +72,8 @@ INNER_MODULES_OF_PAGES = {
     "docs/ellipsoids.md: warp_partdr.reference": "the formula book",
     "docs/equations.md: warp_partdr.body.posing.pose": "an example of the table's names",
 }
-# Where arguments are parsed: the command line, tutorials, and tools of the repository.
-PARSERS = ("warp_partdr/cli/", "demos/", "scripts/", "benchmarks/")
+# Where arguments are parsed: the command line, the harness of measurements, tutorials, and tools of the repository.
+PARSERS = ("warp_partdr/cli/", "warp_partdr/lab/harness.py", "demos/", "scripts/", "benchmarks/")
 OTHER_PARSERS = {
     "warp_partdr/lab/bench/kernels/start.py": "is started as a process of its own, to time the start",
     "warp_partdr/reference/__main__.py": "prints one equation, with NumPy alone",
@@ -98,7 +98,6 @@ CARRIERS_TO_MEND = {
     "crop_loss: _as_floats(*parameters)",
     "draw: self.prepare_picture(**images)",
     "landmark_costs: _LandmarkCosts.apply(*own)",
-    "main: replace(**how)",
     "measure_parameters: BodyParameters(*sizes)",
     "pose: _in_torch(*parameters)",
     "pose: pose_parts(*parameters)",

@@ -63,7 +63,7 @@ def measure_network(mocap: Mocap, /, *, network: NetworkFile = None) -> Iterator
 
 
 def _kinds(people: PeopleBatch) -> dict[str, torch.Tensor]:
-    """Which people (B,) are of each kind."""
+    """Masks of people (B,) by kind."""
     tilt = torch.rad2deg((-people.orientation[:, 1, 1]).clamp(-1, 1).acos())
     near = people.distances < 50
     tilted = {

@@ -1,4 +1,4 @@
-"""What single settings of a fit change, on PartBench's people.
+"""Changes by single settings of a fit, on PartBench's people.
 
 A fit with each setting is compared with the one without settings. The quality "network" refines nothing, and "mesh" is
 the mesh stage after the quality "fast". Intervals of 95 % are over people.
