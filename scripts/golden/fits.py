@@ -11,30 +11,30 @@ from differences import Found
 from inputs import EXAMPLE, make_crowd
 
 from warp_partdr.body.labels import label_set
-from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.registration import register
-from warp_partdr.evaluation.partbench.samples import make_sample
-from warp_partdr.evaluation.scoring import score_fit
-from warp_partdr.fit.cut_people import CutPerson
-from warp_partdr.fit.fitting import fit_body, fit_evidence
-from warp_partdr.fit.mesh_options import MeshOptions
-from warp_partdr.fit.mesh_stage import MeshFit, refine_meshes
-from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.result import FitResult
-from warp_partdr.fit.stages import Quality, Start
-from warp_partdr.fit.together import fit_together
+from warp_partdr.inputs.cut_people import CutPerson
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import choose_person
 from warp_partdr.inputs.observation import crop_evidence
 from warp_partdr.inputs.part_labels import read_parts
-from warp_partdr.network.checkpoint import packaged_network
+from warp_partdr.lab.evaluation.partbench.samples import make_sample
+from warp_partdr.lab.evaluation.scoring import score_fit
+from warp_partdr.lab.synthetic.scene_people import make_group, make_pair, make_views
+from warp_partdr.models.anny import anny
+from warp_partdr.models.registration import register
+from warp_partdr.networks.regression.checkpoint import packaged_network
+from warp_partdr.pipelines.photo import fit_photo
 from warp_partdr.render.renderers import RendererMesh
-from warp_partdr.scenes.fitting import SceneFit, fit_scene
-from warp_partdr.scenes.options import SceneOptions
-from warp_partdr.scenes.overlapping import refine_people
-from warp_partdr.scenes.photo import fit_photo
-from warp_partdr.synthetic.scene_people import make_group, make_pair, make_views
+from warp_partdr.solve.ellipsoids.fitting import fit_body, fit_evidence
+from warp_partdr.solve.ellipsoids.options import FitOptions
+from warp_partdr.solve.ellipsoids.result import FitResult
+from warp_partdr.solve.ellipsoids.stages import Quality, Start
+from warp_partdr.solve.ellipsoids.together import fit_together
+from warp_partdr.solve.mesh.mesh_options import MeshOptions
+from warp_partdr.solve.mesh.mesh_stage import MeshFit, refine_meshes
+from warp_partdr.solve.scene.fitting import SceneFit, fit_scene
+from warp_partdr.solve.scene.options import SceneOptions
+from warp_partdr.solve.scene.overlapping import refine_people
 
 PEOPLE = (("clean", 0), ("clean", 1), ("realistic", 2), ("realistic", 3), *(("hard", i) for i in range(4, 8)))
 PAIR = 103  # of PartBench's pairs

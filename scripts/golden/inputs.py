@@ -14,10 +14,10 @@ import torch
 from PIL import Image
 
 from warp_partdr.body.rotations import rotation_to_axis_angle
-from warp_partdr.synthetic.people import anny_mesh
-from warp_partdr.synthetic.rng import TorchRng
-from warp_partdr.synthetic.scene_people import make_views
-from warp_partdr.synthetic.shading import shade_people
+from warp_partdr.lab.synthetic.people import anny_mesh
+from warp_partdr.lab.synthetic.rng import TorchRng
+from warp_partdr.lab.synthetic.scene_people import make_views
+from warp_partdr.lab.synthetic.shading import shade_people
 
 EXAMPLE = Path(str(resources.files("warp_partdr").joinpath("assets", "example")))
 SIZE = (384, 560)  # (H, W) of photos of several people [px]
