@@ -17,6 +17,7 @@ from PIL import Image
 _PERSON = f"--keypoints {EXAMPLE / 'keypoints.json'} --parts {EXAMPLE / 'parts.png'} --labels cdcl14"
 _FEW_MESH_STEPS = "--set mesh.iterations=5 --set mesh.learning_rate=0.0005"
 _FEW_LABEL_STEPS = "--set labels.iterations=5 --set labels.learning_rate=0.0005"
+_FEW_OUTLINE_STEPS = "--set outline.iterations=5 --set outline.learning_rate=0.0005"
 _FEW_STEPS = f"{_FEW_MESH_STEPS} {_FEW_LABEL_STEPS}"
 
 
@@ -42,7 +43,7 @@ def saved_person() -> Found:
         return {
             **_run(folder, f"fit {photo} {_PERSON} {_FEW_STEPS}", "all"),
             **_run(folder, f"fit {photo} {_PERSON} {_FEW_STEPS} --fov 50", "known camera"),
-            **_run(folder, f"fit {photo} {_PERSON} {_FEW_LABEL_STEPS} --model none", "ellipsoids"),
+            **_run(folder, f"fit {photo} {_PERSON} {_FEW_LABEL_STEPS} {_FEW_OUTLINE_STEPS} --model none", "ellipsoids"),
         }
 
 
