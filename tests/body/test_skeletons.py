@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -26,15 +25,12 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import MPJPE_SKELETON, SKELETONS, skeleton
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, NUM_PARTS, PART_NAMES, template
 from warp_partdr.errors import InputError
+from warp_partdr.lab.measurements.landmarks import LIMB_JOINTS, ellipbody_between
 from warp_partdr.lab.synthetic import people
 from warp_partdr.lab.synthetic.pose_sampler import PoseBank
 from warp_partdr.lab.synthetic.poses import mean_body
 from warp_partdr.models.anny import anny, anny_shape
 from warp_partdr.models.measuring import statures
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-
-import measure_landmarks
 
 NAMES = list(SKELETONS)
 
@@ -201,10 +197,8 @@ def test_annotators_marks_are_those_of_annys_regressor() -> None:
     shape = anny_shape(rng.uniform(*people.PHENOTYPE_RANGES.T, (count, 6)))
     posed = mean_body(rotation_from_axis_angle(PoseBank.of_prior(count, seed=7).rotations))
     person = people.pose_anny(model, shape, posed)
-    body = measure_landmarks.ellipbody_of(
-        model.landmarks(person, JOINT_NAMES), posed, statures(model, shape) / MEAN_STATURE
-    )
-    for joint in measure_landmarks.LIMB_JOINTS:
+    body = ellipbody_between(model.landmarks(person, JOINT_NAMES), posed, statures(model, shape) / MEAN_STATURE)
+    for joint in LIMB_JOINTS:
         names = [f"left_{joint}", f"coco_left_{joint}"]
         plain, mark = LandmarkGather(names, "cpu")(body).unbind(1)
         place = model.landmarks(person, (f"coco_left_{joint}",))[:, 0]

@@ -130,7 +130,7 @@ def test_json_has_the_same_figures_with_machine_and_options(small, tmp_path, cap
     ("words", "told"),
     [
         (["nothing"], "nothing: no measurement; expected one of "),
-        (["settings", "--people", "3"], "--people requires 2"),
+        (["settings", "--people", "3"], "requires 2"),
         (["settings", "--people", "4", "3"], "people: 4 3; expected the first and the last"),
         (["settings", "--levels", "harder"], "level: harder; expected clean"),
         (["settings", "--sett", "a=1"], "Unknown option"),
@@ -161,3 +161,42 @@ def test_a_setting_that_a_fit_lacks_is_refused() -> None:
         options.with_setting(FitOptions(), "mirror")
     with pytest.raises(InputError, match="unknown"):
         options.with_setting(FitOptions(), "miror=false")
+
+
+def test_figures_before_a_failure_are_written(small, monkeypatch, tmp_path) -> None:
+    def measure_broken(*, people: options.People = range(2)) -> Iterator[FigureTable]:
+        """Measure, and fail."""
+        table = FigureTable("Half", {"people": "d"})
+        table.add(len(people))
+        yield table
+        raise RuntimeError("the machine is gone")
+
+    monkeypatch.setattr(sys.modules["warp_partdr.lab.measurements.small"], "measure_small", measure_broken)
+    file = tmp_path / "half.json"
+    with pytest.raises(RuntimeError, match="gone"):
+        harness.run_measurement(small, ["--json", str(file)])
+    written = json.loads(file.read_text())
+    assert written["finished"] is False
+    assert written["results"] == [{"title": "Half", "rows": [{"people": 2}]}]
+
+
+def test_a_script_reads_its_options_by_the_harness(capsys) -> None:
+    seen = []
+
+    def run(first: int, /, *, device: options.Device = "cpu") -> None:
+        seen.append((first, device))
+
+    run.__module__ = __name__
+    harness.run_script(run, ["3", "--device", "cpu"])
+    assert seen == [(3, "cpu")]
+    with pytest.raises(SystemExit) as left:
+        harness.run_script(run, ["three"])
+    assert left.value.code == 2
+    assert capsys.readouterr().err.startswith("test_harness.py: ")
+
+
+def test_a_missing_package_is_named(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    monkeypatch.delitem(sys.modules, "warp_partdr.lab.measurements.shards", raising=False)
+    with pytest.raises(InputError, match=r"shards: .*pyarrow.*; expected that package"):
+        harness.run_measurement("shards", ["folder"])

@@ -64,7 +64,10 @@ def run_measurement(name: str, tokens: Sequence[str]) -> None:
         CycloptsError: If an option is unknown or wrong.
         InputError: If an input is wrong, or the file of ``--json`` can't be written.
     """
-    module = import_module(f".measurements.{name.replace('-', '_')}", __package__)
+    try:
+        module = import_module(f".measurements.{name.replace('-', '_')}", __package__)
+    except ModuleNotFoundError as error:  # of an extra
+        raise InputError(f"{name}: {error}; expected that package to be installed") from error
     app = _app(f"{COMMAND} {name}", getattr(module, f"measure_{name.replace('-', '_')}"), module.__doc__ or "")
 
     @app.meta.default

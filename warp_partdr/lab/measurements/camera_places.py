@@ -82,7 +82,7 @@ def _errors_of(index: int, mocap: Path | None, device: str) -> list[float]:
     if mocap is not None:
         alone = replace(scene, sights=[sight for sight in scene.sights if sight.view == 0])
         for fitted in (alone, replace(scene, views=found), scene):
-            rows += _joint_errors(sample, fitted, device)
+            rows += _errors_of_fit(sample, fitted, device)
     return rows
 
 
@@ -103,7 +103,7 @@ def _deviations(views: Sequence[View], found: View) -> tuple[float, float, float
     return angle, math.degrees(math.acos(min(max(cosine, -1.0), 1.0))), distance
 
 
-def _joint_errors(sample: SceneSample, scene: Scene, device: str) -> tuple[float, float]:
+def _errors_of_fit(sample: SceneSample, scene: Scene, device: str) -> tuple[float, float]:
     """PA-MPJPE and MPJPE of a fit [mm]."""
     found = fit_scene(scene, options=SceneOptions.film(), device=device).landmarks(MPJPE_JOINTS).cpu().numpy()
     errors = pa_mpjpe(found, sample.joints), mpjpe(found, sample.joints, centre_on=MPJPE_HIPS)

@@ -221,10 +221,10 @@ def _measure_views(views: Iterator[_View]) -> Iterator[FigureTable | str]:
 def _body_errors(view: _View, place: int, options: FitOptions) -> np.ndarray:
     """PA-MPJPE and MPJPE [mm] of the mesh of the person at this place, shape (2,)."""
     body = fit_photo(view.picture, person=place, options=options).fits[place]
-    return _joint_errors(body.landmarks(_JOINTS), view.joints)
+    return _errors_of_joints(body.landmarks(_JOINTS), view.joints)
 
 
-def _joint_errors(joints: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def _errors_of_joints(joints: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """PA-MPJPE and MPJPE [mm] of joints (..., 12, 3) [m], shape (..., 2)."""
     both = pa_mpjpe(joints, truth), mpjpe(joints, truth, centre_on=_HIPS)
     return 1000 * np.stack([each.numpy() for each in both], axis=-1)
@@ -238,7 +238,7 @@ def _measure_films(truth: _FilmTruth, videos: Path, cameras: Sequence[int]) -> I
             seen = SeenFilm.of(find_film_people(_film_of(videos, camera - 1), landmarks=name))
             motion = fit_film([seen], person=0).motions[0]
             joints = motion.model.landmarks(motion.bodies().detailed, _JOINTS).numpy()
-            aligned, centred = _joint_errors(joints, truth.joints[camera - 1, motion.frames]).mean(axis=0).tolist()
+            aligned, centred = _errors_of_joints(joints, truth.joints[camera - 1, motion.frames]).mean(axis=0).tolist()
             table.add(camera, name, aligned, centred, len(joints))
     yield table
 

@@ -26,7 +26,7 @@ from ..synthetic.poses import mean_body
 
 _SEED = 1000
 # Parts at whose end, and at whose beginning, a limb's joint is; without sides.
-_LIMB_JOINTS: dict[str, tuple[str, str]] = {
+LIMB_JOINTS: dict[str, tuple[str, str]] = {
     "shoulder": ("shoulder", "upper_arm"),
     "elbow": ("upper_arm", "forearm"),
     "wrist": ("forearm", "hand"),
@@ -50,10 +50,10 @@ def measure_landmarks(*, count: int = 2000) -> Iterator[FigureTable | str]:
     posed = mean_body(rotation_from_axis_angle(vectors), upright)
     person = people.pose_anny(model, shape, posed)
     joints = model.landmarks(person, JOINT_NAMES)
-    body = _ellipbody_of(joints, posed, statures(model, shape) / MEAN_STATURE)
+    body = ellipbody_between(joints, posed, statures(model, shape) / MEAN_STATURE)
     table = FigureTable("Spread of the points in each part", {"joint": "", "part": "", "spread [mm]": ".1f"})
     lines = []
-    for name, candidates in _LIMB_JOINTS.items():
+    for name, candidates in LIMB_JOINTS.items():
         found = []
         for part in candidates:
             places, sizes = [], []
@@ -77,8 +77,14 @@ def measure_landmarks(*, count: int = 2000) -> Iterator[FigureTable | str]:
     yield "\n".join(lines)
 
 
-def _ellipbody_of(joints: torch.Tensor, posed: Posed, growth: torch.Tensor) -> Posed:
-    """Ellipsoids along bones between joints (B, 21, 3), turned as ``posed``, of a mean girth times ``growth`` (B,)."""
+def ellipbody_between(joints: torch.Tensor, posed: Posed, growth: torch.Tensor) -> Posed:
+    """Ellipsoids along the bones between joints.
+
+    Args:
+        joints: Joints of people [m], shape (B, 21, 3).
+        posed: Their bodies, whose turns the ellipsoids have.
+        growth: Factors of the mean thicknesses, shape (B,).
+    """
     bones = joints[:, 1:] - joints[:, list(BONE_STARTS)]
     sizes = bones.norm(dim=-1)
     orientation = torch.eye(3).expand(len(joints), 3, 3)

@@ -52,7 +52,7 @@ def measure_overlapping(*, people: People = range(100, 130), mask: bool = False)
             for refine in (refine_meshes, refine_people):
                 started = time.perf_counter()
                 fits = refine(results)
-                row.append(_scored(sample, fits, time.perf_counter() - started))
+                row.append(_figures_of_pair(sample, fits, time.perf_counter() - started))
             rows.append(row)
     alone, together = np.moveaxis(np.array(rows), 1, 0)
     table = FigureTable(f"{len(people)} pairs", {"figure": "", "alone": ".1f", "scene": ".1f", "change": "+.1f"})
@@ -75,7 +75,7 @@ def _fitted(sample: SceneSample, mask: bool) -> list[FitResult]:
     return found
 
 
-def _scored(sample: SceneSample, fits: list[MeshFit], seconds: float) -> list[float]:
+def _figures_of_pair(sample: SceneSample, fits: list[MeshFit], seconds: float) -> list[float]:
     """``_FIGURES`` of a pair."""
     truth = sample.scene.views[0].to_camera(torch.from_numpy(np.asarray(sample.joints[:, 0])).float()).numpy()
     joints = np.stack([fit.landmarks(MPJPE_JOINTS) for fit in fits])

@@ -39,7 +39,7 @@ _MESH: dict[str, tuple[Callable[[PartLabels], PartLabels | None], Quality]] = {
 }
 _FITS = {_ALONE: FitOptions(stages=())} | {name: FitOptions.at(name) for name in ("fast", "balanced", "accurate")}
 _KEYPOINTS_ALONE = {f"{name}, keypoints alone": _FITS[name] for name in (_ALONE, "balanced")}
-_LEGS = [
+_LEG_BONES = [
     (f"{side}_{start}", f"{side}_{end}")
     for side in ("left", "right")
     for start, end in (("hip", "knee"), ("knee", "ankle"))
@@ -144,7 +144,7 @@ def _size(joints: np.ndarray, names: Sequence[str]) -> float:
     """Length of the legs, the mean of both, and of the trunk [m]."""
     places = dict(zip(names, joints, strict=True))
     hips, shoulders = (places[f"left_{name}"] + places[f"right_{name}"] for name in ("hip", "shoulder"))
-    legs = sum(float(np.linalg.norm(places[start] - places[end])) for start, end in _LEGS)
+    legs = sum(float(np.linalg.norm(places[start] - places[end])) for start, end in _LEG_BONES)
     return (legs + float(np.linalg.norm(shoulders - hips))) / 2
 
 

@@ -60,15 +60,15 @@ def measure_start(*, people: People = range(300, 340)) -> Iterator[FigureTable]:
         truth, sample = _true_body(index), make_sample(index, "realistic")
         assert sample.parts is not None
         own = fit_body(sample.keypoints, sample.parts, others=sample.others, options=FitOptions.at("fast"))
-        after.setdefault("alone", []).append(_error(refine_mesh(own).body, truth.joints))
+        after.setdefault("alone", []).append(_aligned_error(refine_mesh(own).body, truth.joints))
         for kind in _KINDS:
             for level in _LEVELS:
                 start = _wrong_body(truth, level, kind, index)
                 for seen, keypoints in (("labels", None), ("labels and keypoints", sample.keypoints)):
                     fit = refine_given(start, truth.camera, sample.parts, keypoints, others=sample.others)
                     name = f"{kind}, {level:.0f} mm, {seen}"
-                    before.setdefault(name, []).append(_error(start, truth.joints))
-                    after.setdefault(name, []).append(_error(fit.body, truth.joints))
+                    before.setdefault(name, []).append(_aligned_error(start, truth.joints))
+                    after.setdefault(name, []).append(_aligned_error(fit.body, truth.joints))
     table = FigureTable(f"{len(people)} people", _COLUMNS)
     for name, errors in after.items():
         if name in before:
@@ -107,7 +107,7 @@ def _true_body(index: int) -> _Truth:
     return _Truth(body, person.camera, person.joints, person.height)
 
 
-def _error(body: Registered, joints: np.ndarray) -> float:
+def _aligned_error(body: Registered, joints: np.ndarray) -> float:
     """PA-MPJPE [mm]."""
     found = body.model.landmarks(body.detailed, MPJPE_JOINTS)[0].numpy()
     return 1000 * float(pa_mpjpe(found, joints))
@@ -132,7 +132,7 @@ def _wrong_body(truth: _Truth, level: float, kind: str, seed: int) -> Registered
     low, high = 0.0, 1.5
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        low, high = (middle, high) if _error(turned(middle), truth.joints) < level else (low, middle)
+        low, high = (middle, high) if _aligned_error(turned(middle), truth.joints) < level else (low, middle)
     start, focal = turned(low), float(truth.camera.intrinsics[0, 0])
     depth = float(body.translation[0, 2]) if isinstance(truth.camera, Perspective) else 1.0
     move = torch.zeros(1, 3)

@@ -51,7 +51,7 @@ def measure_stature(
         mocap: Folder of motion capture, for the level clip.
     """
     for level in levels:
-        found = _of_clips(people, mocap) if level == CLIP else _of_people(people, level)
+        found = _found_of_clips(people, mocap) if level == CLIP else _found_of_people(people, level)
         columns = {"fit": "", "figure [mm]": "", "without": ".1f", "known": ".1f", "change": "+.1f"}
         table = FigureTable(f"{level}, {len(people)} people", columns)
         for name in dict.fromkeys(name for name, _ in found):
@@ -72,7 +72,7 @@ def _true_stature(index: int) -> float:
     return float(statures(anny(), draw_shape(index)[0]))
 
 
-def _of_clips(people: range, mocap: Path | None) -> _Found:
+def _found_of_clips(people: range, mocap: Path | None) -> _Found:
     found: _Found = {}
     for index, sample in zip(people, partbench_scenes(people, (CLIP,), mocap), strict=True):
         for known in (False, True):
@@ -82,7 +82,7 @@ def _of_clips(people: range, mocap: Path | None) -> _Found:
     return found
 
 
-def _of_people(people: range, level: str) -> _Found:
+def _found_of_people(people: range, level: str) -> _Found:
     found: _Found = {}
     for index in tracked(people):
         sample, true = make_sample(index, level), _true_stature(index)

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
-from accuracy import SUPERVISIONS, read_example
+from warp_partdr.lab.measurements.accuracy import SUPERVISIONS, read_example
 
 
 def test_example_is_read() -> None:
-    (sample,) = read_example()
+    sample = read_example()
     assert sample.joints is not None
     assert sample.joints.shape == (14, 3)
     assert sample.parts is not None
@@ -19,7 +14,7 @@ def test_example_is_read() -> None:
 
 
 def test_every_supervision_sees_what_its_name_says() -> None:
-    (sample,) = read_example()
+    sample = read_example()
     assert sample.parts is not None
     for name, method in SUPERVISIONS.items():
         seen = method.see(sample.parts)
