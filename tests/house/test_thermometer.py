@@ -19,7 +19,7 @@ FILES = {
     "warp_partdr/metrics.py": '__all__ = ["evaluate"]\n',
     "warp_partdr/solve/__init__.py": '__all__ = ["not_public"]\n',
     "warp_partdr/solve/fit.py": "def f():\n    from ..body import pose\n    how = {'a': 1}\n    return pose(**how)\n",
-    "warp_partdr/lab/bench/__init__.py": "from warp_partdr.solve import fit\nimport warp_partdr.metrics\n",
+    "warp_partdr/bench/__init__.py": "from warp_partdr.solve import fit\nimport warp_partdr.metrics\n",
     "body/__init__.py": "",
     "body/pose.py": "a, b = 1, 2\n\n\n",
     "scripts/measure.py": "1\n2\n3\n",
