@@ -36,7 +36,10 @@ def find_camera(parameters: BodyParameters, lens: torch.Tensor | None, size: int
 
 
 def through_lens(camera: WeakPerspective, lens: torch.Tensor | None, size: int) -> tuple[Camera, torch.Tensor | None]:
-    """As ``find_camera``, of a crop's weak-perspective cameras; ``lens`` may be one a body, shape (B, 3)."""
+    """Camera and pelvises as ``find_camera`` returns them, for weak-perspective cameras of a crop.
+
+    ``lens`` has shape (3,), or (B, 3) for one a body.
+    """
     if lens is None:
         return camera, None
     seen = lens_camera(lens.to(camera.scale).expand(len(camera.scale), 3), size)

@@ -265,7 +265,7 @@ def describe_skeleton(form: str | Skeleton) -> str | dict[str, Any]:
 
 
 def _from_json(data: Any, path: Path) -> Skeleton:
-    """One's own skeleton; its edges are those that the project's formats have between the same landmarks."""
+    """Skeleton that a user defines; its edges are those that the project's formats have between the same landmarks."""
     points = data.get("landmarks") if isinstance(data, Mapping) else None
     if not isinstance(points, list):
         raise ValueError('no list of "landmarks"; expected {"landmarks": [name or null, ...]}')

@@ -79,7 +79,7 @@ def place(shapes: np.ndarray, centres: np.ndarray, depths: tuple[float, float]) 
 
 
 def _scenes(pairs: list[np.ndarray], device: torch.device | str) -> Scenes:
-    """From starts and goals, shape (2, 6, 3) each."""
+    """Scenes of pairs of starts and goals, shape (2, 6, 3) each, with the labels that the goals show."""
     mesh = triangles_mesh(device)
     start, goal = torch.from_numpy(np.stack(pairs, axis=1)).to(device)
     return Scenes(mesh, start, goal, draw_mesh(goal, mesh, CAMERA, IMAGE_SIZE).labels)

@@ -1,4 +1,6 @@
-"""From joints at rest to bones, from posed joints to the maps that carry skin, and the adjoints; both precisions.
+"""Kernels from joints at rest to bones, and from posed joints to the maps that carry skin, with their adjoints.
+
+All exist in single and in double precision.
 
 A joint's map is ``[R | p - R c]``: it carries the joint's place ``c`` at rest to its place ``p``.
 """

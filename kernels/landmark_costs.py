@@ -34,7 +34,7 @@ def divisor(point: wp.vec3, aims: AimArrays):
 
 @wp.func
 def miss(ray: wp.vec2, camera: wp.vec4, aim: wp.vec2, half_size: float):
-    """From a keypoint to the picture of its landmark [px]."""
+    """Vector from a keypoint to the picture of its landmark [px]."""
     return wp.vec2(
         camera[0] * ray[0] + camera[2] - (aim[0] + 1.0) * half_size,
         camera[1] * ray[1] + camera[3] - (aim[1] + 1.0) * half_size,

@@ -114,7 +114,10 @@ def run_slices(work: Callable[[slice], None], slices: Sequence[slice]) -> None:
 
 @contextmanager
 def branch_on(stream: wp.Stream | None) -> Iterator[None]:
-    """While this thread captures a graph: the stream for a branch of it, which nobody else uses until the end."""
+    """Set the stream for a branch of the graph that this thread captures.
+
+    Nobody else may use the stream before the context ends.
+    """
     _branch.stream = stream
     try:
         yield

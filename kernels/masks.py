@@ -60,7 +60,7 @@ def draw_owners(
     strongest: wp.array[float],  # probability that it is that person's  OUTPUT
     owners: wp.array[int],  # number of a pixel's person in the picture, from 1 on; 0: nobody's  OUTPUT
 ):
-    """Whom each pixel of a row shows: the person whose mask is strongest there, the first of those alike."""
+    """Find whom each pixel of a row shows: the person whose mask is strongest there, or the first of equal ones."""
     row = first + wp.tid()
     picture = slot_of(pictures.first_rows, row)
     row -= pictures.first_rows[picture]

@@ -107,7 +107,7 @@ def picture_index(people: PeopleArrays, n: int, axis: int, index: int) -> int:
 
 @wp.func
 def squared_distance(u: Any, v: Any, along_x: Any, along_y: Any, squared_length: Any):
-    """From a place, seen from a segment's start, to the segment."""
+    """Squared distance of a place from a segment; (u, v) is the way from the segment's start to the place."""
     zero = type(u)(0.0)
     share = wp.min(wp.max((u * along_x + v * along_y) / squared_length, zero), type(u)(1.0))
     x, y = u - share * along_x, v - share * along_y

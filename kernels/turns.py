@@ -25,7 +25,7 @@ class Numbers:
 
 @wp.struct
 class Turns:
-    """The same as the kernels take it, or its gradient."""
+    """Rotations as matrices and cameras as intrinsics, as kernels take them, or the gradient with respect to them."""
 
     orientations: wp.array[wp.mat33]  # (B,)
     rotations: wp.array2d[wp.mat33]  # (B, P)

@@ -293,7 +293,7 @@ def used(nodes: list[Operator], wanted: set[int]) -> list[Operator]:
 
 
 def without_pads(nodes: list[Operator]) -> list[Operator]:
-    """The same with the pads of zeros done by the convolutions after them."""
+    """Nodes among which convolutions do the pads of zeros that stood before them."""
     pads = {node["output"]: node for node in nodes if node["kind"] == "pad"}
     kept = []
     for node in nodes:

@@ -73,11 +73,18 @@ class WeakPerspective(Movable):
 
     @classmethod
     def from_hmr(cls, parameters: torch.Tensor, image_size: int) -> WeakPerspective:
-        """From HMR's (s, t_x, t_y) of a square crop: x = s (X + t_x) in [-1, 1] (Kanazawa et al., 2018).
+        """Make cameras from HMR's (s, t_x, t_y) of a square crop: x = s (X + t_x) in [-1, 1] (Kanazawa et al., 2018).
 
         Args:
             parameters: Shape (B, 3).
             image_size: Side of the crop [px].
+
+        Returns:
+            B cameras whose pixels are those of the crop.
+
+        Raises:
+            TypeError: If ``parameters`` is no tensor.
+            ValueError: If its shape or dtype is wrong, or ``image_size``, or a scale on the CPU, is not positive.
         """
         check_tensor("parameters", parameters, (None, 3), dtypes=FLOATS)
         _check_side(image_size)
@@ -320,7 +327,7 @@ class ScreenCamera:
         return WeakPerspective.near if self.near is None else self.near
 
     def project(self, points: torch.Tensor) -> torch.Tensor:
-        """The same points."""
+        """Return the points unchanged, for they are in the picture already."""
         return points
 
 

@@ -117,7 +117,10 @@ def check_type(name: str, value: object, kind: type | UnionType, hint: str) -> N
 
 
 def check_each(name: str, values: object, kind: type, hint: str) -> None:
-    """The same of each in a list or another sequence."""
+    """Raise TypeError unless an argument is a list or another sequence, and each item is of a type.
+
+    The arguments are those of ``check_type``; an item's error names its index.
+    """
     if not isinstance(values, Sequence) or isinstance(values, str | bytes):
         raise TypeError(f"{name}: {type(values).__name__}; expected a sequence of {kind.__name__}, {hint}")
     for index, value in enumerate(values):

@@ -82,7 +82,10 @@ def pooled(matrices: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def foreground_counts(counts: np.ndarray) -> np.ndarray:
-    """The same counts with all parts as one class, shape (..., 2, 2)."""
+    """Merge all parts of confusion counts (..., K, K) into one class, shape (..., 2, 2).
+
+    Class 0 stays the background.
+    """
     rows = np.stack([counts[..., 0, :], counts[..., 1:, :].sum(-2)], axis=-2)
     return np.stack([rows[..., 0], rows[..., 1:].sum(-1)], axis=-1)
 

@@ -113,7 +113,7 @@ class Case:
         return self.one(ways)()
 
     def array(self, values: np.ndarray) -> Any:
-        """The same for arrays."""
+        """Array that ``maybe`` may have changed, or one of ``_ODDITIES``."""
         tensor = self.maybe(torch.from_numpy(np.array(values)))
         if not isinstance(tensor, torch.Tensor) or tensor.is_meta or tensor.layout != torch.strided:
             return self.one(_ODDITIES)
@@ -138,7 +138,7 @@ class Case:
         return path
 
     def damaged(self, data: bytes) -> bytes:
-        """Up to three places replaced, cut out, cut off, repeated or put in."""
+        """Damage bytes in up to three places: replace, cut out, cut off, repeat or put in some."""
         for _ in range(self.one([1, 2, 3])):
             length = min(len(data), self.one([256, len(data)]))  # in the beginning are headers
             at = self.draw(st.integers(0, length))

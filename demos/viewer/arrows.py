@@ -49,7 +49,7 @@ class Arrows:
         return max(float(np.quantile(sizes, self._strongest)), 1e-12)
 
     def _corners(self, places: np.ndarray, direction: np.ndarray, length: np.ndarray) -> np.ndarray:
-        """As wide as they look at any length, shape (N, 7, 2)."""
+        """Corners of arrows, shape (N, 7, 2); they are as wide at any length, except the shortest."""
         half, zero = self._half_width, np.zeros_like(length)
         head, wing = np.minimum(5.5 * half, 0.6 * length), np.minimum(3.2 * half, 0.6 * length)
         neck, thin = length - head, np.minimum(half, wing)

@@ -60,7 +60,7 @@ class ControlledWindow:
         self._try(self.keys[key])
 
     def click(self, button: Button) -> None:
-        """Do what a button does; the same."""
+        """Do what a button does; a fault becomes the message in the window."""
         self._try(button.do)
 
     def tick(self) -> None:

@@ -28,7 +28,7 @@ class MotionPictures(Sequence[np.ndarray]):
         self._frames = (np.searchsorted(saved.times, times + _ROUNDED / saved.rate, side="right") - 1).tolist()
 
     def __len__(self) -> int:
-        """Their number."""
+        """Number of the pictures."""
         return len(self._frames)
 
     @overload

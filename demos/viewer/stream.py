@@ -46,10 +46,10 @@ class PictureStream:
         self._changed = asyncio.Event()
 
     def set_push_callback(self, callback: Callable[..., None]) -> None:
-        """Nothing: pages ask."""
+        """Do nothing, for pages ask for pictures themselves."""
 
     def reset(self) -> None:
-        """Nothing: each picture is whole."""
+        """Do nothing, for each picture is whole."""
 
     async def close(self) -> None:
         """Let those go that wait."""

@@ -129,7 +129,7 @@ def target_labels(target: Target, size: int) -> np.ndarray | None:
 
 @lru_cache(maxsize=8)
 def target_picture(target: Target, size: int) -> np.ndarray:
-    """Its labels in their colours, RGB, shape (size, size, 3), uint8; blank without labels."""
+    """Picture of a target's labels in their colours, RGB, shape (size, size, 3), uint8; blank without labels."""
     if (labels := target_labels(target, size)) is None:
         return np.full((size, size, 3), BACKGROUND_COLOUR, dtype=np.uint8)
     return group_picture(target, labels)

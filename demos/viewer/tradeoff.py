@@ -149,7 +149,10 @@ def _key(settings: Settings) -> tuple[str, int, str]:
 
 
 def _time(state: DemoState) -> float:
-    """Of an iteration without its step [ms]: the second one, for the first may load kernels."""
+    """Time of an iteration without its step [ms].
+
+    The second iteration is measured, for the first one may load kernels.
+    """
     for _ in range(2):
         body = state.start.leaves()
         began = time.perf_counter()

@@ -1,4 +1,7 @@
-"""From the z-buffer to labels, depth and faces (paper, eq. 8 and 9), L_seg (eq. 6), and where labels are wrong."""
+"""Kernels that turn the z-buffer into labels, depth and faces (paper, eq. 8 and 9), and compute L_seg (eq. 6).
+
+They also find where labels are wrong.
+"""
 
 from typing import Any
 

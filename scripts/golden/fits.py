@@ -83,7 +83,7 @@ def people(*, few_steps: bool) -> Found:
 
 
 def together(*, few_steps: bool) -> Found:
-    """The same people side by side, with labels and without, and their mesh stages."""
+    """Fits of PartBench's people side by side, with labels and without, and their mesh stages."""
     people = []
     for level, index in PEOPLE:
         sample = make_sample(index, level)

@@ -57,7 +57,7 @@ class CocoAnnotation:
 
     @property
     def number(self) -> int | None:
-        """Its id, if that is a number that a column holds."""
+        """Id of the annotation, if it is a number that a column holds; otherwise None."""
         number = number_of(self.entry.get("id"))
         return number if isinstance(number, int) and abs(number) <= _LARGEST_NUMBER else None
 
@@ -446,7 +446,10 @@ def _text_runs(text: str) -> list[int]:
 
 
 def _owners(masks: Sequence[np.ndarray], size: tuple[int, int]) -> torch.Tensor:
-    """Whom each pixel shows; where masks overlap, the smaller is before the larger."""
+    """Number of the person that each pixel shows, from 1 on; 0: nobody.
+
+    Where masks overlap, the smaller one is in front.
+    """
     owners = np.zeros(size, dtype=np.int32)
     for index in sorted(range(len(masks)), key=lambda index: -int(masks[index].sum())):
         owners[masks[index]] = index + 1

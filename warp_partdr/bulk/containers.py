@@ -39,7 +39,7 @@ class NamedBytes(BytesIO):
         self.name = name
 
     def __repr__(self) -> str:
-        """Its name, without the address in memory, so that errors of two runs are equal."""
+        """Name of the bytes, without the address in memory, so that errors of two runs are equal."""
         return self.name
 
 

@@ -196,7 +196,7 @@ class _Taken:
             self._fit(self.how.batch)
 
     def _queue(self, people: CutPeople) -> _Waiting:
-        """Those who wait and are alike, for they are fitted together."""
+        """Waiting people of the same kind, who are fitted together; a new group if there are none."""
         for waiting in self._waiting:
             if waiting.kind == people.kind:
                 return waiting

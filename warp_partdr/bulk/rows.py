@@ -88,7 +88,7 @@ class RowPart:
     columns: Mapping[str, Values]
 
     def at(self, places: np.ndarray) -> RowPart:
-        """The same at other places: row n at ``places[n]``."""
+        """Part with its rows at other places: row n moves to ``places[n]``."""
         return replace(self, rows=places[self.rows])
 
     def select(self, index: np.ndarray) -> RowPart:
@@ -107,7 +107,10 @@ def error_part(row: int, error: str, *, passing: bool = False) -> RowPart:
 
 @dataclass
 class PeopleRows:
-    """So many rows, by columns; where parts overlap, the last one holds, and what no part has is missing."""
+    """Rows of people, by columns.
+
+    Where parts overlap, the last one holds. A value that no part has is missing.
+    """
 
     count: int = 0
     parts: list[RowPart] = field(default_factory=list)

@@ -169,7 +169,7 @@ class Worst:
 
     @property
     def addresses(self) -> list[Address]:
-        """Of the people."""
+        """Addresses of the people, the worst first."""
         return [Address(*place) for place in self.places.tolist()]
 
 

@@ -98,7 +98,7 @@ class BulkOptions(SettingOptions):
     )
 
     def absolute(self) -> BulkOptions:
-        """The same with files' full paths."""
+        """Options with full paths of the files."""
         model = str(Path(self.model).absolute()) if Path(self.model).is_file() else self.model
         files = {name: path and path.absolute() for name in ("network", "config") for path in [getattr(self, name)]}
         return replace(self, model=model, **files)

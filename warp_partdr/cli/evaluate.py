@@ -42,7 +42,7 @@ def folder(
     *,
     options: RunOptions,
 ) -> None:
-    """Your own pictures: how well bodies follow the labels and keypoints given.
+    """Pictures of your own: how well bodies follow the labels and keypoints given.
 
     Without --labels, labels.json in the folder says what the part labels are.
     """

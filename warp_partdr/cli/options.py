@@ -264,7 +264,7 @@ class NetworkOptions:
 
 @dataclass(frozen=True)
 class PhotoFiles(PersonFiles):
-    """The same, or networks that see the people of a photo."""
+    """Options for the files of one person, or for networks that see the people of a photo."""
 
     person: Annotated[
         int | None, Option(help="Whom, 0 = first; default: all, of keypoints the largest.", metavar="N")

@@ -74,7 +74,10 @@ def _limbs_of(form: str | Skeleton, confident: bytes) -> tuple[tuple[str, ...], 
 
 
 def limbs_between(points: Mapping[str, Place]) -> Iterator[tuple[str, Place, Place]]:
-    """The same between points of any kind by landmark."""
+    """Name of the part, start and end of each limb's bone between the given points, which may be of any kind.
+
+    ``points`` are by landmark.
+    """
     for name in (f"{side}_{kind}" for side in ("left", "right") for kinds in LIMBS.values() for kind in kinds):
         if without_side(name) not in _ENDS and (ends := _bone_ends(name, points)):
             yield name, *ends
@@ -168,7 +171,13 @@ def disagreement(compared: Mapping[str, Agreement], seen: Beyond) -> float:
 
 
 def disagreement_of(sums: np.ndarray, known: np.ndarray, far: np.ndarray) -> np.ndarray:
-    """The same of N people, by limbs' numbers (N, limbs, 3), pixels whose distance is known, and those that are far."""
+    """Measure of disagreement of N people, shape (N,); see ``disagreement``.
+
+    Args:
+        sums: Three numbers of pixels of each limb's bone, shape (N, limbs, 3).
+        known: Numbers of pixels whose distance is known, shape (N,).
+        far: Numbers of these that are far, shape (N,).
+    """
     totals = sums.sum(axis=-2)
     bones = totals.sum(axis=-1)
     other = np.where(bones >= 2 * _FEWEST, totals[..., 2] / np.maximum(bones, 1), 0.0)
@@ -250,7 +259,7 @@ class Flesh(NamedTuple):
         return found
 
     def _beyond(self, lines: np.ndarray, x: np.ndarray, y: np.ndarray, heights: np.ndarray) -> np.ndarray:
-        """The same beyond one segment for each place."""
+        """Distance of each place beyond the flesh of one segment, negative within, as a share of the height."""
         table = self.table.take(lines, axis=0).T
         beyond = squared_distances(x - table[0], y - table[1], *table[2:5])
         np.sqrt(beyond, out=beyond)  # in place, for memory takes most of the time

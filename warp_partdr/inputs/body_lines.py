@@ -107,7 +107,7 @@ def _bones(form: str | Skeleton, points: np.ndarray, sure: np.ndarray, heights: 
 
 
 def _are_bones(form: str | Skeleton, sure: np.ndarray) -> np.ndarray:
-    """Those of ``_bones`` that are there."""
+    """True for the rows of ``_bones`` that are there, shape (N, E + 2 J)."""
     edges = np.array(skeleton(form).edges, dtype=np.int64).reshape(-1, 2)
     whole = _both(sure, edges)
     alone = sure.copy()

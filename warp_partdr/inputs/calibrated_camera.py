@@ -203,7 +203,7 @@ class CalibratedCamera:
         return replace(self, focal=focal, principal=principal, size=size)
 
     def seen_from(self, first: CalibratedCamera) -> CalibratedCamera:
-        """The same in another world, which is the first one's frame."""
+        """Camera in another world, whose frame is that of the camera ``first``."""
         rotation = self.rotation @ first.rotation.T
         return replace(self, rotation=rotation, translation=self.translation - rotation @ first.translation)
 

@@ -95,7 +95,7 @@ class CutPeople(Sequence[CutPerson]):
 
     @property
     def kind(self) -> Kind:
-        """As of ``CutPerson``."""
+        """Key of the people, as ``CutPerson.kind``: those with equal keys are alike."""
         return self.skeleton, self.seen.label_set, self.seen.lens is None, self.seen.lens_assumed
 
     def __len__(self) -> int:

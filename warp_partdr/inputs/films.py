@@ -158,7 +158,10 @@ class _Packets:
         self.fault = self._cut_off()
 
     def time(self, frame: VideoFrame) -> float | None:
-        """When a frame is shown, as the file states it [s]; None: it does not. Asked for each one, in order."""
+        """Time at which a frame is shown, as the file states it [s]; None if it does not.
+
+        It must be asked for once for each frame, in order.
+        """
         ticks = frame.pts
         if self.guesses:  # the first one that is shown has the time of the first one that is decoded, and so on
             ticks = self._decoded.popleft() if self._decoded else None

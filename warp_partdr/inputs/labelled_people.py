@@ -80,7 +80,7 @@ def _is_plain(person: LabelledPerson) -> bool:
 
 
 def _cut_together(people: Sequence[LabelledPerson], label_size: int) -> list[CutOut | None]:
-    """The same of people with one label map each, of pictures that memory holds."""
+    """Cut out people with one label map each, of pictures that memory holds; None for those of ``cut_labels``."""
     bodies = PeopleBones.of([each.keypoints for each in people], [each.others for each in people])
     areas = Areas.of([each.parts.groups for each in people], bodies.boxes)
     own = select_people(areas, bodies)

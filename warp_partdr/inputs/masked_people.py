@@ -86,7 +86,7 @@ def cut_masks(people: Sequence[MaskedPerson], device: torch.device | str) -> lis
 
 @one_torch_thread()
 def _cut_alike(people: Sequence[MaskedPerson], device: torch.device) -> list[CutOut]:
-    """The same of people with one skeleton."""
+    """Cut out people with one skeleton, as ``cut_masks`` does."""
     form = people[0].keypoints.skeleton
     points = np.stack([person.keypoints.points for person in people])
     confidence = np.stack([person.keypoints.confidence for person in people])

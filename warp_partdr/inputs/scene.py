@@ -117,7 +117,7 @@ class Ground:
             raise ValueError(f"offset: {self.offset}; expected a finite number [m]")
 
     def heights(self, points: np.ndarray) -> np.ndarray:
-        """Of points (..., 3) over the plane [m], shape (...)."""
+        """Heights of points (..., 3) over the plane [m], shape (...)."""
         return points @ self.normal - self.offset
 
 

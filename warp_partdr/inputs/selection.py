@@ -282,7 +282,7 @@ class _Blocks(NamedTuple):
 
 
 def _far(areas: Areas, bodies: PeopleBones, labelled: np.ndarray) -> np.ndarray:
-    """Those of labelled pixels, as ``Areas.labels``, that are not near the person's bones, or nearer to others'.
+    """Labelled pixels, as ``Areas.labels``, that are not near the person's bones, or are nearer to others'.
 
     Where the middle of a block of pixels says it of all of them, they are not measured; else those of its parts may.
     """
@@ -332,7 +332,7 @@ def _within(squares: np.ndarray, reach: np.ndarray) -> np.ndarray:
 
 
 def _seeds(areas: Areas, bodies: PeopleBones, pixels: np.ndarray) -> np.ndarray:
-    """Those of some pixels that lie along bones."""
+    """Pixels, among those given, that lie along bones."""
     people, rows, columns = areas.places(pixels)
     distances = np.sqrt(bodies.bones.squares(people, columns + 0.5, rows + 0.5))
     return pixels[distances <= np.maximum(SEED_RADIUS * bodies.heights, MIN_SEED_RADIUS)[people]]

@@ -190,7 +190,9 @@ def measure_capsules(model: DetailedModel) -> Capsules:
 def _slices(
     model: DetailedModel, index: int, part: torch.Tensor, areas: torch.Tensor
 ) -> list[tuple[int, torch.Tensor, torch.Tensor]]:
-    """Of a part's capsules: the part, weights of the vertices in each end, shape (2, V), and those that say how thick.
+    """Capsules of a part: its index, weights of the vertices in both ends, and vertices that say how thick it is.
+
+    The weights have shape (2, V).
 
     Ends lie on the line that fits the vertices best, so that they are sums of them whatever the shape.
     """

@@ -33,7 +33,7 @@ def _turn(rotations: torch.Tensor, joints: torch.Tensor, turns: torch.Tensor) ->
 
 
 class _Turned(torch.autograd.Function):
-    """Of fixed rotations, float32."""
+    """Operation of ``turn_joints`` for fixed rotations, float32."""
 
     @staticmethod
     def forward(ctx: Any, rotations: torch.Tensor, joints: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:

@@ -68,7 +68,7 @@ def load_model(
 
 
 def _read_arrays(path: Path, names: tuple[str, ...], kind: str) -> dict[str, np.ndarray]:
-    """Those arrays of a file that are needed, as far as it has them."""
+    """Read the named arrays of a file, as far as it has them."""
     if path.suffix in (".pkl", ".pickle"):
         raise ValueError(f"{path}: pickles can run code; make an .npz of it with partdr convert")
     if path.suffix == ".npz":

@@ -217,7 +217,7 @@ class DetailedModel(Movable):
 
     @cached_property
     def _directions(self) -> torch.Tensor:
-        """Their changes by a unit of each shape value, shape (S, 3 (V + J)): one product for both."""
+        """Changes of vertices and joints by a unit of each shape value, shape (S, 3 (V + J)): one product for both."""
         return torch.cat([self.shape_directions, self.joint_directions], dim=1).flatten(1)
 
     @cached_property

@@ -113,7 +113,10 @@ def rest_turns(model: DetailedModel, rest: Detailed, *, trunk_along: bool = Fals
 
 
 def _turns_at_rest(model: DetailedModel, marks: torch.Tensor, trunk_along: bool) -> torch.Tensor:
-    """The same of bodies at rest whose landmarks ``_marks`` lie there, (B, L, 3)."""
+    """Rotation of each part from rest to EllipBody's rest pose, as of ``rest_turns``, by landmarks.
+
+    ``marks`` are where the landmarks ``_marks`` of bodies at rest lie, shape (B, L, 3).
+    """
     aimed = (*_AIMED, *_TRUNK) if trunk_along else _AIMED
     joints, ends = marks[:, : len(JOINT_NAMES)].unbind(1), marks[:, len(JOINT_NAMES) :]
     bones = [joint - joints[start] for joint, start in zip(joints[1:], BONE_STARTS, strict=True)]

@@ -92,7 +92,7 @@ def reduce_model(model: DetailedModel, vertices: int) -> Reduced:
     some = torch.from_numpy(kept).to(model.faces.device)
 
     def rows(values: torch.Tensor) -> torch.Tensor:
-        """Of vertices (..., V, C)."""
+        """Values of the kept vertices, then of the landmarks' points, from values of all vertices (..., V, C)."""
         return torch.cat([values[..., some, :], points @ values], dim=-2)
 
     rests, bends = rows(model.rest_vertices), model.pose_directions
@@ -112,7 +112,7 @@ def reduce_model(model: DetailedModel, vertices: int) -> Reduced:
 
 
 def _areas(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Of the surface around each vertex, a third of each of its faces [m²]."""
+    """Area of the surface around each vertex, a third of each of its faces [m²]."""
     corners = rest[faces]
     doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     return np.bincount(faces.ravel(), np.repeat(doubled / 6, 3), len(rest))
@@ -166,7 +166,7 @@ def _settle(
     near = repeats > 0
 
     def distances(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the members from the faces, positive outside, and the normals of the kept vertices."""
+        """Distances of the members from the faces, positive outside, and the normals of the kept vertices."""
         triangles = places[corners]
         normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
         offsets = points - closest_point(triangles[about], points)

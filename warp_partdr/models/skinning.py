@@ -25,7 +25,7 @@ def blend_skin(
 
 
 def map_rows(maps: torch.Tensor, places: torch.Tensor, rest: torch.Tensor) -> torch.Tensor:
-    """The same maps by rows of 3 x 4 matrices, shape (B, 12, N)."""
+    """Maps (B, N, 3, 3) of ``rest`` to ``places``, (B, N, 3), by rows of 3 x 4 matrices, shape (B, 12, N)."""
     moves = places - (maps * rest[..., None, :]).sum(-1)
     # Vertices come last, for sums over three or four numbers of each are slow where these lie side by side.
     return torch.cat([maps, moves[..., None]], dim=-1).flatten(2).mT.contiguous()
@@ -56,7 +56,7 @@ def _blend(weights: torch.Tensor, rows: torch.Tensor, vertices: torch.Tensor) ->
 
 
 def carry_sparsely(weights: torch.Tensor, rows: torch.Tensor, vertices: torch.Tensor) -> torch.Tensor:
-    """The same by fixed weights, most of which are zero; float32."""
+    """Vertices as of ``carry_skin``, by fixed weights, most of which are zero; float32."""
     blended: torch.Tensor = _Blended.apply(rows, vertices, weights)
     return blended
 

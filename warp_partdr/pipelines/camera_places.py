@@ -113,7 +113,7 @@ class Moments:
 
     @classmethod
     def of(cls, scene: Scene, looks: Sequence[Looked], stature: float | None = None) -> Moments:
-        """Of looks at a scene, in which everybody has one size; a moment is a person in a frame."""
+        """Collect looks at a scene, in which everybody has one size; a moment is a person in a frame."""
         looks = alike_sizes(scene, looks, stature)
         places = {key: place for place, key in enumerate(sorted({_moment(look) for look in looks}))}
         shape = len(scene.views), len(places), len(LANDMARKS)

@@ -89,7 +89,7 @@ class FilmFit:
 
     @property
     def people(self) -> FilmPeople:
-        """Who was seen in the first film."""
+        """People who were seen in the first film."""
         return self.films[0].people
 
     @property
@@ -99,7 +99,7 @@ class FilmFit:
 
     @property
     def times(self) -> np.ndarray:
-        """Of the longest film's frames since the first [s], shape (F,)."""
+        """Times of the longest film's frames since its first one [s], shape (F,)."""
         return shared_times(self.films)
 
     @property
@@ -340,7 +340,7 @@ class _Bodies:
 
     @classmethod
     def of(cls, fit: SceneFit) -> _Bodies:
-        """Those of a fit."""
+        """Collect the bodies of a fit."""
         people = fit.scene.num_people, fit.scene.num_frames
         rotations, translation = (
             each.unflatten(0, people).cpu().numpy() for each in (fit.bodies.rotations, fit.bodies.translation)
@@ -350,7 +350,7 @@ class _Bodies:
 
     @property
     def shapes(self) -> list[PersonShape]:
-        """Of the people."""
+        """Shapes of the people, with their clothes."""
         pairs = zip(self.values, self.clothes, strict=True)
         return [PersonShape(torch.from_numpy(values), torch.from_numpy(clothes)) for values, clothes in pairs]
 

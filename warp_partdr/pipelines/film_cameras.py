@@ -87,7 +87,7 @@ def _look(films: Sequence[SeenFilm], device: torch.device | str) -> _Looks:
 
 
 def spread(frames: np.ndarray) -> np.ndarray:
-    """So many of the frames as are looked at, evenly."""
+    """Choose the frames to look at, ``FRAMES`` at most, evenly."""
     places = np.linspace(0, max(len(frames) - 1, 0), FRAMES).round().astype(int)
     return frames[np.unique(places)[: len(frames)]]
 

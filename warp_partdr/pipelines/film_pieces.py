@@ -68,7 +68,7 @@ class FilmPieces:
     def sights(
         self, film: int, networks: GivenNetworks, find: Callable[[], tuple[FilmPeople, FilmSights]]
     ) -> tuple[FilmPeople, FilmSights]:
-        """The same with what networks of others see of them."""
+        """People of a film, and sights of them by networks of others; both are looked for unless they were found."""
 
         def make() -> dict[str, np.ndarray]:
             people, sights = find()
@@ -78,7 +78,7 @@ class FilmPieces:
         return _people(data), FilmSights.of_arrays(data, networks)
 
     def starts(self, find: Callable[[], Sequence[float]]) -> list[float]:
-        """When films show the first moment of all [s], which is looked for unless it was found."""
+        """Times at which films show the first moment of all [s], which are looked for unless they were found."""
         found: list[float] = self.piece("moments", ("starts",), lambda: {"starts": np.array(find())})["starts"].tolist()
         return found
 

@@ -53,7 +53,10 @@ def align_films(
 def film_starts(
     films: Sequence[SeenFilm], *, device: torch.device | str = "cpu", progress: Progress | None = None
 ) -> list[float]:
-    """When each film shows the first moment that all of them show, since its first frame [s]; see ``align_films``."""
+    """Time at which each film shows the first moment that all of them show, since its first frame [s].
+
+    The arguments and errors are those of ``align_films``.
+    """
     check_each_film(films)
     tell = progress or (lambda name, done, total: None)
     later = [0]

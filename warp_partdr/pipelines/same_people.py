@@ -1,4 +1,4 @@
-"""Who is who in films that were taken at the same time: rays of one person's keypoints meet."""
+"""Matching of people between films that were taken at the same time: rays of one person's keypoints meet."""
 
 from __future__ import annotations
 

@@ -22,7 +22,10 @@ def dense_costs(maps: np.ndarray) -> np.ndarray:
 
 
 def target_costs(target: np.ndarray, num_labels: int) -> np.ndarray:
-    """The same for L_seg: a wrong place misses one map and dirties another; 0 and 255 have no map."""
+    """Costs of area as of ``dense_costs``, for L_seg.
+
+    A wrong pixel misses one map and dirties another. Labels 0 and 255 have no map.
+    """
     shown = np.arange(num_labels + 2)[:, None, None]
     has_map = (shown > 0) & (shown <= num_labels)
     costs = np.where(shown == target, 0.0, has_map.astype(float) + (target > 0))
@@ -107,7 +110,7 @@ def area_cost(scene: EllipsoidScene, costs: np.ndarray, lines: int = 16) -> floa
     summed = np.concatenate([np.zeros((*costs.shape[:2], 1)), costs.cumsum(2)], 2)
 
     def cost_left_of(part: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Of the line through y from the picture's left border to x, if it showed this part."""
+        """Cost of the line through y from the picture's left border to x, if it showed this part."""
         label, row, column = label_of[part], y.astype(int), np.minimum(x.astype(int), size[1] - 1)
         return summed[label, row, column] + costs[label, row, column] * (x - column)
 

@@ -57,7 +57,7 @@ def ray(scene: EllipsoidScene, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray
 
 
 def ray_in_unit_space(scene: EllipsoidScene, k: int, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same where ellipsoid k is the unit sphere."""
+    """Origin and direction (3, ...) of the rays of ``ray``, in the space where ellipsoid k is the unit sphere."""
     origin, direction = ray(scene, x, y)
     to_unit = (scene.axes[k] / scene.semi_axes[k]).T
     shape = (3,) + (1,) * (origin.ndim - 1)

@@ -43,7 +43,7 @@ class BodyPasses:
         return turns, kinematics, screen, *self.renderer.modules
 
     def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
-        """As the renderer's."""
+        """Number of losses that the renderer gives."""
         return self.renderer.num_losses(device, batch, height, width)
 
     def draw(self, inputs: Tensors, size: Size) -> Picture:

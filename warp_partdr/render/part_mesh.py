@@ -114,7 +114,9 @@ class PartMesh(Movable):
         return PartMesh(self.faces[new > 0], new[new > 0], edges)
 
     def repeated(self, count: int, labels: int, vertices: int) -> PartMesh:
-        """So many of this mesh in one; each has its labels so much higher, and its vertices, than the one before.
+        """Repeat this mesh ``count`` times in one.
+
+        Each copy has its labels higher than the one before by ``labels``, and its vertices by ``vertices``.
 
         Raises:
             ValueError: If that makes labels over 254, or ``labels`` is less than the highest.

@@ -20,7 +20,7 @@ _NEAREST = 0.05  # [m] from a camera that something is shown
 
 @dataclass(frozen=True)
 class Actor:
-    """Somebody who moves, in the world.
+    """Body that moves in the world.
 
     Attributes:
         name: The body's.

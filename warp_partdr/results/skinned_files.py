@@ -218,7 +218,7 @@ def _euler_zyx(rotations: np.ndarray) -> np.ndarray:
 
 
 def _any_way(normals: np.ndarray) -> np.ndarray:
-    """The same, those of no length along z, for glTF takes unit vectors alone."""
+    """Normals in which those of no length lie along z, for glTF takes unit vectors alone."""
     return np.where(normals.any(axis=1, keepdims=True), normals, [0.0, 0.0, 1.0])
 
 

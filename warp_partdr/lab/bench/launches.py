@@ -75,7 +75,10 @@ def time_kernels(run: Callable[[], None], device: str, budget: float) -> list[tu
 
 
 def _time_pieces(run: Callable[[], None], count: int, device: str, budget: float) -> list[Timing]:
-    """For the CPU, where clocks are noisy and a graph starts in a microsecond: a graph of each kernel, one by one."""
+    """Time each kernel on the CPU, in a graph of its own, one by one.
+
+    Clocks are noisy there, and a graph starts in a microsecond.
+    """
     pieces = [partial(wp.capture_launch, graph) for graph in _capture_pieces(run, device)]
     return time_in_turn(pieces, device, budget * count)
 
@@ -98,7 +101,9 @@ def _capture_pieces(run: Callable[[], None], device: str) -> list[wp.Graph]:
 
 
 def _time_beginnings(run: Callable[[], None], count: int, device: str, budget: float) -> list[Timing]:
-    """For CUDA, where the host takes longer to start a kernel than a kernel may take: graphs that end after each.
+    """Time each kernel on CUDA, by graphs that end after it.
+
+    The host takes longer to start a kernel than a kernel may take.
 
     They are replayed in turn with those that end before it; what counts is the difference.
     """

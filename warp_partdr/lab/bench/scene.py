@@ -35,7 +35,7 @@ class BenchScene:
 
     @classmethod
     def random(cls, batch_size: int, size: int, device: str) -> BenchScene:
-        """The same for the same arguments, on any device."""
+        """Make random bodies and targets; they are equal for equal arguments, on any device."""
         generator = torch.Generator().manual_seed(0)
         mean = BodyParameters.mean(batch_size, device=device)
 
@@ -61,7 +61,7 @@ class BenchScene:
 
     @cached_property
     def camera(self) -> WeakPerspective:
-        """Their cameras."""
+        """Cameras of the bodies."""
         return self.bodies.camera(self.size)
 
     def energies(self, gradient: Gradient) -> list[Energy]:

@@ -121,7 +121,7 @@ def graph_sample(graph: wp.Graph, device: str) -> Callable[[], list[float]]:
 
 
 def wall_time(call: Callable[[], object], device: str) -> float:
-    """Of one call, until the device is done [s]."""
+    """Wall time of one call, until the device is done [s]."""
     start = time.perf_counter()
     call()
     wp.synchronize_device(device)

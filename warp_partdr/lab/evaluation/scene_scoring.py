@@ -50,12 +50,12 @@ class SceneBodies:
 
     @property
     def vertices(self) -> torch.Tensor:
-        """In the world [m], shape (P, T, V, 3)."""
+        """Vertices in the world [m], shape (P, T, V, 3)."""
         return self._joined([each.vertices for each in self.fits])
 
     @property
     def statures(self) -> np.ndarray:
-        """Of people standing [m], the mean of frames that were fitted apart, shape (P,)."""
+        """Statures of the people standing [m], shape (P,); where frames were fitted apart, their mean."""
         each = [fit.statures for fit in self.fits]
         return (torch.stack(each).mean(0) if self.by_frame else torch.cat(each)).cpu().numpy()
 

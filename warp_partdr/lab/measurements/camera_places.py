@@ -87,7 +87,7 @@ def _errors_of(index: int, mocap: Path | None, device: str) -> list[float]:
 
 
 def _some_frames(scene: Scene) -> Scene:
-    """As many frames as a film's cameras are placed by."""
+    """Scene with as many of its frames as a film's cameras are placed by."""
     chosen = spread(np.arange(scene.num_frames)).tolist()
     return replace(scene, sights=[sight for sight in scene.sights if sight.frame in chosen])
 

@@ -133,7 +133,7 @@ def _inscribed(person: _Person, skin: torch.Tensor) -> Posed:
 
 
 def _thinner(posed: Posed, factors: torch.Tensor) -> Posed:
-    """The same bones, the thicknesses of each part times a factor, shape (20,)."""
+    """Bodies with the same bones, in which the thicknesses of each part are multiplied by a factor, shape (20,)."""
     scale = torch.stack([torch.ones_like(factors), factors, factors], dim=-1)
     return Posed(posed.joints, posed.rotations, posed.centres, posed.axes, posed.semi_axes * scale)
 

@@ -77,7 +77,10 @@ class KeypointNoise:
         return torch.cat([seen, confidence[..., None]], dim=-1) * known[..., None]
 
     def _confidence(self, hidden: torch.Tensor, stray: torch.Tensor, error: torch.Tensor) -> torch.Tensor:
-        """Of some detectors it says what is hidden or wrong, of others nothing, shape (B, 24)."""
+        """Confidence of the keypoints, shape (B, 24).
+
+        The confidence of some detectors says what is hidden or wrong. That of others says nothing.
+        """
         rng, shape = self.rng, tuple(hidden.shape)
         random = rng.uniform(*shape)
         doubt = 0.6 * hidden + 15.0 * error + 0.5 * stray

@@ -51,7 +51,7 @@ class Clip:
         return self.global_orient[:, 1, :].copy()
 
     def mirrored(self) -> Clip:
-        """The same with left and right exchanged."""
+        """Clip with left and right exchanged."""
         swap, flip = mirror_order(PART_NAMES), np.array([-1.0, 1.0, 1.0])
         turn = np.outer(flip, flip)
         return Clip(

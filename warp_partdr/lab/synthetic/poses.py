@@ -153,7 +153,7 @@ class PriorSampler:
 
 
 def draw_enough(count: int, draw: Callable[[int], Poses]) -> Poses:
-    """So many poses of a function that tries a number of them and returns the good ones."""
+    """Draw ``count`` poses by a function that tries a number of them and returns the good ones."""
     kept: list[Poses] = []
     tries = 2 * count + 16
     while count > 0:

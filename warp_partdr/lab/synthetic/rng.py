@@ -18,12 +18,12 @@ class TorchRng:
         self.generator = torch.Generator(self.device).manual_seed(seed)
 
     def uniform(self, *shape: int, low: float = 0.0, high: float = 1.0) -> torch.Tensor:
-        """Between two numbers, float32."""
+        """Random numbers between ``low`` and ``high``, float32."""
         numbers = torch.rand(shape, generator=self.generator, device=self.device)
         return numbers if (low, high) == (0.0, 1.0) else numbers.mul_(high - low).add_(low)
 
     def normal(self, *shape: int) -> torch.Tensor:
-        """Of mean 0 and standard deviation 1, float32."""
+        """Random numbers of a normal distribution with mean 0 and standard deviation 1, float32."""
         return torch.randn(shape, generator=self.generator, device=self.device)
 
     def chance(self, probability: float | torch.Tensor, *shape: int) -> torch.Tensor:

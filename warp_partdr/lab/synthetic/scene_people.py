@@ -99,7 +99,7 @@ def in_wrong_order(sample: SceneSample, looks: Sequence[Looked]) -> list[Looked]
 
 
 def _distance(look: Looked) -> float:
-    """Of the pelvis from the camera [m]."""
+    """Distance of the pelvis from the camera, along its view [m]."""
     assert look.seen.lens is not None
     return float(look.seen.lens[0] / look.body.log_scale.exp())
 
@@ -194,7 +194,7 @@ def _draw_body(index: int) -> tuple[Detailed, float]:
 
 
 def _place_views(vertices: np.ndarray, num_views: int, rng: np.random.Generator) -> list[View]:
-    """So many cameras, all around or, two, 70 to 110 degrees apart."""
+    """Place cameras all around the people; two are 54 to 126 degrees apart."""
     turns = rng.uniform(0, 2 * np.pi, 1)
     if num_views > 1:
         even = 2 * np.pi / num_views if num_views > 2 else np.pi / 2

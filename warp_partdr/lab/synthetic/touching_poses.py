@@ -52,7 +52,10 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Gesture:
-    """Doing of two hands; the second is given as if it were the left one, too, and the first one the right."""
+    """Gesture of one hand or of two.
+
+    The second hand's place is given as if it were the left hand, too, and the first one the right.
+    """
 
     weight: float
     first: Place

@@ -173,7 +173,7 @@ def _corners(points: torch.Tensor, counted: torch.Tensor) -> tuple[torch.Tensor,
 
 
 def _photos(count: int, dressed: int) -> tuple[slice, slice, slice]:
-    """Those of ``count`` people who are as a photo's, and those with cut and with whole masks among them.
+    """Slices of ``count`` people: those who are as a photo's, and among them those with cut and with whole masks.
 
     The first ``dressed`` people wear clothes.
     """

@@ -52,7 +52,10 @@ class Augmentation:
 
 @dataclass(frozen=True)
 class Similarity:
-    """Of the crop's plane (coordinates -1 to 1): ``x' = zoom R(angle) F x + shift``, F the mirror image if mirrored."""
+    """Similarity transform of the crop's plane (coordinates -1 to 1): ``x' = zoom R(angle) F x + shift``.
+
+    F mirrors the picture if ``mirrored``; otherwise it changes nothing.
+    """
 
     mirrored: bool = False
     angle: float = 0.0  # from the x axis (right) towards the y axis (down) [rad]

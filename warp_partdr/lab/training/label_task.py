@@ -191,7 +191,7 @@ class LabelTask(Task):
         return weights
 
     def state_dict(self) -> dict[str, Any]:
-        """Of what makes people."""
+        """State of what makes people."""
         return self._stock.state_dict()
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -254,7 +254,7 @@ class _Stock:
 
 
 def _sizes(config: LabelNetworkConfig) -> LabelNetworkConfig:
-    """The same with no dropout, which changes no weight's shape."""
+    """Configuration without dropout, which changes no weight's shape."""
     return replace(config, regressor=replace(config.regressor, dropout=0.0))
 
 

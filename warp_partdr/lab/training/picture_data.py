@@ -47,7 +47,7 @@ class Source:
     validation: bool = False  # its errors are measured; nothing is learnt from it
 
     def read(self, device: torch.device | str = "cpu") -> list[Sample]:
-        """Its people.
+        """Read the people.
 
         Raises:
             InputError: If there is no such kind, a file is missing or wrong, or there is nobody.
@@ -68,7 +68,10 @@ class Source:
         return found
 
     def _read_lsp(self, labels: LabelSet | None) -> Iterable[Sample]:
-        """Of the data set's own folder the test pictures, or those for training; of annotation arrays everybody."""
+        """Read people of Leeds Sports Poses.
+
+        The data set's own folder gives its test pictures, or those for training. Annotation arrays give everybody.
+        """
         people = read_lsp(self.path, parts=self.parts, labels=labels, pictures=self.pictures, test_only=self.validation)
         return islice(people, _LSP_TRAINING) if Path(self.path).is_dir() and not self.validation else people
 
@@ -86,7 +89,7 @@ class Examples:
     has_joints: torch.Tensor  # 1 where a joint is known, shape (B, 14)
 
     def to(self, device: torch.device | str) -> Examples:
-        """The same on another device."""
+        """Examples on another device."""
         moved = {name: value.to(device, non_blocking=True) for name, value in vars(self).items()}
         return Examples(**{**moved, "part_groups": self.part_groups})
 
@@ -144,7 +147,11 @@ def make_example(
 
 
 def _square_box(sample: Sample) -> Box:
-    """Around labels and keypoints, as a fit crops them."""
+    """Square box around labels and keypoints, as a fit crops them [px].
+
+    Raises:
+        InputError: If no keypoint is visible, or the box is too small or too large.
+    """
     empty = np.zeros((1, 1), dtype=np.uint8)
     if not sample.keypoints.visible.any():
         raise InputError(f"{sample.name}: no keypoint is visible; expected one at least")

@@ -169,7 +169,7 @@ class PictureTask(Task):
         return network.state_dict()
 
     def skipped(self) -> Sequence[str]:
-        """Whom nothing could be learnt from, and why."""
+        """People from whom nothing could be learnt, and why."""
         return list(self._skipped)
 
     def state_dict(self) -> dict[str, Any]:

@@ -44,7 +44,7 @@ class PeopleNetworks:
         return next(self.detector.buffers()).device
 
     def halved(self) -> PeopleNetworks:
-        """The same in float16, for CUDA; keypoints move by 0.2 % of a person's height (see the model card)."""
+        """Networks in float16, for CUDA; keypoints move by 0.2 % of a person's height (see the model card)."""
         heavy = None if self.heavy is None else HalfGraph(self.heavy).eval()
         return PeopleNetworks(HalfGraph(self.detector).eval(), HalfGraph(self.landmarks).eval(), heavy)
 

@@ -70,7 +70,7 @@ class TurnedCrops:
         return offsets / self._extents + 0.5
 
     def zoomed(self, zoom: float) -> TurnedCrops:
-        """The same of pictures at another size, ``zoom`` pixels a pixel."""
+        """Crops of the same pictures at another size, ``zoom`` times as large."""
         return replace(self, centres=self.centres * zoom, sides=self.sides * zoom)
 
     @property

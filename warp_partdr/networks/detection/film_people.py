@@ -70,7 +70,7 @@ class FilmPeople:
         return int(self.rows["tracks"].max(initial=-1)) + 1
 
     def owners(self, frame: int) -> np.ndarray:
-        """Whom each pixel shows: 1 for the place 0, 0 for nobody, shape ``kept_size(image_size)``, uint8."""
+        """Place + 1 of the person that each pixel shows, 0 for nobody, shape ``kept_size(image_size)``, uint8."""
         return np.frombuffer(zlib.decompress(self.packed[frame]), np.uint8).reshape(kept_size(self.image_size))
 
     def taken(self, numbers: np.ndarray, times: np.ndarray) -> FilmPeople:

@@ -169,7 +169,7 @@ class OperatorGraph(nn.Module):
             return self._replayed(pictures) if few else self._run(pictures)
 
     def _replayed(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
-        """The same by a captured graph: of few pictures, launches would take longer than their work."""
+        """Run the graph as captured: for few pictures, launches would take longer than their work."""
         count = len(pictures)
         room = 1 << (count - 1).bit_length()  # few numbers of pictures get a graph of their own
         key = room, torch.cuda.current_stream(pictures.device).cuda_stream

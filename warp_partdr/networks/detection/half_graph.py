@@ -20,7 +20,7 @@ _LIMITS = {"none": (-_LARGEST, _LARGEST), "relu": (0.0, _LARGEST), "relu6": (0.0
 
 
 class HalfGraph(OperatorGraph):
-    """The same network in float16; outputs are float32.
+    """Graph of a network in float16; its outputs are float32.
 
     Convolutions of a pixel are products of matrices; those of each channel by itself are a kernel of ours, which also
     cuts off what these products have left uncut (``activation``).
@@ -50,7 +50,10 @@ class HalfGraph(OperatorGraph):
         }
 
     def most_captured(self, device: torch.device) -> int:
-        """As in float32, of a network that computes for half as long as a host takes to launch it."""
+        """Number of pictures up to which graphs are captured, as of ``OperatorGraph``.
+
+        This network computes for half as long as a host takes to launch it.
+        """
         return min(torch.cuda.get_device_properties(device).total_memory // _A_PICTURE, 256)
 
     def _weight(self, node: Node) -> torch.Tensor:

@@ -73,7 +73,7 @@ def find_people_in(
     half: bool = False,
     landmarks: LandmarkNetwork = "full",
 ) -> list[list[FoundPerson]]:
-    """The same for several pictures of any sizes, in batches.
+    """Find everyone in several pictures of any sizes, in batches.
 
     Args:
         pictures: Each as in ``find_people``.

@@ -124,7 +124,7 @@ class PeopleTracker:
         return find_people(picture, levels=_LEVELS, previous=previous, **how)
 
     def _come_back(self, people: list[FoundPerson]) -> dict[int, FoundPerson]:
-        """Those of the people who were lost, and are where they may have got to since."""
+        """People who were lost and are where they may have got to since, by their numbers."""
         reach = {number: _REACH * (frames + 1) / self._every for number, (_, frames) in self._lost.items()}
 
         def value(person: FoundPerson, number: int) -> float:

@@ -195,7 +195,7 @@ class _NetworkError(Exception):
 
 @dataclass
 class _Waiting:
-    """Somebody of whom the networks are to be asked.
+    """Person about whom the networks are to be asked.
 
     Attributes:
         key: Frame and place.

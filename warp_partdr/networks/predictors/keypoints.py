@@ -28,7 +28,11 @@ def find_keypoints(network: KeypointNetwork, picture: Pyramid, person: FoundPers
 def ask_keypoints(
     network: KeypointNetwork, pictures: torch.Tensor, people: Sequence[FoundPerson]
 ) -> list[Keypoints2D | None]:
-    """The same of N people, each of a picture of their own; ``pictures`` are those of ``cut_upright``."""
+    """Ask a network for the keypoints of N people, each in a picture of ``cut_upright``.
+
+    Raises:
+        InputError: If the network gives something else than ``KeypointNetwork`` says.
+    """
     form = skeleton(network.skeleton)
     said = network.predict(pictures)
     if not isinstance(said, torch.Tensor) or said.shape != (len(people), form.count, 3):

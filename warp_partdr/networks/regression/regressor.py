@@ -55,7 +55,7 @@ class RegressorConfig:
 
 
 class Regressor(nn.Module):
-    """So many ``features`` to bodies."""
+    """Network from ``features`` numbers of a person to a body."""
 
     mean: torch.Tensor  # where the iterations begin
     sizes: torch.Tensor  # lengths and thicknesses of the mean body [m]

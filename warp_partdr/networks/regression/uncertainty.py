@@ -33,12 +33,12 @@ class Uncertainty(Movable):
     nearness: torch.Tensor
 
     def centre_depths(self) -> torch.Tensor:
-        """Of the parts' centres, as the mean of both joints' [m], shape (B, 20); the pelvis' own is 0."""
+        """Depth spreads of the parts' centres, the mean of both joints' [m], shape (B, 20); the pelvis' own is 0."""
         every = torch.nn.functional.pad(self.depths, (1, 0))
         return (every[:, 1:] + every[:, BONE_STARTS]) / 2
 
     def resized(self, shares: torch.Tensor) -> Uncertainty:
-        """Those of bodies so many times as large (B,), as much farther away."""
+        """Uncertainty of bodies that are ``shares`` times as large, shape (B,), and as much farther away."""
         return replace(self, depths=self.depths * shares[:, None], nearness=self.nearness / shares)
 
     def widened(self, factor: float) -> Uncertainty:
@@ -51,7 +51,7 @@ class Uncertainty(Movable):
 
 
 class UncertaintyHead(nn.Module):
-    """So many ``features`` to uncertainties."""
+    """Network from ``features`` numbers of a person to the body's uncertainty."""
 
     def __init__(self, features: int) -> None:
         super().__init__()

@@ -48,7 +48,10 @@ class Batch:
 
     @classmethod
     def of(cls, people: Sequence[Observation], energy: Energy) -> Batch:
-        """Of people; what an observation leaves open is as in an energy of one of them, of whose kind all are."""
+        """Stack the observations of people.
+
+        What an observation leaves open is as in ``energy``, which is that of one of them. All must be of its kind.
+        """
         device = people[0].points.device
         counts = [len(each.landmarks) for each in people]
         person = torch.from_numpy(np.repeat(np.arange(len(people)), counts)).to(device)
@@ -83,7 +86,7 @@ class Batch:
 
     @classmethod
     def of_stacked(cls, people: StackedObservations, energy: Energy) -> Batch:
-        """Of people who are stacked already; sizes and depths are the energy's usual ones."""
+        """Make a batch of people who are stacked already; sizes and depths are the energy's usual ones."""
         votes, columns = _stacked_votes(people)
         points = votes.new_zeros(*votes.shape, 2)
         points[:, columns] = people.points
@@ -102,7 +105,7 @@ class Batch:
         )
 
     def believing(self, people: StackedObservations) -> Batch:
-        """The same people with the confidence in keypoints that these observations of them have."""
+        """Batch of the same people with the confidence in keypoints that these observations of them have."""
         return replace(self, votes=_stacked_votes(people)[0])
 
     def __len__(self) -> int:
@@ -126,7 +129,7 @@ class Batch:
         return {name: each for name, each in vars(self).items() if torch.is_tensor(each) and name != "labels"}
 
     def drawn_at(self, size: int) -> Batch:
-        """With label images of ``size`` pixels a side; of 0, nothing is drawn."""
+        """Batch with label images of ``size`` pixels a side; with size 0, nothing is drawn."""
         if self.labels is None or size == 0:
             return replace(self, targets=None)
         return replace(self, targets=resize_nearest(self.labels, size))

@@ -35,7 +35,7 @@ class GivenPoses(Movable):
 
     @classmethod
     def of(cls, bodies: Sequence[Registered], turning: torch.Tensor) -> GivenPoses:
-        """Those of bodies of one model."""
+        """Collect the poses of bodies of one model, whose joints ``turning`` the stage turns."""
         model, kept = bodies[0].model, turning.tolist()
         parents = [model.parents[joint] for joint in kept[1:]]
         above = list(parents)

@@ -167,7 +167,7 @@ class MeshEnergy:
         return drawn, marked
 
     def depths(self, points: torch.Tensor) -> torch.Tensor:
-        """Of ``JOINT_NAMES`` but the pelvis, relative to it [m], shape (..., 20)."""
+        """Depths of ``JOINT_NAMES`` but the pelvis, relative to it [m], shape (..., 20)."""
         depths = points[..., self.ends, 2]
         return depths[..., 1:] - depths[..., :1]
 

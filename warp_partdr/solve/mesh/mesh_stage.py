@@ -73,7 +73,10 @@ class MeshFit(Movable):
         return self.body.model.landmarks(self.body.detailed, names)[0].cpu().numpy()
 
     def draw(self, image_size: tuple[int, int], *, camera: Camera | None = None) -> PartImage:
-        """Its 20 parts, clothed, in the full picture of (H, W) pixels, or in another camera's; as its labels end."""
+        """Draw the body's 20 parts, clothed, in the full picture of (H, W) pixels, or in another camera's.
+
+        Neck, arms and legs begin at their joints if those of the fit's label set do, else where the skin follows them.
+        """
         labels = self.first.observation.label_set
         mesh = detailed_mesh(self.body.model, labels is not None and labels.at_joints)
         return draw_mesh(self.body.clothed(self.clothes).vertices, mesh, camera or self.camera, image_size)

@@ -97,8 +97,8 @@ class Posing(Protocol):
 
     @property
     def rotations(self) -> torch.Tensor:
-        """Of the drawn model's joints, shape (B, J, 3, 3)."""
+        """Rotations of the drawn model's joints, shape (B, J, 3, 3)."""
 
     @property
     def translation(self) -> torch.Tensor:
-        """Of its root [m], shape (B, 3)."""
+        """Position of the drawn model's root joint [m], shape (B, 3)."""

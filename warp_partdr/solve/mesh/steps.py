@@ -78,7 +78,7 @@ class Steps(Generic[P, U]):
 
     @property
     def unknowns(self) -> U:
-        """As they are now."""
+        """Unknowns as they are now."""
         return self._energy.moved(self._people, self._moves * self._rates)
 
     @property
@@ -106,7 +106,7 @@ class Steps(Generic[P, U]):
 
 
 class _CapturedSteps(Steps[P, U]):
-    """The same on CUDA by one graph."""
+    """Steps on CUDA, by one captured graph."""
 
     def __init__(self, energy: StepEnergy[P, U], people: P, learning_rate: float) -> None:
         super().__init__(energy, people.copied(), learning_rate)

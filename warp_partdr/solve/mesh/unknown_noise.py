@@ -36,7 +36,10 @@ def noise_costs(errors: torch.Tensor, counts: torch.Tensor, usual: float) -> tor
 
 
 def blob_costs(errors: torch.Tensor, counts: torch.Tensor, usual: float) -> torch.Tensor:
-    """The same of errors that come in blobs: of those wider than usual, slopes fall with the square of their size."""
+    """Costs as of ``noise_costs``, for errors that come in blobs.
+
+    Far above the usual size, slopes fall with the square of the errors.
+    """
     shares = _shares(errors, counts, usual)
     factor = 2 * (1 + _LEAST) / (1 - _LEAST) * usual
     return factor * counts * (torch.log1p(shares / _LEAST) - torch.log1p(shares))

@@ -50,12 +50,12 @@ def check_room(clusters: Clusters, groups: int) -> None:
 
 
 def of_several(clusters: Clusters) -> Clusters:
-    """Those of more than one person."""
+    """Clusters of more than one person."""
     return tuple(members for members in clusters if len(members) > 1)
 
 
 def of_one(clusters: Clusters) -> Clusters:
-    """Those of one person."""
+    """Clusters of one person."""
     return tuple(members for members in clusters if len(members) == 1)
 
 
@@ -70,7 +70,7 @@ def slots_of(clusters: Clusters, num_people: int, device: torch.device) -> tuple
 
 
 def _box(look: Looked) -> list[float]:
-    """Of the person in the picture with a margin, left, top, right, bottom [px]."""
+    """Box of the person in the picture with a margin, left, top, right, bottom [px]."""
     evidence = look.evidence
     groups = np.zeros((1, 1), dtype=np.uint8) if evidence.groups is None else evidence.groups
     box = np.array(person_crop(evidence.in_window(), groups, CROP_MARGIN)).reshape(2, 2)

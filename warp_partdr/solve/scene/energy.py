@@ -190,7 +190,7 @@ class SceneEnergy:
     def _label_loss(
         self, people: SceneStarts, sheet: Sheet, mesh: PartMesh, drawn: torch.Tensor, pelvises: torch.Tensor
     ) -> torch.Tensor:
-        """Of each picture of a sheet, in pixels of a person's crop."""
+        """Label loss of each picture of a sheet, in pixels of a person's crop."""
         options = self.options.mesh
         loss, _ = mesh_label_loss(
             place_people(drawn, pelvises, self._views(people, sheet), sheet.size),

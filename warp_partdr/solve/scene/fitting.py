@@ -71,7 +71,7 @@ class SceneFit(Movable):
 
     @property
     def vertices(self) -> torch.Tensor:
-        """Of the bodies without clothes, in the world [m], shape (P, T, V, 3)."""
+        """Vertices of the bodies without clothes, in the world [m], shape (P, T, V, 3)."""
         return self._by_person(self.bodies.detailed.vertices)
 
     @property

@@ -81,7 +81,7 @@ def look_in_batches(
 def _look(
     views: Sequence[View], sights: Sequence[Sight], network: LabelNetwork, device: torch.device | str
 ) -> list[Looked]:
-    """Of sights in one batch."""
+    """Look at sights in one batch."""
     evidence = [_weighed(sight) for sight in sights]
     pairs = [
         crop_evidence(each, device=device, camera=views[sight.view].camera)

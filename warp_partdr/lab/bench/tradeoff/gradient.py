@@ -48,7 +48,7 @@ def true_gradient(people: People, bodies: BodyParameters) -> torch.Tensor:
 
 
 def _gradient(setting: Setting, bodies: BodyParameters, labels: torch.Tensor) -> torch.Tensor:
-    """Of L_seg [pixels of a 256 px picture], in the unit of a step of each number, shape (B, P)."""
+    """Gradient of L_seg [pixels of a 256 px picture], in the unit of a step of each number, shape (B, P)."""
     leaves = bodies.leaves()
     loss, _ = setting.renderer.label_loss(leaves.posed(), leaves.camera(setting.size), labels)
     names = leaves.tensors()

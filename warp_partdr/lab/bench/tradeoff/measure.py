@@ -109,7 +109,10 @@ def _precision_jobs(report: TradeoffReport, people: People) -> Iterator[Job]:
 
 
 def _compare_numbers(report: TradeoffReport, people: People, setting: Setting) -> None:
-    """The same refinement with posing, losses and Adam in float32 and in float64; kernels draw in float32."""
+    """Compare a refinement with posing, losses and Adam in float32 and in float64; kernels draw in float32.
+
+    The bodies found in float32 are also compared after rounding to bfloat16.
+    """
     start, gather = people.starts(DISTANCE), LandmarkGather(MPJPE_JOINTS, people.labels.device)
     found: dict[str, BodyParameters] = {}
     seconds: dict[str, float] = {}

@@ -26,7 +26,7 @@ class Setting:
 
     @property
     def columns(self) -> dict[str, str | int]:
-        """The same in rows of JSON."""
+        """Columns of the setting in rows of JSON."""
         return {"renderer": self.name, "size_px": self.size, "iterations": self.iterations}
 
     @property

@@ -48,15 +48,15 @@ class TradeoffReport:
         return _find(self.gradients, renderer=setting.name, size_px=setting.size, distance_rad=distance)
 
     def settings(self) -> list[Setting]:
-        """Those of the main table."""
+        """Settings of the main table."""
         return [Setting(row["renderer"], row["size_px"]) for row in self.times]
 
     def iterations(self) -> list[int]:
-        """Those that were run, from the fewest."""
+        """Numbers of iterations that were run, the fewest first."""
         return sorted({row["iterations"] for row in self.fits})
 
     def as_dict(self) -> dict[str, Any]:
-        """For ``save_figures``."""
+        """Contents of the report, for ``save_figures``."""
         return {**vars(self), "found": mesh_gains(self)}
 
 
