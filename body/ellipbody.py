@@ -188,7 +188,7 @@ class EllipBody(WarpArrays):
 
     @property
     def batch_size(self) -> int:
-        """B, the number of bodies."""
+        """Number of bodies, B."""
         return self.lengths.shape[0]
 
     @property

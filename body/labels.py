@@ -98,7 +98,7 @@ class LabelSet:
 
     @property
     def num_groups(self) -> int:
-        """G."""
+        """Number of groups, G."""
         return len(self.groups)
 
     @cached_property

@@ -96,7 +96,7 @@ class BodyParameters(Movable):
 
     @property
     def batch_size(self) -> int:
-        """B, the number of bodies."""
+        """Number of bodies, B."""
         return self.log_scale.shape[0]
 
     def global_orient(self) -> torch.Tensor:

@@ -68,7 +68,7 @@ class Skeleton:
         return mirror_order(self.landmarks)
 
     def __len__(self) -> int:
-        """J, the number of joints."""
+        """Number of joints, J."""
         return len(self.landmarks)
 
 

@@ -18,7 +18,7 @@ def column(m: wp.mat33, index: int):
 
 @wp.func
 def one_minus_cosine(square: float):
-    """(1 - cos a) / a^2 of an angle a, given a^2."""
+    """Value of (1 - cos a) / a^2 for an angle a, given a^2."""
     if square < _TINY_SQUARE:
         return 0.5 - square / 24.0
     half_sine = wp.sin(0.5 * wp.sqrt(square))

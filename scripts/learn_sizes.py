@@ -49,7 +49,7 @@ def learned_windows(folder: Path) -> list[Clip]:
 
 
 def main(mocap: Mocap, /, *, people: People = range(1000, 1600)) -> None:
-    """Look, and print slopes and their fit.
+    """Look at people, and print slopes and their fit.
 
     Args:
         mocap: Motion of the people.

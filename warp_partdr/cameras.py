@@ -22,7 +22,7 @@ USUAL_FOCAL = 1.0
 
 @dataclass(frozen=True)
 class WeakPerspective(Movable):
-    """u = s X + t_u, v = s Y + t_v.
+    """Weak-perspective cameras: u = s X + t_u, v = s Y + t_v.
 
     Attributes:
         scale: s [px/m], shape (B,).
@@ -54,7 +54,7 @@ class WeakPerspective(Movable):
 
     @property
     def intrinsics(self) -> torch.Tensor:
-        """(f_x, f_y, c_x, c_y) for ``u = f_x X + c_x``, shape (B, 4)."""
+        """Intrinsics (f_x, f_y, c_x, c_y) for ``u = f_x X + c_x``, shape (B, 4)."""
         return torch.cat([self.scale[:, None].expand(-1, 2), self.translation], dim=1)
 
     def project(self, points: torch.Tensor) -> torch.Tensor:
@@ -117,7 +117,7 @@ class WeakPerspective(Movable):
 
 @dataclass(frozen=True)
 class Perspective(Movable):
-    """u = f_x X / Z + c_x, v = f_y Y / Z + c_y.
+    """Perspective cameras: u = f_x X / Z + c_x, v = f_y Y / Z + c_y.
 
     Attributes:
         focal: (f_x, f_y) [px], shape (B, 2).
@@ -185,7 +185,7 @@ class Perspective(Movable):
 
     @property
     def intrinsics(self) -> torch.Tensor:
-        """(f_x, f_y, c_x, c_y), shape (B, 4)."""
+        """Intrinsics (f_x, f_y, c_x, c_y) [px], shape (B, 4)."""
         return torch.cat([self.focal, self.centre], dim=1)
 
     def project(self, points: torch.Tensor) -> torch.Tensor:

@@ -22,7 +22,7 @@ _TURNS = ("RightButtonPressEvent", "MiddleButtonPressEvent", "MouseWheelForwardE
 
 
 class Playing(Protocol):
-    """Anything that plays or is still."""
+    """State of something that plays or is still."""
 
     playing: bool
 

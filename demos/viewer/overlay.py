@@ -76,7 +76,7 @@ class Overlay:
         self._texture.show(np.asarray(self._picture))
 
     def pixel(self, x: float, y: float) -> tuple[float, float]:
-        """(column, row from the top) of a place of the window [px, y up]."""
+        """Column, and row from the top, of a place in the window [px, y up]."""
         place = (np.array([x, y]) - self._renderer.GetOrigin()) / self._renderer.GetSize()
         column, up = (place - self._low) / (self._high - self._low) * self._size
         return column, self._size[1] - up

@@ -358,7 +358,7 @@ def draw_rows(
 
 
 def num_partial_losses(device: wp.Device, batch: int, height: int, width: int) -> int:
-    """T, the number of partial sums of each picture's loss that ``launch_draw`` fills."""
+    """Number of partial sums of each picture's loss that ``launch_draw`` fills, T."""
     if device.is_cpu:
         return height
     return -(-height // (_STRIP_ROWS * _strips(batch, height, width))) * -(-width // _STRIP_WIDTH)

@@ -59,7 +59,7 @@ def limit_joint(problem: Problem, state: State, weight: float, b: int, k: int):
 @rule(column=2)
 @wp.func
 def hold_length(problem: Problem, state: State, weight: float, b: int, k: int):
-    """L_l: squared deviation of length k from the usual."""
+    """Squared deviation of length k from the usual, a term of L_l."""
     bodies, gradient = state.bodies, state.gradient
     return hold_size(bodies.lengths, problem.rules.usual_lengths, gradient.lengths, weight, b, k)
 
@@ -67,7 +67,7 @@ def hold_length(problem: Problem, state: State, weight: float, b: int, k: int):
 @rule(column=3)
 @wp.func
 def hold_thickness(problem: Problem, state: State, weight: float, b: int, k: int):
-    """L_t: squared deviation of thickness k from the usual."""
+    """Squared deviation of thickness k from the usual, a term of L_t."""
     bodies, gradient = state.bodies, state.gradient
     return hold_size(bodies.thicknesses, problem.rules.usual_thicknesses, gradient.thicknesses, weight, b, k)
 

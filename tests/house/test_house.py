@@ -113,10 +113,11 @@ CARRIERS_TO_MEND = {
     "work: self._prepare_gradient(**scratch)",
 }
 QUESTIONS = r"(What|Which|How|Whether|Where|Whose)\b"
-# Openings that only a reader of the neighbour understands, or that leave the noun out. Tests may have them.
+# Openings that only a reader of the neighbour understands, or that leave the noun out; a letter alone is no noun. Tests
+# may have them.
 FRAGMENTS = (
     r"(The same|As|Of|For|With|By|From|In|To|At|On|So|When|While|If|Between|Around|Besides|After|Before|Such|Those"
-    r"|Their|Its|Your|Whom|Who|Nothing|Nobody|Somebody|One's|Up)(?!\w)"
+    r"|Their|Its|Your|Whom|Who|Nothing|Nobody|Somebody|Anything|One's|Up|None|[A-Z](?= and |,)|[A-Z]\.$)(?!\w)|[(\[]"
 )
 
 pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").exists(), reason="needs the repository around the tests")
@@ -409,6 +410,8 @@ def test_docstrings_begin_with_a_noun_or_a_verb():
         ("Of the people.", True),
         ("As ``find_camera``, of a crop.", True),
         ("Those of one person.", True),
+        ("N.", True),
+        ("(H, W) [px].", True),
         ("The same people's vertices.", True),
         ("Areas of the people.", False),
         ("Offset from the first frame.", False),

@@ -35,7 +35,7 @@ FAULTS = (ValueError, RuntimeError, MemoryError)  # of single pictures; torch's 
 
 
 def no_camera(name: str, size: tuple[int, int]) -> None:
-    """None: the camera of no picture is known, and none is assumed."""
+    """Return None: the camera of no picture is known, and none is assumed."""
 
 
 def usual_camera(name: str, size: tuple[int, int]) -> UsualLens:

@@ -64,7 +64,7 @@ def kept_label_size(options: FitOptions, network: LabelNetwork, *, meshes: bool)
 
 @dataclass(frozen=True)
 class PeopleFitter:
-    """Fits of everyone in pictures.
+    """Fitter of everyone in pictures: it finds people, predicts their bodies and refines them.
 
     Attributes:
         options: Of the fits, such as ``stages_of_quality``; with ``half``, people are found in float16 on CUDA.

@@ -94,7 +94,7 @@ class SourcePicture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(H, W) [px]."""
+        """Size (H, W) of the picture [px]."""
         if isinstance(self.picture, np.ndarray):
             return self.picture.shape[0], self.picture.shape[1]
         return self.picture.size

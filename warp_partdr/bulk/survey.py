@@ -157,7 +157,7 @@ class Worst:
 
     @classmethod
     def by(cls, name: str, count: int) -> Worst:
-        """None yet, by a score of this name."""
+        """Make an empty list of the worst people by the score of this name."""
         return cls(next(score for score in SCORES if score.name == name), count)
 
     def add(self, values: np.ndarray, shard: int, rows: np.ndarray) -> None:

@@ -169,7 +169,7 @@ class StatedSize:
     either: bool = False
 
     def of(self, picture: tuple[int, int], orientation: int) -> tuple[int, int]:
-        """(H, W) as it fits a picture (H, W) best: the other way round where that alone is its shape.
+        """Size (H, W) as it fits a picture (H, W) best: the other way round where that alone is its shape.
 
         Of a picture that EXIF's ``orientation`` turns on its side, both are shapes of it, and the usual order counts.
         """

@@ -236,7 +236,7 @@ class CalibratedCamera:
         return math.inf if outward.all() else float(_WIDEST[outward.argmin()])
 
     def _stretch(self, square: np.ndarray) -> np.ndarray:
-        """s of squared radii."""
+        """Factor by which distortion stretches radii, given their squares."""
         k1, k2, _, _, k3, k4, k5, k6 = (*self.distortion, *[0.0] * (8 - len(self.distortion)))
         return (1 + square * (k1 + square * (k2 + square * k3))) / (1 + square * (k4 + square * (k5 + square * k6)))
 

@@ -401,7 +401,7 @@ def _camera(node: Mapping[str, Any], where: str, *, alone: bool) -> CalibratedCa
 
 
 def _pose(node: Mapping[str, Any], where: str, *, alone: bool) -> tuple[np.ndarray, np.ndarray]:
-    """R and t, world to camera."""
+    """Rotation R and translation t, from world to camera."""
     if _find(node, _POSE) is not None:
         pose = _numbers(node, _POSE, where, "a camera's pose", (4, 4))
         turn = pose[:3, :3].T
@@ -491,7 +491,7 @@ def _distortion(values: list[float], where: str) -> tuple[float, ...]:
 
 
 def _size(node: Mapping[str, Any], where: str) -> tuple[int, int] | None:
-    """(H, W) of the pictures, where it is said: files have width and height."""
+    """Size (H, W) of the pictures, where it is said: files have width and height."""
     found = _find(node, _SIZE)
     if found is not None:
         values = to_matrix(found[1], f"{where}: {found[0]}").ravel().tolist()

@@ -99,7 +99,7 @@ class CutPeople(Sequence[CutPerson]):
         return self.skeleton, self.seen.label_set, self.seen.lens is None, self.seen.lens_assumed
 
     def __len__(self) -> int:
-        """N."""
+        """Number of people, N."""
         return len(self.crops)
 
     @overload

@@ -58,7 +58,7 @@ class Evidence:
 
     @property
     def image_size(self) -> tuple[int, int] | None:
-        """(H, W) of the picture [px]; None if neither labels nor keypoints tell it."""
+        """Size (H, W) of the picture [px]; None if neither labels nor keypoints tell it."""
         if self.picture is None:
             return self.keypoints.image_size
         height, width = self.picture.groups.shape

@@ -110,7 +110,7 @@ class FilePicture:
 
 @dataclass
 class FilePeople:
-    """Everybody in a file, and all its pictures, also those in which nobody is."""
+    """People in a file, and all its pictures, also those in which nobody is."""
 
     people: list[PersonEntry] = field(default_factory=list)
     pictures: list[FilePicture] = field(default_factory=list)

@@ -75,7 +75,7 @@ class Keypoints2D:
 
 
 def _check_size(size: Sequence[SupportsIndex]) -> tuple[int, int]:
-    """(H, W) of a picture as two ints; InputError if these are none."""
+    """Size (H, W) of a picture as two ints; InputError if these are none."""
     try:
         height, width = (check_whole("image_size", side, 1, LARGEST_PLACE) for side in size)
     except (TypeError, ValueError):  # also if they are not two

@@ -183,12 +183,12 @@ class Scene:
 
     @property
     def num_people(self) -> int:
-        """P."""
+        """Number of people, P."""
         return 1 + max(sight.person for sight in self.sights)
 
     @property
     def num_frames(self) -> int:
-        """T."""
+        """Number of frames, T."""
         return 1 + max(sight.frame for sight in self.sights)
 
     @property

@@ -84,7 +84,7 @@ class StackedObservations(Movable):
         )
 
     def __len__(self) -> int:
-        """N."""
+        """Number of people, N."""
         return len(self.visible)
 
     def __getitem__(self, row: int) -> Observation:

@@ -27,7 +27,7 @@ def total_length(shapes: Shapes) -> int:
 
 
 def row_length(shapes: Shapes) -> int:
-    """R, the number of a body's values."""
+    """Number of a body's values, R."""
     return sum(math.prod(shape[1:]) for shape in shapes)
 
 

@@ -75,7 +75,7 @@ class Recipe(Protocol):
         ...
 
     def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
-        """M, the number of partial sums of a body's loss."""
+        """Number of partial sums of a body's loss, M."""
         ...
 
     def prepare(self, buffers: Buffers) -> Callable[[], None]:

@@ -94,17 +94,17 @@ class DetailedModel(Movable):
 
     @property
     def num_joints(self) -> int:
-        """J, the number of joints."""
+        """Number of joints, J."""
         return len(self.parents)
 
     @property
     def num_shapes(self) -> int:
-        """S, the number of shape values."""
+        """Number of shape values, S."""
         return len(self.shape_directions)
 
     @property
     def num_vertices(self) -> int:
-        """V, the number of vertices."""
+        """Number of vertices, V."""
         return len(self.rest_vertices)
 
     @property

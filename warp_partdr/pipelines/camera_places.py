@@ -132,7 +132,7 @@ class Moments:
 
     @property
     def num_views(self) -> int:
-        """V."""
+        """Number of views, V."""
         return len(self.there)
 
     @property

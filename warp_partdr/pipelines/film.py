@@ -94,7 +94,7 @@ class FilmFit:
 
     @property
     def camera(self) -> Perspective:
-        """The first film's, in its pixels."""
+        """Camera of the first film, in its pixels."""
         return self.films[0].view.camera
 
     @property

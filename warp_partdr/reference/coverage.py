@@ -93,7 +93,7 @@ def borders_on_lines(
 
 
 def on_line(axis: int, along: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(x, y) of places on lines along an axis."""
+    """Coordinates (x, y) of places on lines along an axis."""
     return (along, across) if axis == 0 else (across, along)
 
 

@@ -62,7 +62,7 @@ def segmentation_loss(maps: np.ndarray, wanted: np.ndarray, known: np.ndarray | 
 
 
 def label_gradient(labels: np.ndarray, target: np.ndarray, num_labels: int) -> np.ndarray:
-    """g = dL_seg/dA, the derivative of eq. 6 for a label image and its target, as maps (K, H, W).
+    """Derivative of eq. 6, g = dL_seg/dA, for a label image and its target, as maps (K, H, W).
 
     Args:
         labels: Shown, shape (H, W).

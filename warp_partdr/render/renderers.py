@@ -29,7 +29,7 @@ from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
 
 @dataclass(frozen=True)
 class RendererEllipsoids(BodyLoss):
-    """Exact ellipsoids.
+    """Renderer of the exact ellipsoids, in closed form.
 
     Attributes:
         gradient: "partdr", "coverage" or "edges", see ``draw_ellipsoids``.
@@ -95,7 +95,7 @@ class RendererEllipsoids(BodyLoss):
 
 @dataclass(frozen=True)
 class RendererMesh(BodyLoss):
-    """EllipBody's mesh; with PartDR's gradient, the paper's renderer.
+    """Renderer of EllipBody's mesh; with PartDR's gradient, it is the paper's.
 
     Attributes:
         subdivisions: Level of the mesh, 0 to 3; "auto": the coarsest that keeps ``tolerance``.

@@ -58,7 +58,7 @@ def numbers_of(tensor: torch.Tensor) -> np.ndarray:
 
 
 def to_quaternions(rotations: np.ndarray) -> np.ndarray:
-    """(x, y, z, w) of rotation matrices (T, ..., 3, 3), each on the side of the one before, shape (T, ..., 4)."""
+    """Quaternions (x, y, z, w) of rotation matrices (T, ..., 3, 3), the sign nearest the one before, (T, ..., 4)."""
     found = rotation_to_quaternion(torch.from_numpy(rotations)).numpy()
     turned = (found[1:] * found[:-1]).sum(-1, keepdims=True) < 0
     found[1:] *= np.where(np.cumsum(turned, axis=0) % 2, -1.0, 1.0)

@@ -46,7 +46,7 @@ def check_plausible(values: np.ndarray, name: str, where: str) -> None:
 
 
 def check_picture_size(size: Sequence[int], where: str) -> tuple[int, int]:
-    """(H, W) of a picture [px] as two ints; raises InputError unless there can be such a picture."""
+    """Size (H, W) of a picture [px] as two ints; raises InputError unless there can be such a picture."""
     height, width = map(int, size)
     if min(height, width) < 1:
         raise InputError(f"{where}: {min(height, width)}; expected positive numbers of pixels")

@@ -115,7 +115,7 @@ def check_photo(photo: np.ndarray | None) -> None:
 
 
 def image_size(keypoints: Keypoints2D, parts: PartLabels | None, photo: np.ndarray | None) -> tuple[int, int]:
-    """(H, W) of the picture; without photo and labels, what holds all keypoints."""
+    """Size (H, W) of the picture; without photo and labels, what holds all keypoints."""
     for image in (None if parts is None else parts.groups, photo):
         if image is not None:
             return int(image.shape[0]), int(image.shape[1])

@@ -51,7 +51,7 @@ class BenchScene:
 
     @property
     def batch_size(self) -> int:
-        """B."""
+        """Number of bodies, B."""
         return self.bodies.batch_size
 
     @cached_property

@@ -26,7 +26,7 @@ class Timing:
 
     @property
     def median(self) -> float:
-        """[s]."""
+        """Median time [s]."""
         return float(np.median(self.seconds))
 
     @property
@@ -37,7 +37,7 @@ class Timing:
 
     @property
     def fastest(self) -> float:
-        """[s]; on a machine with other work the least disturbed figure."""
+        """Shortest time [s]; on a machine with other work the least disturbed figure."""
         return min(self.seconds)
 
 

@@ -48,7 +48,7 @@ class People(Movable):
     joints: torch.Tensor  # true ``MPJPE_JOINTS``, in the camera frame [m], shape (N, 14, 3)
 
     def __len__(self) -> int:
-        """N."""
+        """Number of people, N."""
         return len(self.labels)
 
     def observation(self, person: int | None = None) -> Observation:

@@ -105,7 +105,7 @@ def join_crops(parts: Sequence[TurnedCrops]) -> TurnedCrops:
 
 
 def no_crops() -> TurnedCrops:
-    """None at all."""
+    """Make an empty set of crops."""
     return TurnedCrops(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
 
 

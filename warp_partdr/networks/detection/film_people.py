@@ -112,7 +112,7 @@ def _cuts_taken(cuts: Sequence[int], numbers: np.ndarray) -> tuple[int, ...]:
 
 
 def kept_size(size: tuple[int, int]) -> tuple[int, int]:
-    """(H, W) at which it is kept whom the pixels of a film's frames show [px]."""
+    """Size (H, W) of the maps that are kept of the people in a film's frames [px]."""
     zoom = min(1.0, _SIDE / max(size))
     return max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1)
 

@@ -54,7 +54,7 @@ class BoxNetwork:
             raise ValueError(f"longest: {self.longest}; expected {min(self.size)} or more, as size has it")
 
     def size_of(self, size: tuple[int, int]) -> tuple[int, int]:
-        """(H, W) in which it takes a picture of this size [px]."""
+        """Size (H, W) in which the network takes a picture of this size [px]."""
         if self.longest is None:
             return self.size
         zoom = min(min(self.size) / min(size), self.longest / max(size))

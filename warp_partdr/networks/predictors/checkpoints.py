@@ -69,7 +69,7 @@ def load_keypoint_network(
     device: torch.device | str = "cpu",
     say: Say | None = None,
 ) -> KeypointNetwork:
-    """Load a ViTPose or ViTPose+.
+    """Load a ViTPose or ViTPose+ network for keypoints.
 
     Args:
         name: As of ``load_part_network``; "NAME+NAME" has the name of a ``load_box_network`` behind it.

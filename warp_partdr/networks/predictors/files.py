@@ -155,7 +155,7 @@ def _longest(data: Mapping[str, Any]) -> int | None:
 
 
 def _size(given: Any) -> tuple[int, int]:
-    """(H, W) of an image processor's size, which has several forms; a side alone is a square's."""
+    """Size (H, W) of an image processor's size, which has several forms; a side alone is a square's."""
     sides: Any = given
     if isinstance(given, Mapping):
         side = next((given[key] for key in ("shortest_edge", "longest_edge") if key in given), None)

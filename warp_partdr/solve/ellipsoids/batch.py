@@ -109,7 +109,7 @@ class Batch:
         return replace(self, votes=_stacked_votes(people)[0])
 
     def __len__(self) -> int:
-        """N."""
+        """Number of people, N."""
         return len(self.votes)
 
     @property

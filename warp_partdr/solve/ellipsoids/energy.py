@@ -259,5 +259,5 @@ class Energy:
         return ((image - self.observation.points).abs().sum(-1) * self.votes).sum(1)
 
     def reprojection(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
-        """L_proj: ``misses`` in px of a 256 px crop."""
+        """Reprojection cost L_proj: ``misses`` in px of a 256 px crop, shape (B,)."""
         return self.misses(parameters, posed) * (REFERENCE_SIZE / 2)

@@ -73,7 +73,7 @@ class BatchFits(Sequence[FitResult]):
     before_outline: BodyParameters | None
 
     def __len__(self) -> int:
-        """N."""
+        """Number of people, N."""
         return len(self.people)
 
     @overload

@@ -65,7 +65,7 @@ class MeshFit(Movable):
 
     @property
     def vertices(self) -> np.ndarray:
-        """The body's, in the camera frame, shape (V, 3) [m]."""
+        """Vertices of the body without clothes, in the camera frame, shape (V, 3) [m]."""
         return self.body.detailed.vertices[0].cpu().numpy()
 
     def landmarks(self, names: Sequence[str]) -> np.ndarray:

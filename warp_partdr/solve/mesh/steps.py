@@ -89,7 +89,7 @@ class Steps(Generic[P, U]):
         return {name: factors[name] * cost.reshape(len(cost), -1).sum(1) for name, cost in costs.items()}
 
     def step(self, share: float | torch.Tensor) -> None:
-        """One, at this share of the learning rate."""
+        """Take one step, at this share of the learning rate."""
         self._costs = self._energy(self._people, self.unknowns)
         if not self._pulls:
             factors = self._energy.factors(self._people)

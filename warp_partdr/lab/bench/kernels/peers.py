@@ -34,7 +34,7 @@ class MeshView:
 
     @property
     def image_size(self) -> tuple[int, int]:
-        """(H, W) [px]."""
+        """Size (H, W) of the picture [px]."""
         return self.targets.shape[1], self.targets.shape[2]
 
     def normalised(self, vertices: torch.Tensor) -> torch.Tensor:
@@ -63,7 +63,7 @@ _Loss = Callable[[torch.Tensor], torch.Tensor]  # L_seg of vertices
 
 
 def ours(view: MeshView) -> tuple[_Draw, _Loss]:
-    """This package's mesh renderer, called as a peer is."""
+    """Call the mesh renderer of this package as a peer is called."""
     scene = view.mesh, ScreenCamera(perspective=False)
     return (
         lambda: draw_mesh(view.vertices, *scene, view.image_size, validate=False).labels,

@@ -149,7 +149,7 @@ class Views:
             _check_before_cameras(self.joints_camera, self.keypoints)
 
     def __len__(self) -> int:
-        """N, the number of views."""
+        """Number of views, N."""
         return len(self.person)
 
     def arrays(self) -> dict[str, np.ndarray]:
