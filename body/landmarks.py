@@ -243,13 +243,19 @@ def landmark_points(names: Sequence[str]) -> LandmarkPoints:
 def landmark_positions(
     names: Sequence[str], centres: np.ndarray, axes: np.ndarray, semi_axes: np.ndarray
 ) -> np.ndarray:
-    """Positions of landmarks on posed ellipsoids, shape (..., L, 3) [m].
+    """Positions of landmarks on posed ellipsoids, by NumPy.
 
     Args:
-        names: L landmarks.
+        names: Names of L landmarks, such as "left_wrist".
         centres: Ellipsoid centres [m], shape (..., 20, 3).
         axes: Ellipsoid axes as columns, shape (..., 20, 3, 3).
         semi_axes: Semi-axes [m], shape (..., 20, 3).
+
+    Returns:
+        Positions in the frame of the centres [m], shape (..., L, 3).
+
+    Raises:
+        ValueError: If there is no landmark of a name; the message lists all.
     """
     parts, normalised, weights = landmark_points(names)
     offsets = np.einsum("...ij,...j->...i", axes[..., parts, :, :], semi_axes[..., parts, :] * normalised)

@@ -81,7 +81,18 @@ def rotation_from_6d(columns: torch.Tensor) -> torch.Tensor:
 
 
 def rotation_to_6d(rotation: torch.Tensor) -> torch.Tensor:
-    """First two columns of rotation matrices (..., 3, 3), shape (..., 6)."""
+    """First two columns of rotation matrices; ``rotation_from_6d`` is the way back.
+
+    Args:
+        rotation: Rotation matrices, shape (..., 3, 3). It is not checked that they are rotations.
+
+    Returns:
+        First and second column, one after the other, shape (..., 6).
+
+    Raises:
+        TypeError: If ``rotation`` is no tensor.
+        ValueError: If the shape or dtype is wrong.
+    """
     _check("rotation", rotation, (3, 3))
     return torch.cat([rotation[..., 0], rotation[..., 1]], dim=-1)
 
@@ -110,7 +121,21 @@ def rotation_to_quaternion(rotation: torch.Tensor) -> torch.Tensor:
 
 
 def rotation_to_axis_angle(rotation: torch.Tensor) -> torch.Tensor:
-    """Axis times angle, in [0, pi], of rotation matrices (..., 3, 3), shape (..., 3)."""
+    """Axis times angle of rotation matrices; ``rotation_from_axis_angle`` is the way back.
+
+    The angle is from 0 to pi. So a rotation that was made of a larger angle comes back as an equal one of a smaller
+    angle: 4 rad about z become -2.28 rad.
+
+    Args:
+        rotation: Rotation matrices, shape (..., 3, 3). It is not checked that they are rotations.
+
+    Returns:
+        Unit axis times angle [rad], shape (..., 3).
+
+    Raises:
+        TypeError: If ``rotation`` is no tensor.
+        ValueError: If the shape or dtype is wrong.
+    """
     quaternion = rotation_to_quaternion(rotation)
     w, xyz = quaternion[..., 0], quaternion[..., 1:]
     square = (xyz * xyz).sum(-1)

@@ -85,10 +85,25 @@ def observe(
     device: torch.device | str = "cpu",
     camera: Perspective | None = None,
 ) -> tuple[Observation, Crop]:
-    """Cut one person out: a square crop, keypoints in it from -1 to 1; other people and missing limbs are ignored.
+    """Cut one person out of a picture, as ``fit_body`` does before it fits.
 
-    Where labels and keypoints disagree on left and right, the keypoints are believed (``fit_body`` tries both). If
-    ``camera`` is None, a usual lens is assumed where the picture's size is known.
+    Other people's labels and missing limbs are ignored. Where labels and keypoints disagree on left and right, the
+    keypoints are believed, while ``fit_body`` tries both.
+
+    Args:
+        keypoints: The person's keypoints, in pixels of the picture.
+        parts: Part labels of the picture; None: keypoints alone.
+        others: Keypoints of the other people in the picture.
+        trust_background: Believe background where confident keypoints say that a limb is; else it is ignored there.
+        device: Device of the observation.
+        camera: Camera of the picture; None: a usual lens is assumed where the picture's size is known.
+
+    Returns:
+        The observation in a square crop, whose keypoints are from -1 to 1; and the crop's place in the picture.
+
+    Raises:
+        TypeError: If keypoints or labels are of another type.
+        InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
     """
     evidence = weigh_evidence(keypoints, parts, others)[0]
     camera = camera or usual_lens(evidence)

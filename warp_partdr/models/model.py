@@ -280,11 +280,15 @@ def _rest_rows(model: DetailedModel, names: tuple[str, ...]) -> tuple[torch.Tens
 
 @lru_cache(maxsize=8)  # its edges take a moment to find
 def detailed_mesh(model: DetailedModel, at_joints: bool = False) -> PartMesh:
-    """A detailed model's mesh with labels 1 to 20, on the model's device.
+    """Make the mesh of a detailed model with labels 1 to 20, on the model's device.
 
-    ``draw_mesh`` and ``mesh_label_loss`` draw it with ``detailed.vertices``, and their gradients
-    reach shape and rotations. ``relabel`` shows another set of parts. With ``at_joints``, labels are
-    ``parts_at_joints``.
+    ``draw_mesh`` and ``mesh_label_loss`` draw it with ``detailed.vertices``, and their gradients reach shape and
+    rotations. The mesh's ``relabel`` shows another set of parts.
+
+    Args:
+        model: The model.
+        at_joints: Let neck, arms and legs begin at their joints. By default they begin where the skin follows them,
+            which for a limb is far inside of the trunk.
     """
     parts = (parts_at_joints(model) if at_joints else model.face_parts).cpu().numpy()
     faces = model.faces.cpu().numpy()

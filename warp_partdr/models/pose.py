@@ -52,19 +52,22 @@ class _Sharing(NamedTuple):
 def pose_from_ellipbody(
     model: DetailedModel, posed: Posed, shape: torch.Tensor | None = None, *, trunk_along: bool = False
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """A detailed model's pose in which its limbs have the directions and twists of EllipBody's.
+    """Pose a detailed model so that its limbs have the directions and twists of EllipBody's.
 
-    Lengths may differ, so joints need not coincide: the middle of the hips does.
+    The lengths of limbs may differ. So joints need not coincide; only the middle of the hips does.
 
     Args:
-        model: On the device and of the dtype of ``posed``.
-        posed: EllipBodies.
+        model: The model, on the device and of the dtype of ``posed``.
+        posed: B EllipBodies.
         shape: Shape values of the model, (B, S), on which bones' directions at rest depend a little. Default 0.
         trunk_along: The trunk's bones have EllipBody's directions, too, as where its joints are a person's. By default
             they turn as EllipBody's do from rest, as where the pose is a person's.
 
     Returns:
         Local rotations, shape (B, J, 3, 3), and position of the root joint [m], shape (B, 3), for ``model.pose``.
+
+    Raises:
+        ValueError: If ``shape`` has another number of shape values than the model.
     """
     if shape is None:
         shape = posed.rotations.new_zeros(len(posed.rotations), model.num_shapes)

@@ -27,9 +27,13 @@ _RAY_START = 1e-3  # [m] from a vertex: a ray does not hit the faces around it
 
 @lru_cache(maxsize=4)  # rays of all vertices take a tenth of a second
 def vertex_parts(model: DetailedModel) -> tuple[torch.Tensor, torch.Tensor]:
-    """Part index 0 to 19 of each vertex, shape (V,), int32, and its share of the skin at rest, shape (V,).
+    """Part of each vertex of a model, and each vertex's share of the skin at rest.
 
-    A vertex is of the part that has most of the area around it; one within the body, as in the mouth, has no share.
+    A vertex belongs to the part that has most of the area around it. A vertex within the body, as in the mouth, has the
+    share 0.
+
+    Returns:
+        Part indices 0 to 19, shape (V,), int32, which are labels minus 1; and shares, whose sum is 1, shape (V,).
     """
     with torch.inference_mode(False):  # kept for calls outside of it, too
         corners = model.rest_vertices[model.faces.long()]

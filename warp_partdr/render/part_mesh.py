@@ -137,7 +137,15 @@ class PartMesh(Movable):
 
 
 def ellipbody_mesh(subdivisions: int = DEFAULT_SUBDIVISIONS, *, device: torch.device | str = "cpu") -> PartMesh:
-    """EllipBody's mesh E0 to E3 with labels 1 to 20; its vertices come from ``Posed.vertices(subdivisions)``."""
+    """Make EllipBody's mesh with labels 1 to 20; its vertices come from ``Posed.vertices(subdivisions)``.
+
+    Args:
+        subdivisions: Level of the mesh, 0 (E0) to 3 (E3). The vertices must be of the same level.
+        device: Device of the mesh, which must be that of the vertices.
+
+    Raises:
+        ValueError: If there is no such level.
+    """
     return PartMesh.from_faces(*ellipbody_faces(subdivisions), device=device)
 
 

@@ -16,12 +16,12 @@ from .energy import Energy
 def energy_loss(energy: Energy, bodies: BodyParameters) -> torch.Tensor:
     """Sum of an energy's terms: segmentation, landmarks, sizes, prior, limits, depth.
 
-    What is asked for twice is a graph: the iteration of ``refine`` at rate 0. Energies that it does not serve
-    (probabilities, a mesh, float64) and the first call take torch.
+    The second call with an energy and a number of bodies is captured as a graph: the iteration of ``refine`` at rate 0.
+    The first call takes torch. So do energies that no graph serves: of label probabilities, of a mesh, and in float64.
 
     Args:
-        energy: Of one observation, which is not changed afterwards.
-        bodies: B of them, whose tensors may want gradients: first ones.
+        energy: Energy of one observation, which must not be changed afterwards.
+        bodies: B bodies, whose tensors may require gradients; only first derivatives exist.
 
     Returns:
         The energy of each body, shape (B,).
