@@ -122,12 +122,12 @@ class BodyParameters(Movable):
         return replace(self, **resized_numbers(self.lengths, self.thicknesses, self.log_scale, shares))
 
     def select(self, index: torch.Tensor | slice) -> BodyParameters:
-        """Select some of the bodies."""
+        """Select some of the bodies, by an index tensor or a slice."""
         return BodyParameters(**{name: tensor[index] for name, tensor in self.tensors().items()})
 
     @classmethod
     def joined(cls, those: Sequence[BodyParameters]) -> BodyParameters:
-        """The bodies of several batches in one."""
+        """Join the bodies of several batches in one batch."""
         rows = [each.tensors() for each in those]
         return cls(**{name: torch.cat([row[name] for row in rows]) for name in ROW})
 
@@ -207,7 +207,10 @@ class BodyLeaves(Movable):
     shift: torch.Tensor
 
     def bodies(self) -> BodyParameters:
-        """The bodies, through which gradients flow back; to be made anew after each step."""
+        """Make the bodies of these numbers; gradients flow back through them.
+
+        They must be made anew after each step of the optimiser: bodies of an earlier step keep their old sizes.
+        """
         return BodyParameters(
             orientation=self.orientation,
             rotations=self.rotations,

@@ -46,7 +46,7 @@ class Posed(Movable):
     semi_axes: torch.Tensor
 
     def at(self, translation: torch.Tensor) -> Posed:
-        """The bodies moved by ``translation``, shape (B, 3) [m]."""
+        """Copy of the bodies, moved by ``translation`` from where they are, shape (B, 3) [m]."""
         return replace(self, joints=self.joints + translation[:, None], centres=self.centres + translation[:, None])
 
     def vertices(self, subdivisions: int = DEFAULT_SUBDIVISIONS) -> torch.Tensor:

@@ -209,7 +209,7 @@ class Perspective(Movable):
         return Perspective(self.focal / crop.zoom, crop.to_full(self.centre), self.near)
 
     def to_weak(self, point: torch.Tensor) -> WeakPerspective:
-        """The weak-perspective camera that agrees at depth ``point`` z; offsets are then measured from ``point``.
+        """Weak-perspective camera that agrees at the depth of ``point``; its offsets are measured from ``point``.
 
         Args:
             point: The body's origin in the camera frame [m], shape (B, 3).
@@ -309,11 +309,11 @@ class Crop:
 
 @dataclass(frozen=True)
 class ScreenCamera:
-    """The camera, one for any batch, of points (u [px], v [px], z [m]) that are in the picture already.
+    """Camera of points (u [px], v [px], z [m]) that were projected already; one serves any batch.
 
     Attributes:
         perspective: Kind of the camera that put them there: depth is linear in the picture, or 1 / depth is.
-        near: As of that camera; None takes its default.
+        near: Depth of that camera's near plane [m]; None takes its default.
     """
 
     perspective: bool

@@ -49,7 +49,10 @@ class View:
 
     @classmethod
     def of(cls, camera: CalibratedCamera) -> View:
-        """The view of a calibrated camera, in whose pictures distortion is removed."""
+        """View of a calibrated camera.
+
+        The view has no distortion. So keypoints and labels must be those of pictures whose distortion is removed.
+        """
         turn, move = (torch.from_numpy(each).float() for each in (camera.rotation, camera.translation))
         return cls(camera.without_distortion, turn, move)
 

@@ -126,17 +126,21 @@ class Registered(Movable):
         return self.model.rest(self.shape, stretches=self.stretches)
 
     def clothed(self, thicknesses: torch.Tensor) -> Detailed:
-        """The posed bodies in clothes so thick on parts ``CLOTHED``, shape (B, 8) [m]."""
+        """Pose the bodies in clothes; the bodies themselves stay without.
+
+        Args:
+            thicknesses: Thickness of the clothes on each of the parts ``CLOTHED`` [m], shape (B, 8).
+        """
         offsets = clothes_offsets(clothes_basis(self.model), thicknesses)
         where = self.shape, self.rotations, self.translation
         return self.model.pose(*where, offsets=offsets, stretches=self.stretches)
 
     def moved(self, by: torch.Tensor) -> Registered:
-        """The bodies elsewhere, by (B, 3) [m]."""
+        """Copy of the bodies, moved by an offset each, shape (B, 3) [m]."""
         return replace(self, translation=self.translation + by, detailed=self.detailed.moved(by))
 
     def select(self, index: torch.Tensor | slice) -> Registered:
-        """Some of the bodies."""
+        """Select some of the bodies, by an index tensor or a slice."""
         return Registered(
             self.model,
             self.shape[index],

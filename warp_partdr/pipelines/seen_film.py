@@ -82,11 +82,11 @@ class SeenFilm:
         return cls(people, view, camera, given, by_calibration=True, warnings=warnings)
 
     def taken(self, frames: np.ndarray, times: np.ndarray) -> SeenFilm:
-        """The film in some of its frames.
+        """Copy of the film with other frames: some of its own, and gaps where it has none.
 
         Args:
-            frames: Numbers of these in the film as it is now, rising, -1 where it has none, shape (T,), int64.
-            times: Of these frames [s], rising, shape (T,).
+            frames: Numbers of the frames in the film as it is now, rising, -1 where it has none, shape (T,), int64.
+            times: Times of these frames [s], rising, shape (T,).
         """
         given = None if self.given is None else self.given.taken(frames)
         numbers = np.where(frames < 0, -1, self.file_numbers[frames])
@@ -103,11 +103,16 @@ class SeenFilm:
         return int(self.file_numbers[self.file_numbers >= 0][0])
 
     def standing(self, rotation: torch.Tensor, translation: torch.Tensor) -> SeenFilm:
-        """The film, taken from there: X_camera = R X_world + t, shapes (3, 3) and (3,) [m]."""
+        """Copy of the film whose camera stands elsewhere: X_camera = R X_world + t.
+
+        Args:
+            rotation: R, shape (3, 3).
+            translation: t [m], shape (3,). It is not the camera's position, which is -R^T t.
+        """
         return replace(self, view=View(self.view.camera, rotation, translation), by_calibration=False)
 
     def scaled(self, factor: float) -> SeenFilm:
-        """The film in a world whose lengths are multiplied by a factor."""
+        """Copy of the film in a world whose lengths are multiplied by a factor."""
         lens = self.lens and replace(self.lens, translation=factor * self.lens.translation)
         return replace(self, view=replace(self.view, translation=factor * self.view.translation), lens=lens)
 
@@ -123,7 +128,7 @@ class SeenFilm:
 
     @property
     def small_view(self) -> View:
-        """The view of sights."""
+        """View in whose pixels ``sights`` are: the film's, as small as the maps of people are kept."""
         camera = zoomed(self.view.camera, self._zoom, kept_size(self.people.image_size))
         assert isinstance(camera, Perspective)
         return replace(self.view, camera=camera)

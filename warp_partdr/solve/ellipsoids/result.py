@@ -90,7 +90,7 @@ class FitResult(Movable):
         renderer: Renderer = _FINE_MESH,
         camera: Camera | None = None,
     ) -> PartImage | EllipsoidImage:
-        """The body's 20 parts in the full picture, or in another camera's.
+        """Draw the body's 20 parts in the full picture, or in another camera's.
 
         Args:
             image_size: (H, W) [px].
