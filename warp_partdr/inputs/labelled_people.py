@@ -80,7 +80,7 @@ def _is_plain(person: LabelledPerson) -> bool:
 
 
 def _cut_together(people: Sequence[LabelledPerson], label_size: int) -> list[CutOut | None]:
-    """Cut out people with one label map each, of pictures that memory holds; None for those of ``cut_labels``."""
+    """Cut out people with one label map each, of pictures that memory holds; None: needs a closer look."""
     bodies = PeopleBones.of([each.keypoints for each in people], [each.others for each in people])
     areas = Areas.of([each.parts.groups for each in people], bodies.boxes)
     own = select_people(areas, bodies)

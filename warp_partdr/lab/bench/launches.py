@@ -105,7 +105,7 @@ def _time_beginnings(run: Callable[[], None], count: int, device: str, budget: f
 
     The host takes longer to start a kernel than a kernel may take.
 
-    They are replayed in turn with those that end before it; what counts is the difference.
+    The graphs are replayed in turn with those that end before it; what counts is the difference.
     """
     samples = [
         graph_sample(capture(partial(_run_first, run, index + 1), device, _RUNS_IN_GRAPH), device)
