@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 from warp_partdr.lab.training.config import TrainingConfig, find_task, make_config
 from warp_partdr.lab.training.task import Task, weighted_losses
 
-TASK = "scenes.training:TinyTask"
+TASK = "helpers.training:TinyTask"
 
 
 @dataclass(frozen=True)

@@ -101,7 +101,7 @@ def test_packaged_rows_are_of_a_good_detector_and_of_many_people(device: str) ->
     assert len(errors) > 4000
     unknown = {LANDMARKS[place] for place in (~errors.known).nonzero()[:, 0].tolist()}
     assert unknown == {"neck", "head_top", "mid_hip"}
-    path = Path(detector_errors.__file__).parents[1] / "assets" / "detector_errors.npz"
+    path = Path(detector_errors.__file__).parents[2] / "assets" / "detector_errors.npz"
     assert path.stat().st_size < 720_000
     with np.load(path, allow_pickle=False) as rows:
         off = np.linalg.norm(rows["errors"].astype(np.float32), axis=2)
