@@ -38,7 +38,7 @@ def test_the_factor_is_one_at_the_body_and_a_quarter_at_a_gross_error(device):
     off = torch.linspace(0, 2 * GROSS_ERROR, len(there), device=device) / (REFERENCE_SIZE / 2)
     placed = replace(seen, points=there + torch.stack([off, torch.zeros_like(off)], dim=1))
     factors = doubt_keypoints(placed, predicted).confidence / placed.confidence
-    assert factors[0] == pytest.approx(1.0)
+    assert float(factors[0]) == pytest.approx(1.0)
     assert (factors.diff() < 0).all()
     one = replace(seen, points=there + torch.tensor([0.0, GROSS_ERROR / (REFERENCE_SIZE / 2)], device=device))
     quarter = doubt_keypoints(one, predicted).confidence / one.confidence
