@@ -118,7 +118,7 @@ def test_unknown_skeleton_is_refused(tmp_path):
 def test_files_that_are_no_models(tmp_path, smpl_file):
     for name, says in (
         ("none.npz", r"none\.npz: No such file"),
-        ("model.pkl", r"pickles can run code.*convert_smpl_pickle"),
+        ("model.pkl", r"pickles can run code.*partdr convert"),
         ("model.obj", r"model\.obj: expected 'anny', or"),
     ):
         with pytest.raises(ValueError, match=says):

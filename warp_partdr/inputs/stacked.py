@@ -104,11 +104,11 @@ class StackedObservations(Movable):
             lens_assumed=self.lens_assumed,
         )
 
-    def select(self, rows: slice) -> StackedObservations:
+    def select(self, rows: slice | torch.Tensor) -> StackedObservations:
         """Some of the people's."""
         return replace(
             self,
-            visible=self.visible[rows],
+            visible=self.visible[rows.cpu().numpy() if isinstance(rows, torch.Tensor) else rows],
             points=self.points[rows],
             confidence=self.confidence[rows],
             labels=None if self.labels is None else self.labels[rows],

@@ -51,6 +51,17 @@ class Predicted:
         said = self.uncertainty
         return Predicted(**chosen, uncertainty=None if said is None else said.select(index))
 
+    def with_rows(self, rows: torch.Tensor, other: Predicted) -> Predicted:
+        """Bodies of which those at ``rows``, shape (N,), are N others."""
+        chosen = {
+            name: value.index_copy(0, rows, getattr(other, name))
+            for name, value in vars(self).items()
+            if isinstance(value, torch.Tensor)
+        }
+        said, again = self.uncertainty, other.uncertainty
+        both = None if said is None or again is None else said.with_rows(rows, again)
+        return replace(self, **chosen, uncertainty=both)
+
     def drawn(self, size: int) -> torch.Tensor:
         """Part labels of the bodies in their crops, shape (B, size, size), uint8."""
         return draw_ellipsoids(self.posed(), self.camera(size), (size, size), validate=False).labels

@@ -45,6 +45,12 @@ class Uncertainty(Movable):
         """Spreads so many times as wide; the distance stays."""
         return replace(self, depths=self.depths * factor, turns=self.turns * factor)
 
+    def with_rows(self, rows: torch.Tensor, other: Uncertainty) -> Uncertainty:
+        """Uncertainties of bodies of which those at ``rows``, shape (N,), are N others."""
+        return Uncertainty(
+            **{name: value.index_copy(0, rows, getattr(other, name)) for name, value in vars(self).items()}
+        )
+
     def select(self, index: torch.Tensor | slice) -> Uncertainty:
         """Some of the bodies'."""
         return Uncertainty(**{name: value[index] for name, value in vars(self).items()})

@@ -161,8 +161,14 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
     predicted = ask_network(seen, network, mirror=options.mirror, half=options.half)
     longer = with_longer_lens(seen, predicted)
     if longer is not None:
-        seen = longer
-        predicted = ask_network(seen, network, mirror=options.mirror, half=options.half)
+        # On CUDA, everybody again: for as many people as before, a captured graph is there.
+        assert seen.lens is not None  # it was lengthened
+        assert longer.lens is not None
+        changed = (longer.lens != seen.lens).any(1).nonzero()[:, 0]
+        if seen.points.is_cuda:
+            changed = torch.arange(len(seen), device=changed.device)
+        again = ask_network(longer.select(changed), network, mirror=options.mirror, half=options.half)
+        seen, predicted = longer, predicted.with_rows(changed, again)
     said = predicted.uncertainty
     assert said is not None
     bodies = predicted.parameters()
