@@ -92,7 +92,7 @@ def test_labels_that_show_a_person_far_away_get_a_longer_lens():
     assert found.camera_guessed
     assert float(found.camera.focal[0, 0]) > MUCH_FARTHER * float(usual.camera.focal[0, 0])
     assert torch.equal(found.camera.centre, usual.camera.centre)
-    nearer, farther = (float(fit.posed.joints[0, 0, 2]) for fit in (usual, found))
+    nearer, farther = float(usual.posed.joints[0, 0, 2]), float(found.posed.joints[0, 0, 2])
     assert farther > MUCH_FARTHER * nearer
     error, before = (np.abs(_projected(fit) - sample.keypoints.points).mean() for fit in (found, usual))
     assert error < 1.2 * before

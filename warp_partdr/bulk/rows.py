@@ -273,7 +273,7 @@ def _known_of(fits: Sequence[FitResult] | Sequence[MeshFit]) -> _Known:
     if isinstance(fits, BatchFits):
         return _Known(
             fits.parameters,
-            fits.lenses,
+            fits.seen.lens,
             fits.seen.lens_assumed,
             fits.uncertainty.depths,
             fits.people.crops,

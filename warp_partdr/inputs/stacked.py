@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -114,6 +115,10 @@ class StackedObservations(Movable):
             labels=None if self.labels is None else self.labels[rows],
             lens=None if self.lens is None else self.lens[rows],
         )
+
+
+# One person as a fit sees them, or many: what a function is given, it returns.
+Seen = TypeVar("Seen", Observation, StackedObservations)
 
 
 def _at_side(labels: torch.Tensor, side: int) -> torch.Tensor:

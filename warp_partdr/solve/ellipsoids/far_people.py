@@ -9,15 +9,12 @@ who in truth were made without perspective. It doesn't see the distance in keypo
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeVar
 
 import torch
 
 from ...inputs.observation import Observation
-from ...inputs.stacked import StackedObservations
+from ...inputs.stacked import Seen, StackedObservations
 from ...networks.regression.predicted import Predicted
-
-Seen = TypeVar("Seen", Observation, StackedObservations)
 
 MUCH_FARTHER = 2.0  # times the distance of an assumed lens; the lenses of usual photos differ by less
 _FARTHEST = 10.0  # [m]; bodies look the same from all distances beyond, so what the network says there means nothing

@@ -49,7 +49,6 @@ class BatchFits(Sequence[FitResult]):
         seen: Their observations as the fits saw them: with longer lenses, and less confidence in keypoints.
         stages: Stages of the fits.
         parameters: Bodies and their cameras in the crops, B = N.
-        lenses: Of the cameras, where these are known, shape (N, 3).
         hints: Expected sizes and depths, by their names in ``Observation``: tensors of N rows each.
         energy: Weighted terms of the energy at the end by name, shape (N,).
         history: Energy before each iteration, shape (N, iterations), of each stage.
@@ -63,7 +62,6 @@ class BatchFits(Sequence[FitResult]):
     seen: StackedObservations
     stages: tuple[Stage, ...]
     parameters: BodyParameters
-    lenses: torch.Tensor | None
     hints: Mapping[str, Any]
     energy: Mapping[str, np.ndarray]
     history: Sequence[np.ndarray]
@@ -161,11 +159,10 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
     predicted = ask_network(seen, network, mirror=options.mirror, half=options.half)
     longer = with_longer_lens(seen, predicted)
     if longer is not None:
-        # On CUDA, everybody again: for as many people as before, a captured graph is there.
         assert seen.lens is not None  # it was lengthened
         assert longer.lens is not None
         changed = (longer.lens != seen.lens).any(1).nonzero()[:, 0]
-        if seen.points.is_cuda:
+        if seen.points.is_cuda:  # all of them again: for as many people as before, a captured graph is there
             changed = torch.arange(len(seen), device=changed.device)
         again = ask_network(longer.select(changed), network, mirror=options.mirror, half=options.half)
         seen, predicted = longer, predicted.with_rows(changed, again)
@@ -206,7 +203,6 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
         seen=seen,
         stages=stages,
         parameters=bodies,
-        lenses=seen.lens,
         hints={"lengths": lengths, "thicknesses": thicknesses, "depths": depths, "depth_spreads": spreads},
         energy={name: term.cpu().numpy() for name, term in terms.items()},
         history=history,

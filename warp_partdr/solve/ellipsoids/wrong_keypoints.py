@@ -7,13 +7,10 @@ with such errors, and follows its idea of a body. A fit that pulls the body to a
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeVar
 
 from ...inputs.observation import REFERENCE_SIZE, Observation
-from ...inputs.stacked import StackedObservations
+from ...inputs.stacked import Seen
 from ...networks.regression.predicted import Predicted, landmarks_in_crop
-
-Seen = TypeVar("Seen", Observation, StackedObservations)
 
 # Of PartBench's first 40 people at the level "hard", 20 to 40 px give the same errors within 0.6 mm. Real people, of
 # whom few keypoints are wrong, have the same errors with all of these and without (docs/evaluation.md).
