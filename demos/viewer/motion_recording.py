@@ -9,7 +9,7 @@ from typing import SupportsIndex, overload
 
 import numpy as np
 
-from ..solve.ellipsoids.fitting import Progress
+from ..solve.ellipsoids.stages import Progress
 from .motion_scene import PlottedMotion
 from .recording import MOST, RATE, write
 

@@ -154,7 +154,7 @@ class DemoState:
         groups = tuple(energy.observation.label_set.part_groups[1:].tolist())
         vertices, camera = self.posed.vertices(level).requires_grad_(), self.body.detach().camera(energy.size)
         mesh, weight = labelled_mesh(level, groups, vertices.device), energy.renderer.depth_weight
-        loss, _ = mesh_label_loss(vertices, mesh, camera, energy.target[None], depth_weight=weight, validate=False)
+        loss, _ = mesh_label_loss(vertices, mesh, camera, energy.target, depth_weight=weight, validate=False)
         (slope,) = torch.autograd.grad(energy.weights.seg * loss.sum(), vertices)
         pulled = (slope[0] != 0).any(1)
         return vertices.detach()[0, pulled].numpy(), -slope[0, pulled].numpy()

@@ -25,11 +25,10 @@ from warp_partdr.models.registration import register
 from warp_partdr.networks.regression.checkpoint import packaged_network
 from warp_partdr.pipelines.photo import fit_photo
 from warp_partdr.render.renderers import RendererMesh
-from warp_partdr.solve.ellipsoids.fitting import fit_body, fit_evidence
+from warp_partdr.solve.ellipsoids.fitting import fit_body, fit_evidence, fit_people
 from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.result import FitResult
 from warp_partdr.solve.ellipsoids.stages import Quality, Start
-from warp_partdr.solve.ellipsoids.together import fit_together
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.mesh.mesh_stage import MeshFit, refine_meshes
 from warp_partdr.solve.scene.fitting import SceneFit, fit_scene
@@ -93,7 +92,7 @@ def together(*, few_steps: bool) -> Found:
     found: Found = {}
     qualities: tuple[Quality, ...] = ("fast", "balanced")
     for quality in qualities:
-        fits = fit_together(people, _options(quality, few_steps), packaged_network("cpu"))
+        fits = fit_people(people, _options(quality, few_steps), packaged_network("cpu"))
         for (level, index), pair in zip(PEOPLE, zip(fits[::2], fits[1::2], strict=True), strict=True):
             for fit, labels in zip(pair, ("with labels", "without"), strict=True):
                 found |= _of_fit(f"{quality}, {level} {index} {labels}", fit)

@@ -16,9 +16,10 @@ from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.observation import crop_evidence
 from warp_partdr.networks.regression.checkpoint import packaged_network
-from warp_partdr.solve.ellipsoids import together
+from warp_partdr.solve.ellipsoids import batch_fits
+from warp_partdr.solve.ellipsoids.batch_fits import BatchFits
+from warp_partdr.solve.ellipsoids.fitting import fit_people
 from warp_partdr.solve.ellipsoids.options import FitOptions
-from warp_partdr.solve.ellipsoids.together import BatchFits, fit_together
 
 
 @pytest.fixture
@@ -30,7 +31,7 @@ def batch(device: str) -> BatchFits:
     for each in (keypoints, replace(keypoints, points=places)):
         evidence = weigh_evidence(each)[0]
         people.append(CutPerson(evidence, *crop_evidence(evidence, device=device)))
-    fits = fit_together(people, replace(FitOptions.at("fast"), stages=()), packaged_network(device))
+    fits = fit_people(people, replace(FitOptions.at("fast"), stages=(), search=()), packaged_network(device))
     assert isinstance(fits, BatchFits)
     return replace(fits, energy={"proj": np.float32([1.5, 2.0]), "seg": np.float32([0.1, 0.2])})
 
@@ -47,7 +48,7 @@ def test_rows_of_a_batch_are_those_of_its_fits(batch: BatchFits, monkeypatch: py
     def made(**given: Any) -> None:
         raise AssertionError("a fit's own object was made")
 
-    monkeypatch.setattr(together, "FitResult", made)
+    monkeypatch.setattr(batch_fits, "FitResult", made)
     assert rows_of(batch) == expected
     assert all(row["joints"] for row in expected)
     assert [bool(row["warnings"]) for row in expected] == [False, True]
@@ -66,10 +67,10 @@ def test_people_stacked_before_are_fitted_alike(batch: BatchFits, device: str) -
     """Joined of parts, on another device before; and one by one they are who was given."""
     people = batch.people
     there = CutPeople.joined([people[:1], people[1:]]).to(device)
-    again = fit_together(there, replace(FitOptions.at("fast"), stages=()), packaged_network(device))
+    again = fit_people(there, replace(FitOptions.at("fast"), stages=(), search=()), packaged_network(device))
     assert isinstance(again, BatchFits)
     assert rows_of(replace(again, energy=batch.energy)) == rows_of(batch)
-    alone = fit_together(list(people), replace(FitOptions.at("fast"), stages=()), packaged_network(device))
+    alone = fit_people(list(people), replace(FitOptions.at("fast"), stages=(), search=()), packaged_network(device))
     assert rows_of(replace(alone, energy=batch.energy)) == rows_of(batch)
 
 

@@ -308,23 +308,23 @@ def test_a_full_disk_is_one_line_and_nothing_half(run: Run, monkeypatch: pytest.
 def test_a_person_at_fault_is_a_row_with_an_error(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Others of the batch are fitted."""
     write_coco(Path("coco"))
-    fit_together = people.fit_together
+    fit_people = people.fit_people
 
     def fails(some: Any, *how: Any) -> Any:
         if any(abs(person.crop.left - worst) < 1e-6 for person in some):
             raise RuntimeError("out of\nmemory")
-        return fit_together(some, *how)
+        return fit_people(some, *how)
 
     lefts: list[float] = []
 
     def noted(some: Any, *how: Any) -> Any:
         lefts.extend(person.crop.left for person in some)
-        return fit_together(some, *how)
+        return fit_people(some, *how)
 
-    monkeypatch.setattr(people, "fit_together", noted)
+    monkeypatch.setattr(people, "fit_people", noted)
     run(f"{COCO} --out whole --shard 5")
     worst = lefts[3]
-    monkeypatch.setattr(people, "fit_together", fails)
+    monkeypatch.setattr(people, "fit_people", fails)
     code, _, complaint = run(f"{COCO} --out out --shard 5")
     assert code == 0
     assert "warning: 1 row with an error, first 003.jpg: RuntimeError: out of memory" in complaint

@@ -13,9 +13,9 @@ from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.observation import LABEL_SIZE, crop_evidence
 from warp_partdr.lab.evaluation.partbench.samples import make_sample
 from warp_partdr.networks.regression.checkpoint import packaged_network
+from warp_partdr.solve.ellipsoids.fitting import fit_people
 from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.stages import Stage
-from warp_partdr.solve.ellipsoids.together import fit_together
 
 PEOPLE = [make_sample(index, "realistic") for index in range(8)]  # of whom limbs of several are tried mirrored
 
@@ -43,7 +43,7 @@ def test_fits_are_the_same(quality: BulkQuality, device: str) -> None:
         people = [CutPerson(each, *crop_evidence(each, device=device, label_size=size)) for each in evidence]
         assert people[0].observation.labels is not None
         assert people[0].observation.labels.shape == (size, size)
-        found.append(fit_together(people, options, network))
+        found.append(fit_people(people, options, network))
     assert quality == "network" or any(fit.depth_order and fit.depth_order.tried for fit in found[0])
     for small, large in zip(*found, strict=True):
         assert torch.equal(small.parameters.free_rotations(), large.parameters.free_rotations())

@@ -235,7 +235,7 @@ def test_too_little_memory_may_pass(run: Run, monkeypatch: pytest.MonkeyPatch) -
         raise torch.OutOfMemoryError("CUDA out of memory")
 
     with monkeypatch.context() as patch:
-        patch.setattr(people, "fit_together", fails)
+        patch.setattr(people, "fit_people", fails)
         code, _, complaint = run(f"{COCO} --out out")
     assert code == 1
     assert "first 000.jpg: OutOfMemoryError: CUDA out of memory" in complaint

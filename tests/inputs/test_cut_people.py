@@ -17,6 +17,7 @@ from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import crop_evidence
+from warp_partdr.inputs.observations import Observations
 from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.networks.regression.predict import network_inputs
 from warp_partdr.solve.ellipsoids.batch import Batch
@@ -71,11 +72,14 @@ def test_they_come_back_one_by_one(people: list[CutPerson]) -> None:
 
 
 def test_network_and_refinement_read_the_same(people: list[CutPerson], device: str) -> None:
-    seen, stacked = [each.observation for each in people], CutPeople.of(people).seen
-    for given, found in zip(network_inputs(seen, 64), network_inputs(stacked, 64), strict=True):
-        assert torch.equal(given, found)
-    energy = Energy(seen[0], 64, prior=PosePrior().to(device))
-    assert_same(Batch.of(seen, energy), Batch.of_stacked(stacked, energy))
+    stacked, prior = CutPeople.of(people).observations, PosePrior().to(device)
+    together, of_all = network_inputs(stacked, 64), Batch.of(Energy(stacked, 64, prior=prior))
+    for row, person in enumerate(people):
+        alone = Observations.of([person.observation])
+        for given, found in zip(network_inputs(alone, 64), together, strict=True):
+            assert torch.equal(given[0], found[row])
+        of_one, own = Batch.of(Energy(alone, 64, prior=prior)), of_all.select(slice(row, row + 1))
+        assert_same(replace(of_one, seen=own.seen), own)
 
 
 def test_those_who_differ_are_stacked_apart(device: str) -> None:

@@ -12,6 +12,7 @@ from warp_partdr.body.landmarks import CONVENTIONS
 from warp_partdr.body.lens import place_bodies, turn_to_rays
 from warp_partdr.body.skeletons import SKELETONS
 from warp_partdr.inputs.observation import Observation, observe
+from warp_partdr.inputs.observations import Observations
 from warp_partdr.networks.regression.checkpoint import load_label_network
 from warp_partdr.networks.regression.conventions import keypoints_at_landmarks, lies_elsewhere
 from warp_partdr.networks.regression.predict import ask_network
@@ -30,17 +31,17 @@ def test_keypoints_move_by_what_lies_between_both_points_of_the_first_body(lens)
     network = load_label_network()
     seen = replace(observe(*seen_by(walker()))[0], lens=None if lens is None else torch.tensor(lens))
     plain = _joints(seen)
-    assert keypoints_at_landmarks([plain], ask_network([plain], network)) is None
+    assert keypoints_at_landmarks(Observations.of([plain]), ask_network(Observations.of([plain]), network)) is None
 
-    first = ask_network([plain], network)
+    first = ask_network(Observations.of([plain]), network)
     bodies = first.parameters() if lens is None else turn_to_rays(first.parameters(), seen.lens)
     posed, camera = place_bodies(bodies, bodies.posed(), seen.lens, 2)
     form = SKELETONS["h36m17"]
     ends, starts = (camera.project(posed_landmarks(posed, names))[0, :, :2] for names in (form.marks, form.landmarks))
     seen = replace(plain, landmarks=form.landmarks, marks=form.marks, points=ends)
     seen = replace(seen, confidence=torch.ones(len(form)))
-    (moved,) = keypoints_at_landmarks([seen], first)
-    assert torch.allclose(moved.points, starts, atol=1e-5)
+    moved = keypoints_at_landmarks(Observations.of([seen]), first)
+    assert torch.allclose(moved.points[0], starts, atol=1e-5)
     assert (ends - starts).norm(dim=1).max() > 0.03
 
 

@@ -10,6 +10,7 @@ import torch
 from helpers.bodies import seen_by, walker
 
 from warp_partdr.inputs.observation import observe
+from warp_partdr.inputs.observations import Observations
 from warp_partdr.networks.regression.checkpoint import packaged_network
 from warp_partdr.networks.regression.fused import fused_network, fuses
 from warp_partdr.networks.regression.label_network import EVEN_CHANNELS, NUM_CHANNELS, LabelNetwork, network_conditions
@@ -63,8 +64,8 @@ def test_it_is_kept_until_weights_change() -> None:
 def test_bodies_are_the_same_when_asked_again(device: str) -> None:
     """On CUDA the second time by a captured graph; what an answer holds is nobody else's."""
     network = packaged_network(device)
-    seen = [observe(*seen_by(walker()), device=device)[0]] * 2
-    other = [replace(each, points=each.points + 0.05) for each in seen]
+    seen = Observations.of([observe(*seen_by(walker()), device=device)[0]] * 2)
+    other = replace(seen, points=seen.points + 0.05)
 
     def joints() -> list[torch.Tensor]:
         return [ask_network(each, network, half=True).posed().joints for each in (seen, other)]

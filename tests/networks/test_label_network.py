@@ -24,6 +24,7 @@ from warp_partdr.body.template import JOINT_NAMES, LOCKED_PARTS, NUM_PARTS, PART
 from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.observation import observe, resize_nearest
+from warp_partdr.inputs.observations import Observations, group_alike
 from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.interop.checks import rotation_error
 from warp_partdr.networks.regression.checkpoint import (
@@ -45,7 +46,14 @@ from warp_partdr.networks.regression.label_network import (
     network_conditions,
 )
 from warp_partdr.networks.regression.landmarks import LANDMARKS, network_keypoints
-from warp_partdr.networks.regression.predict import REAL_PEOPLE, REAL_SIZE, ask_network, network_inputs, predict_bodies
+from warp_partdr.networks.regression.predict import (
+    REAL_PEOPLE,
+    REAL_SIZE,
+    ask_about_each,
+    ask_network,
+    network_inputs,
+    predict_bodies,
+)
 from warp_partdr.networks.regression.predicted import posed_landmarks
 from warp_partdr.networks.regression.regressor import Regressor, RegressorConfig, misfits
 from warp_partdr.results.body_file import load_body
@@ -125,7 +133,7 @@ def test_a_regressor_starts_near_the_mean_body():
 
 
 def test_corrections_see_how_far_landmarks_are_from_the_keypoints(network, device):
-    bodies = ask_network([observe(*seen_by(walker()), device=device)[0]], network.to(device))
+    bodies = ask_network(Observations.of([observe(*seen_by(walker()), device=device)[0]]), network.to(device))
     drawn = bodies.camera(64).project(posed_landmarks(bodies.posed(), LANDMARKS))[..., :2] * (2 / 64) - 1
     keypoints = torch.cat([drawn + drawn.new_tensor([0.05, -0.02]), torch.ones_like(drawn[..., :1])], dim=2)
     keypoints[0, 0] = 0.0  # missing
@@ -152,7 +160,7 @@ def test_a_batch_says_what_its_members_say(network):
     alone = predict_bodies([without], network)
     assert torch.allclose(both.rotations[1], alone.rotations[0], atol=1e-5)
     assert not torch.allclose(both.rotations[0], both.rotations[1], atol=1e-5)
-    shares, _, conditions = network_inputs([without], 64)
+    shares, _, conditions = network_inputs(Observations.of([without]), 64)
     assert (shares[0, -1] == 1).all()
     assert (conditions == 0).all()
 
@@ -164,15 +172,18 @@ def test_inputs_of_many_are_those_of_each():
     maps = np.moveaxis(np.eye(parts.label_set.num_groups + 1, dtype=np.float32)[parts.groups], -1, 0)
     soft, _ = observe(keypoints, replace(parts, maps=0.9 * maps))
     mask, _ = observe(keypoints, PartLabels(label_set("full1"), (parts.groups > 0).astype(np.uint8)))
-    fewer = replace(hard, landmarks=hard.landmarks[3:], points=hard.points[3:], confidence=hard.confidence[3:])
+    names, marks = hard.landmarks[3:], hard.marks[3:]
+    fewer = replace(hard, landmarks=names, marks=marks, points=hard.points[3:], confidence=hard.confidence[3:])
     small = replace(mask, labels=resize_nearest(mask.labels, 100), lens=torch.tensor([2.0, 0.5, -1.0]))
     several = [hard, soft, observe(keypoints, None)[0], mask, fewer, small, soft]
-    together = network_inputs(several, 64)
-    assert [values.shape for values in together] == [(7, 22, 64, 64), (7, 24, 3), (7, 6)]
-    for row, seen in enumerate(several):
-        for values, alone in zip(together, network_inputs([seen], 64), strict=True):
-            torch.testing.assert_close(values[row], alone[0])
-    assert torch.equal(network_inputs([mask] * 3, 64)[0], together[0][[3] * 3])
+    groups = group_alike(several)
+    assert [rows for rows, _ in groups] == [[0, 4], [1, 6], [2], [3], [5]]
+    for rows, some in groups:
+        together = network_inputs(some, 64)
+        assert [values.shape[1:] for values in together] == [(22, 64, 64), (24, 3), (6,)]
+        for own, row in enumerate(rows):
+            for values, alone in zip(together, network_inputs(Observations.of([several[row]]), 64), strict=True):
+                torch.testing.assert_close(values[own], alone[0])
 
 
 def test_what_hardly_any_picture_shows_moves_nobody_out_of_the_picture():
@@ -187,7 +198,7 @@ def test_what_hardly_any_picture_shows_moves_nobody_out_of_the_picture():
         return said
 
     places.register_forward_hook(fire)
-    found, expected = (ask_network([seen], each) for each in (network, usual))
+    found, expected = (ask_network(Observations.of([seen]), each) for each in (network, usual))
     assert (found.shift - expected.shift).abs().max() < 0.5
     assert (found.log_scale - expected.log_scale).abs().max() < 0.5
     assert found.shift.abs().max() < 1  # within the crop
@@ -208,7 +219,7 @@ def test_of_a_mirror_image_the_mirrored_body_is_said():
         labels=ids[labels.flip(1).long()].to(torch.uint8),
         lens=seen.lens * torch.tensor([1.0, -1.0, 1.0]),
     )
-    own, others = (ask_network([each], network) for each in (seen, image))
+    own, others = (ask_network(Observations.of([each]), network) for each in (seen, image))
     joints = own.posed().joints[:, mirror_order(JOINT_NAMES)] * torch.tensor([-1.0, 1.0, 1.0])
     assert torch.allclose(others.posed().joints, joints, atol=1e-5)
     assert not torch.allclose(own.posed().joints, joints, atol=1e-2)  # a body that is its own image would prove nothing
@@ -230,8 +241,8 @@ def test_a_camera_is_seen_by_its_rays_and_only_where_it_is_known(network):
     keypoints, parts = seen_by(walker())
     seen = replace(observe(keypoints, parts)[0], lens=None, lens_assumed=False)
     known = replace(seen, lens=lenses[0], stature=1.7)
-    assert torch.equal(network_inputs([known], 64)[2], conditions[:1])
-    assumed = network_inputs([replace(known, lens_assumed=True, stature=None)], 64)[2]
+    assert torch.equal(network_inputs(Observations.of([known]), 64)[2], conditions[:1])
+    assumed = network_inputs(Observations.of([replace(known, lens_assumed=True, stature=None)]), 64)[2]
     assert torch.allclose(assumed, torch.tensor([[0.5, 0.5, 0.25, -0.5, 0.0, 0.0]]))
     bodies = predict_bodies([seen, known], network)
     assert not torch.allclose(bodies.rotations[0], bodies.rotations[1], atol=1e-5)
@@ -240,8 +251,8 @@ def test_a_camera_is_seen_by_its_rays_and_only_where_it_is_known(network):
 def test_spreads_are_wider_than_the_network_says(network):
     """Real people differ from those that networks learn from."""
     seen = replace(observe(*seen_by(walker()))[0], lens=None, lens_assumed=False)
-    inputs = network_inputs([seen], 64)
-    said, found = network(*inputs).uncertainty, ask_network([seen], network, mirror=False).uncertainty
+    inputs = network_inputs(Observations.of([seen]), 64)
+    said, found = network(*inputs).uncertainty, ask_network(Observations.of([seen]), network, mirror=False).uncertainty
     assert torch.allclose(found.depths, REAL_SIZE * REAL_PEOPLE * said.depths, rtol=1e-4)
     assert torch.allclose(found.turns, REAL_PEOPLE * said.turns, rtol=1e-4)
     assert torch.allclose(found.nearness, said.nearness / REAL_SIZE, rtol=1e-4)
@@ -250,8 +261,8 @@ def test_spreads_are_wider_than_the_network_says(network):
 def test_people_are_larger_than_the_network_says_unless_it_is_told_their_stature(network):
     seen = replace(observe(*seen_by(walker()))[0], lens=None, lens_assumed=False)
     told = replace(seen, stature=1.8)
-    found = ask_network([seen, told], network, mirror=False)
-    said = [network(*network_inputs([each], 64)) for each in (seen, told)]
+    found = ask_about_each([seen, told], network, mirror=False)
+    said = [network(*network_inputs(Observations.of([each]), 64)) for each in (seen, told)]
     for row, (each, share) in enumerate(zip(said, (REAL_SIZE, 1.0), strict=True)):
         assert torch.allclose(found.lengths[row], share * each.lengths[0], rtol=1e-4)
         assert torch.allclose(found.log_scale[row], each.log_scale[0] - math.log(share), atol=1e-4)

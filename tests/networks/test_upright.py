@@ -10,6 +10,7 @@ import torch
 from helpers.bodies import seen_by, walker
 
 from warp_partdr.inputs.observation import observe, resize_nearest
+from warp_partdr.inputs.observations import Observations
 from warp_partdr.networks.regression import predict
 from warp_partdr.networks.regression.checkpoint import load_label_network
 from warp_partdr.networks.regression.landmarks import LANDMARKS
@@ -76,7 +77,9 @@ def test_a_body_is_the_same_however_its_picture_is_turned(monkeypatch):
         )
 
     def ask(count: int):
-        return turn_predicted(ask_network([quarters(count)], network), torch.tensor([-count * QUARTER]))
+        return turn_predicted(
+            ask_network(Observations.of([quarters(count)]), network), torch.tensor([-count * QUARTER])
+        )
 
     upright, *turned = map(ask, range(4))
     for each in turned[1:]:

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.inputs.observations import Observations
 from warp_partdr.kernels.refine.rules import RULES
 from warp_partdr.kernels.refine.state import MODULE, Drawn
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
@@ -125,11 +126,13 @@ def test_depth_is_held_as_in_torch(device):
     body = walker(device)
     depths = body.posed().centres[0, :, 2]
     free = energy_of(body, weights=Weights(depth=0.01))
+    even = torch.full_like(depths, 1e-3)
     sure = torch.linspace(5e-4, 5e-3, len(depths), device=device)
-    held = [{"depths": depths}, {"depths": depths + 0.05, "depth_spreads": sure}]
+    held = [{"depths": depths + away, "depth_spreads": spread} for away, spread in ((0.0, even), (0.05, sure))]
     energies = [replace(free, observation=replace(free.observation, **each)) for each in held]
+    both = replace(free, observation=Observations.of([each.observation for each in energies]))
     bodies = moved_bodies(body, 4, amount=0.3)
-    terms, gradient = gradient_at(energies, bodies)
+    terms, gradient = gradient_at(both, bodies)
     for number, energy in enumerate(energies):
         mine = slice(number, None, 2)
         want_terms, want = autograd_at(energy, bodies.select(torch.arange(4, device=device)[mine]))
@@ -137,8 +140,6 @@ def test_depth_is_held_as_in_torch(device):
         assert_same({name: term[mine] for name, term in terms.items()}, want_terms, 2e-6)
         assert_same({name: tensor[mine] for name, tensor in gradient.items()}, want, 1e-5)
     assert_same(gradient_at(free, bodies)[1], autograd_at(free, bodies)[1], 1e-5)
-    with pytest.raises(ValueError, match="energies: some with depths, some without; expected the same of all"):
-        CapturedRefinement([energies[0], free], 4)
 
 
 @pytest.mark.parametrize("gradient", ["edges", "partdr"])
@@ -151,7 +152,8 @@ def test_a_known_camera_in_both_paths(device, gradient):
     lenses = torch.tensor([[2.5, 1.5, -0.7], [6.0, 0.1, 0.2]], device=device)
     energies = [replace(plain, observation=replace(plain.observation, lens=lens)) for lens in lenses]
     bodies = moved_bodies(body, 4, amount=0.3)
-    terms, gradients = gradient_at(energies, bodies)
+    both = replace(plain, observation=Observations.of([each.observation for each in energies]))
+    terms, gradients = gradient_at(both, bodies)
     for number, energy in enumerate(energies):
         mine = slice(number, None, 2)
         want_terms, want = autograd_at(energy, bodies.select(torch.arange(4, device=device)[mine]))
@@ -159,8 +161,6 @@ def test_a_known_camera_in_both_paths(device, gradient):
         assert_same({name: tensor[mine] for name, tensor in gradients.items()}, want, 5e-5)
         weak, _ = autograd_at(plain, bodies.select(torch.arange(4, device=device)[mine]))
         assert (want_terms["proj"] - weak["proj"]).abs().min() > 1e-2
-    with pytest.raises(ValueError, match="energies: some with a lens, some without; expected the same of all"):
-        CapturedRefinement([energies[0], plain], 4)
 
 
 def test_a_camera_far_away_is_a_weak_one(device):
@@ -327,7 +327,8 @@ def test_bodies_do_not_influence_one_another(device):
     energies[1].prior = energies[0].prior
     start = moved_bodies(body, 4)
     start.shift[2] = math.nan
-    together = CapturedRefinement(energies, 4, iterations=20).refine(start)
+    both = replace(energies[0], observation=Observations.of([each.observation for each in energies]))
+    together = CapturedRefinement(both, 4, iterations=20).refine(start)
     for b in (0, 1, 3):
         alone = CapturedRefinement(energies[b % 2], 1, iterations=20)
         member = alone.refine(start.select(torch.tensor([b], device=device)))
@@ -368,8 +369,6 @@ def test_bad_calls_name_the_argument(device):
     for call, given, message in (
         (captured.refine, body, "shape"),
         (captured.refine, double, "float64"),
-        (together, [energy, replace(energy, weights=Weights(proj=2.0))], "weights"),
-        (together, [energy, replace(energy, observation=seen)], "labels"),
         (together, mesh, r"RendererMesh.*expected exact ellipsoids"),
         (together, Energy(soft), "probabilities"),
     ):

@@ -14,15 +14,14 @@ from warp_partdr.body.lens import place_bodies
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.body.template import JOINT_NAMES, PART_NAMES
-from warp_partdr.inputs.observation import resize_nearest
+from warp_partdr.inputs.observation import Observation, resize_nearest
+from warp_partdr.inputs.observations import Observations
 from warp_partdr.lab.evaluation.partbench.samples import make_sample
 from warp_partdr.lab.synthetic.pose_recipes import draw_pose
 from warp_partdr.networks.regression.uncertainty import Uncertainty
 from warp_partdr.results.save import make_report
 from warp_partdr.solve.ellipsoids import depth_flips
-from warp_partdr.solve.ellipsoids.batch import Batch
-from warp_partdr.solve.ellipsoids.depth_flips import flip_depths, repair_depth_order, repair_depth_orders
-from warp_partdr.solve.ellipsoids.energy import Energy
+from warp_partdr.solve.ellipsoids.depth_flips import DepthOrder, flip_depths, repair_depth_orders
 
 LENS = torch.tensor([2.5, 0.9, -0.5])
 
@@ -92,6 +91,14 @@ def test_flips_beyond_joint_limits_are_not_proposed():
     assert len(flip_depths(body, free)[1]) > len(flip_depths(body, stiff)[1])
 
 
+def repair_depth_order(
+    body: BodyParameters, seen: Observation, prior: PosePrior, said: Uncertainty | None = None
+) -> tuple[BodyParameters, DepthOrder]:
+    """Repair one person's body."""
+    found, (order,) = repair_depth_orders(body, Observations.of([seen]), prior, said=said)
+    return found, order
+
+
 def test_labels_repair_a_mirrored_arm_and_leave_a_right_one(device):
     """The arm is behind the trunk in the start, before it in the labels."""
     truth, prior = arm_before_trunk(device), PosePrior().to(device)
@@ -126,13 +133,14 @@ def test_flips_farther_than_the_network_believes_are_not_tried(device):
         assert ("left arm: upper_arm" in order.tried) == (order.flipped == "left arm: upper_arm") == (away < 5)
         both = BodyParameters.joined([wrong, wrong])
         several = Uncertainty(*(torch.cat([each, each]) for each in vars(said).values()))
-        orders = repair_depth_orders(both, [seen, seen], prior, said=several)[1]
+        orders = repair_depth_orders(both, Observations.of([seen, seen]), prior, said=several)[1]
         assert [each.flipped for each in orders] == [order.flipped] * 2
 
 
 def test_nobody_has_no_flips():
     bodies = BodyParameters.mean(0)
-    assert repair_depth_orders(bodies, [], PosePrior()) == (bodies, [])
+    nobody = Observations.of([observation_of(BodyParameters.mean(1))]).select(slice(0))
+    assert repair_depth_orders(bodies, nobody, PosePrior()) == (bodies, [])
 
 
 def test_an_arm_of_whose_joints_labels_show_nothing_is_taken_behind_the_trunk(device):
@@ -151,7 +159,9 @@ def test_an_arm_of_whose_joints_labels_show_nothing_is_taken_behind_the_trunk(de
     elbow = JOINT_NAMES.index("left_elbow")
     depth = [float(body.posed().joints[0, elbow, 2]) for body in (truth, wrong, found)]
     assert abs(depth[2] - depth[0]) < 0.3 * abs(depth[1] - depth[0])
-    orders = repair_depth_orders(BodyParameters.joined([wrong, truth]), [seen, seen], prior, said=sure)[1]
+    orders = repair_depth_orders(
+        BodyParameters.joined([wrong, truth]), Observations.of([seen, seen]), prior, said=sure
+    )[1]
     assert [order.flipped for order in orders] == ["left arm: upper_arm", None]
     assert repair_depth_order(front, observation_of(front), prior)[1].hidden == ()
 
@@ -189,8 +199,7 @@ def test_of_finer_labels_flips_see_what_fits_keep(device):
     assert order.flipped == same.flipped == "left arm: upper_arm"
     assert torch.equal(one.rotations, other.rotations)
     bodies = BodyParameters.joined([wrong, wrong])
-    energy = Energy(fine, 128, prior=prior)
-    found = [repair_depth_orders(bodies, [seen], prior, Batch.of([seen, seen], energy))[0] for seen in (fine, kept)]
+    found = [repair_depth_orders(bodies, Observations.of([seen, seen]), prior)[0] for seen in (fine, kept)]
     assert torch.equal(found[0].rotations, found[1].rotations)
 
 
@@ -201,7 +210,9 @@ def test_people_side_by_side_are_repaired_as_each_alone(device):
     apart = BodyParameters.mean(1, device=device)
     pairs = [(wrong, truth), (apart, apart), (truth, truth), (wrong, wrong), (wrong, truth)]
     seen = [observation_of(shown) for _, shown in pairs]
-    together, orders = repair_depth_orders(BodyParameters.joined([body for body, _ in pairs]), seen, prior)
+    together, orders = repair_depth_orders(
+        BodyParameters.joined([body for body, _ in pairs]), Observations.of(seen), prior
+    )
     for row, (body, _) in enumerate(pairs):
         alone, order = repair_depth_order(body, seen[row], prior)
         assert orders[row] == order

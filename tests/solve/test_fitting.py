@@ -16,7 +16,7 @@ from warp_partdr.body.skeletons import skeleton
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.networks.regression.predict import ask_network
-from warp_partdr.solve.ellipsoids import fitting
+from warp_partdr.solve.ellipsoids import network_start
 from warp_partdr.solve.ellipsoids.fitting import fit_body
 from warp_partdr.solve.ellipsoids.options import FitOptions
 
@@ -75,7 +75,7 @@ def test_stages_hold_the_networks_depth_as_hard_as_it_is_sure(monkeypatch):
         found = ask_network(observations, network, **how)
         return replace(found, orientation=lean @ found.orientation)
 
-    monkeypatch.setattr(fitting, "ask_network", said)
+    monkeypatch.setattr(network_start, "ask_network", said)
     options = replace(FitOptions.at("balanced"), search=(), guess_camera=False)
     *before, outline = options.stages
 

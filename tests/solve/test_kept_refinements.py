@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -14,14 +15,15 @@ from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.observation import observe
+from warp_partdr.inputs.observations import Observations
 from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.interop.graph_cache import set_graph_memory
 from warp_partdr.solve.ellipsoids import captured
-from warp_partdr.solve.ellipsoids.batch import Batch
 from warp_partdr.solve.ellipsoids.captured import CapturedRefinement, refine_captured
 from warp_partdr.solve.ellipsoids.energy import Energy
+from warp_partdr.solve.ellipsoids.stepper import Descent
 
-RULE = {"iterations": 3, "learning_rate": 0.01}
+COURSE = Descent(iterations=3, learning_rate=0.01)
 
 
 @pytest.fixture
@@ -43,18 +45,24 @@ def test_other_people_take_the_place_of_the_first(made: list[int], device: str) 
     """Also where there are fewer than a graph holds; a graph of one's own, without memory to keep it, is the judge."""
     keypoints = read_keypoints(EXAMPLE / "keypoints.json")[0]
     seen, _ = observe(keypoints, read_parts(EXAMPLE / "parts.png", label_set("cdcl14")), device=device)
-    energy = Energy(seen, 48, prior=PosePrior().to(device))
-    everyone = Batch.of([seen] * 36, energy)
-    for number, values in enumerate((everyone.points, everyone.lengths, everyone.thicknesses, everyone.votes)):
-        values *= torch.linspace(0.8, 1.2 + 0.1 * number, 36, device=device).view(-1, *[1] * (values.ndim - 1))
-    assert everyone.targets is not None
-    everyone.targets[::2] = everyone.targets[::2].flip(-1)
+    factors = [torch.linspace(0.8, 1.2 + 0.1 * number, 36, device=device).view(-1, 1) for number in range(4)]
+    mean = BodyParameters.mean(1, device=device)
+    people = Observations.of([seen] * 36)
+    people.labels[::2] = people.labels[::2].flip(-1)
+    people = replace(
+        people,
+        points=people.points * factors[0][..., None],
+        lengths=mean.lengths * factors[1],
+        thicknesses=mean.thicknesses * factors[2],
+        confidence=people.confidence * factors[3],
+    )
+    everyone = Energy(people, 48, prior=PosePrior().to(device))
     starts = BodyParameters.mean(36, device=device)
     starts.shift.copy_(torch.linspace(-0.2, 0.2, 72, device=device).view(36, 2))
     groups = slice(0, 18), slice(18, 36), slice(5, 22)  # the last of 17, with a graph of 18
 
     def refined(some: slice) -> Any:
-        return refine_captured(starts.select(some), energy, RULE, people=everyone.select(some))
+        return refine_captured(starts.select(some), everyone.select(some), COURSE)
 
     found = [refined(some) for some in groups]
     kept, made[:] = list(made), []

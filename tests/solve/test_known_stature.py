@@ -13,6 +13,7 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.stature import bone_statures
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.evidence import weigh_evidence
+from warp_partdr.inputs.observations import Observations
 from warp_partdr.inputs.sample import Sample
 from warp_partdr.lab.evaluation.partbench.samples import NEAR, make_sample
 from warp_partdr.lab.synthetic.scene_people import make_pair, make_views
@@ -76,7 +77,7 @@ def test_before_a_known_camera_who_is_taller_is_farther_away(device):
 def test_what_the_network_says_of_a_larger_body_is_of_one_farther_away():
     sample = make_sample(5, NEAR)
     seen = fitted(sample, None, options=replace(FAST, stages=())).observation
-    said = ask_network([seen], packaged_network("cpu"))
+    said = ask_network(Observations.of([seen]), packaged_network("cpu"))
     larger = said.resized(torch.tensor([1.2]))
     points = [each.camera(256).project(each.posed().joints)[..., :2] for each in (said, larger)]
     torch.testing.assert_close(*points, rtol=1e-5, atol=1e-3)

@@ -16,14 +16,15 @@ from warp_partdr.inputs.cut_people import CutPerson
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import crop_evidence, observe, usual_lens
+from warp_partdr.inputs.observations import Observations
 from warp_partdr.inputs.sample import Sample
 from warp_partdr.lab.evaluation.partbench.samples import make_sample
 from warp_partdr.networks.regression.checkpoint import packaged_network
 from warp_partdr.networks.regression.predict import ask_network
 from warp_partdr.results.save import describe_body, make_report
 from warp_partdr.solve.ellipsoids.far_people import MUCH_FARTHER, with_longer_lens
+from warp_partdr.solve.ellipsoids.fitting import fit_people
 from warp_partdr.solve.ellipsoids.result import FitResult
-from warp_partdr.solve.ellipsoids.together import fit_together
 
 FAST = FitOptions.at("fast")
 
@@ -114,12 +115,12 @@ def test_a_lens_that_is_known_or_of_a_whole_photo_stays():
 def test_only_labels_of_parts_show_that_somebody_is_far_away():
     """Neither keypoints alone nor a mask do, and a known lens is believed."""
     sample = far_person()
-    seen, _ = observe(sample.keypoints, sample.parts)
+    seen = Observations.of([observe(sample.keypoints, sample.parts)[0]])
     network = packaged_network("cpu")
-    predicted = ask_network([seen], network)
+    predicted = ask_network(seen, network)
     longer = with_longer_lens(seen, predicted)
-    assert longer.lens[0] > MUCH_FARTHER * seen.lens[0]
-    assert torch.equal(longer.lens[1:], seen.lens[1:])
+    assert longer.lens[0, 0] > MUCH_FARTHER * seen.lens[0, 0]
+    assert torch.equal(longer.lens[:, 1:], seen.lens[:, 1:])
     assert with_longer_lens(replace(seen, lens_assumed=False), predicted) is None
     assert with_longer_lens(replace(seen, labels=None, label_set=None), predicted) is None
     assert with_longer_lens(replace(seen, label_set=label_set("full1")), predicted) is None
@@ -132,7 +133,7 @@ def test_people_side_by_side_have_the_lenses_that_they_have_alone(device):
     samples = [far_person(), make_sample(1, "realistic")]
     evidence = [weigh_evidence(sample.keypoints, sample.parts, sample.others)[0] for sample in samples]
     people = [CutPerson(each, *crop_evidence(each, device=device, camera=usual_lens(each))) for each in evidence]
-    together = fit_together(people, options, packaged_network(device))
+    together = fit_people(people, options, packaged_network(device))
     for sample, fit in zip(samples, together, strict=True):
         alone = fitted(sample, stages=(), search=())
         assert fit.camera_guessed

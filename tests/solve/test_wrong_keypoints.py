@@ -13,11 +13,12 @@ from warp_partdr.inputs.cut_people import CutPeople, CutPerson
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoints import Keypoints2D, person_height
 from warp_partdr.inputs.observation import REFERENCE_SIZE, crop_evidence, observe, usual_lens
+from warp_partdr.inputs.observations import Observations
 from warp_partdr.lab.evaluation.partbench.samples import make_sample
 from warp_partdr.networks.regression.checkpoint import packaged_network
 from warp_partdr.networks.regression.predict import ask_network
 from warp_partdr.networks.regression.predicted import landmarks_in_crop
-from warp_partdr.solve.ellipsoids.together import fit_together
+from warp_partdr.solve.ellipsoids.fitting import fit_people
 from warp_partdr.solve.ellipsoids.wrong_keypoints import GROSS_ERROR, doubt_keypoints
 
 FAST = replace(FitOptions.at("fast"), search=())
@@ -32,12 +33,12 @@ def with_wrong_wrist(keypoints: Keypoints2D) -> Keypoints2D:
 
 def test_the_factor_is_one_at_the_body_and_a_quarter_at_a_gross_error(device):
     sample = make_sample(3, "mild")
-    seen, _ = observe(sample.keypoints, None, device=device)
-    predicted = ask_network([seen], packaged_network(device))
-    there = landmarks_in_crop(predicted, seen.body_points, seen.lens[None])[0]
-    off = torch.linspace(0, 2 * GROSS_ERROR, len(there), device=device) / (REFERENCE_SIZE / 2)
+    seen = Observations.of([observe(sample.keypoints, None, device=device)[0]])
+    predicted = ask_network(seen, packaged_network(device))
+    there = landmarks_in_crop(predicted, seen.marks, seen.lens)
+    off = torch.linspace(0, 2 * GROSS_ERROR, there.shape[1], device=device) / (REFERENCE_SIZE / 2)
     placed = replace(seen, points=there + torch.stack([off, torch.zeros_like(off)], dim=1))
-    factors = doubt_keypoints(placed, predicted).confidence / placed.confidence
+    (factors,) = doubt_keypoints(placed, predicted).confidence / placed.confidence
     assert float(factors[0]) == pytest.approx(1.0)
     assert (factors.diff() < 0).all()
     one = replace(seen, points=there + torch.tensor([0.0, GROSS_ERROR / (REFERENCE_SIZE / 2)], device=device))
@@ -50,12 +51,12 @@ def test_people_side_by_side_are_doubted_as_each_alone(device):
     form = samples[0].keypoints.skeleton
     evidence = [weigh_evidence(replace(each.keypoints, skeleton=form), None)[0] for each in samples]
     cut = [CutPerson(each, *crop_evidence(each, device=device, camera=usual_lens(each))) for each in evidence]
-    stacked = CutPeople.of(cut).seen
+    stacked = CutPeople.of(cut).observations
     predicted = ask_network(stacked, packaged_network(device))
     together = doubt_keypoints(stacked, predicted)
     for row, person in enumerate(cut):
-        alone = doubt_keypoints(person.observation, predicted.select(slice(row, row + 1)))
-        torch.testing.assert_close(together[row].confidence, alone.confidence)
+        alone = doubt_keypoints(Observations.of([person.observation]), predicted.select(slice(row, row + 1)))
+        torch.testing.assert_close(together[row].confidence, alone[0].confidence)
 
 
 @pytest.mark.parametrize("alone", [True, False])
@@ -68,7 +69,7 @@ def test_a_wrong_wrist_does_not_pull_the_arm_to_it(alone):
     else:
         evidence = weigh_evidence(wrong, None)[0]
         person = CutPerson(evidence, *crop_evidence(evidence, camera=usual_lens(evidence)))
-        found = fit_together([person], FAST, packaged_network("cpu"))[0]
+        found = fit_people([person], FAST, packaged_network("cpu"))[0]
     row = wrong.format.landmarks.index("left_wrist")
     wrist = found.camera.project(torch.from_numpy(found.landmarks(["left_wrist"]))[None])[0, 0, :2].numpy()
     to_truth, to_wrong = (np.linalg.norm(wrist - given.points[row]) for given in (sample.keypoints, wrong))

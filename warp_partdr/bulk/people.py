@@ -23,8 +23,9 @@ from ..networks.detection.masks import instance_maps
 from ..networks.detection.people import find_people_in
 from ..networks.regression.label_network import LabelNetwork
 from ..solve.ellipsoids.depth_flips import FLIP_SIZE
+from ..solve.ellipsoids.fitting import fit_people
 from ..solve.ellipsoids.options import FitOptions
-from ..solve.ellipsoids.together import JUDGED_SIZE, fit_together
+from ..solve.ellipsoids.plausibility import JUDGED_SIZE
 from ..solve.mesh.mesh_stage import refine_meshes
 from .cutting import Cut, Cutter, Held, Read, attempt, one_line
 from .outages import is_passing
@@ -42,17 +43,18 @@ _MESHES = threading.Lock()  # a mesh stage keeps the buffers of the last one
 def stages_of_quality(quality: BulkQuality) -> FitOptions:
     """Options of the ellipsoids' fit: none, of ``partdr fit --quality fast``, or of what a mesh stage goes on from.
 
+    No search is tried for those who end far from what was seen: it takes seconds a person. Warnings tell of them.
     Keypoints are those of the smaller landmark network: of many people, the larger one would take most of the time.
     """
     if quality == "network":
-        return replace(FitOptions.at("fast"), stages=())
+        return replace(FitOptions.at("fast"), stages=(), search=())
     if quality == "fast":
-        return FitOptions.at("fast")
-    return replace(FitOptions.at("balanced").without_outline(), landmarks="full")
+        return replace(FitOptions.at("fast"), search=())
+    return replace(FitOptions.at("balanced").without_outline(), landmarks="full", search=())
 
 
 def kept_label_size(options: FitOptions, network: LabelNetwork, *, meshes: bool) -> int:
-    """Side [px] at which labels of cut out people are kept for ``fit_together``, and for the mesh stage, too.
+    """Side [px] at which labels of cut out people are kept for ``fit_people``, and for the mesh stage, too.
 
     ``LABEL_SIZE``; but where all look at one size that these can be thinned to, that one: 128 px take a 25th of the
     memory.
@@ -130,7 +132,7 @@ class PeopleFitter:
 
     def bodies(self, people: CutPeople) -> list[RowPart]:
         """Bodies of people, in one batch."""
-        fits = fit_together(people, self.options, self.network)
+        fits = fit_people(people, self.options, self.network)
         if self.model is None:
             return describe_bodies(fits)
         with _MESHES:

@@ -59,8 +59,8 @@ from ..inputs.observation import REFERENCE_SIZE
 from ..models.clothes import CLOTHED
 from ..models.measuring import statures
 from ..models.model import DetailedModel
+from ..solve.ellipsoids.batch_fits import BatchFits
 from ..solve.ellipsoids.result import FitResult
-from ..solve.ellipsoids.together import BatchFits
 from ..solve.mesh.mesh_stage import MeshFit
 
 if TYPE_CHECKING:
@@ -273,8 +273,8 @@ def _known_of(fits: Sequence[FitResult] | Sequence[MeshFit]) -> _Known:
     if isinstance(fits, BatchFits):
         return _Known(
             fits.parameters,
-            fits.seen.lens,
-            fits.seen.lens_assumed,
+            fits.observations.lens,
+            fits.observations.lens_assumed,
             fits.uncertainty.depths,
             fits.people.crops,
             fits.people.skeleton,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import overload
+from typing import NamedTuple, overload
 
 import numpy as np
 
@@ -14,9 +14,17 @@ from ..cameras import Crop
 from .evidence import Evidence
 from .keypoints import Keypoints2D
 from .observation import Observation
-from .stacked import StackedObservations
+from .observations import Observations
 
-Kind = tuple[str | Skeleton, LabelSet | None, bool, bool]
+
+class Kind(NamedTuple):
+    """Properties in which people must agree to be stacked."""
+
+    skeleton: str | Skeleton
+    label_set: LabelSet | None
+    with_probabilities: bool
+    with_lens: bool
+    lens_assumed: bool
 
 
 @dataclass(frozen=True)
@@ -25,7 +33,7 @@ class CutPerson:
 
     Attributes:
         evidence: Keypoints and warnings; its labels aren't looked at and may be left out, to save memory.
-        observation: Keypoints and labels in the crop; no probabilities.
+        observation: Keypoints and labels in the crop.
         crop: Place of the crop in the picture.
     """
 
@@ -35,13 +43,10 @@ class CutPerson:
 
     @property
     def kind(self) -> Kind:
-        """Format of the keypoints, label set, and if the camera is unknown or assumed: people who agree are alike."""
-        return (
-            self.evidence.keypoints.skeleton,
-            self.observation.label_set,
-            self.observation.lens is None,
-            self.observation.lens_assumed,
-        )
+        """Key of the person: people with equal keys are alike, and can be stacked."""
+        seen = self.observation
+        keypoints = self.evidence.keypoints
+        return Kind(keypoints.skeleton, seen.label_set, seen.maps is not None, seen.lens is not None, seen.lens_assumed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,16 +57,16 @@ class CutPeople(Sequence[CutPerson]):
         skeleton: Format of the keypoints.
         points: Keypoints in the picture [px], shape (N, J, 2).
         confidence: Of these, shape (N, J).
-        seen: Observations in the crops.
+        observations: Observations in the crops.
         crops: Places of the crops.
-        windows: As of ``Evidence``.
-        warnings: The same.
+        windows: Parts of the pictures where the people's labels may be (``Evidence.window``).
+        warnings: Faults of each person's input, a sentence each.
     """
 
     skeleton: str | Skeleton
     points: np.ndarray
     confidence: np.ndarray
-    seen: StackedObservations
+    observations: Observations
     crops: tuple[Crop, ...]
     windows: tuple[Crop, ...]
     warnings: tuple[tuple[str, ...], ...]
@@ -74,7 +79,7 @@ class CutPeople(Sequence[CutPerson]):
             keypoints[0].skeleton,
             np.stack([each.points for each in keypoints]),
             np.stack([each.confidence for each in keypoints]),
-            StackedObservations.of([person.observation for person in people], keypoints),
+            Observations.of([person.observation for person in people], keypoints[0].format),
             tuple(person.crop for person in people),
             tuple(person.evidence.window for person in people),
             tuple(person.evidence.warnings for person in people),
@@ -89,14 +94,15 @@ class CutPeople(Sequence[CutPerson]):
             parts[0].skeleton,
             np.concatenate([each.points for each in parts]),
             np.concatenate([each.confidence for each in parts]),
-            StackedObservations.joined([each.seen for each in parts]),
+            Observations.joined([each.observations for each in parts]),
             *(tuple(one for each in parts for one in getattr(each, name)) for name in ("crops", "windows", "warnings")),
         )
 
     @property
     def kind(self) -> Kind:
-        """Key of the people, as ``CutPerson.kind``: those with equal keys are alike."""
-        return self.skeleton, self.seen.label_set, self.seen.lens is None, self.seen.lens_assumed
+        """Key of the people, as ``CutPerson.kind``: people with equal keys are alike."""
+        seen = self.observations
+        return Kind(self.skeleton, seen.label_set, seen.maps is not None, seen.lens is not None, seen.lens_assumed)
 
     def __len__(self) -> int:
         """Number of people, N."""
@@ -110,16 +116,20 @@ class CutPeople(Sequence[CutPerson]):
         """One person, or some as arrays."""
         if isinstance(index, slice):
             own = (getattr(self, name)[index] for name in ("crops", "windows", "warnings"))
-            seen = self.seen.select(index)
+            seen = self.observations.select(index)
             return CutPeople(self.skeleton, self.points[index], self.confidence[index], seen, *own)
         row = range(len(self))[index]
         keypoints = Keypoints2D(self.skeleton, self.points[row], self.confidence[row])
         evidence = Evidence(keypoints, None, self.windows[row], None, self.warnings[row])
-        return CutPerson(evidence, self.seen[row], self.crops[row])
+        return CutPerson(evidence, self.observations[row], self.crops[row])
+
+    def select(self, rows: Sequence[int]) -> CutPeople:
+        """Return some of the people, by their rows."""
+        return CutPeople.joined([self[row : row + 1] for row in rows])
 
     def to(self, device: str) -> CutPeople:
         """Copy the arrays that fits read to a device, one copy each."""
-        return replace(self, seen=self.seen.to(device))
+        return replace(self, observations=self.observations.to(device))
 
 
 def stack_alike(people: Sequence[CutPerson]) -> list[tuple[list[int], CutPeople]]:

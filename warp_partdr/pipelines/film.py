@@ -26,7 +26,7 @@ from ..models.model import DetailedModel
 from ..models.registration import Registered, ungrown
 from ..networks.detection.film_people import FilmPeople, shots_between
 from ..networks.detection.person import SKELETON
-from ..solve.ellipsoids.fitting import Progress
+from ..solve.ellipsoids.stages import Progress
 from ..solve.scene.fitting import SceneFit, fit_scene
 from ..solve.scene.impossible import impossible_people
 from ..solve.scene.looks import Looked

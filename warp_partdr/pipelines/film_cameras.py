@@ -19,7 +19,7 @@ from ..body.stature import check_stature
 from ..errors import InputError
 from ..inputs.scene import Scene, Sight
 from ..networks.detection.film_people import areas
-from ..solve.ellipsoids.fitting import Progress
+from ..solve.ellipsoids.stages import Progress
 from ..solve.scene.looks import Looked, look_in_batches, looked_at_together
 from .camera_places import Moments, Places, place_cameras
 from .matched_times import uneven_times

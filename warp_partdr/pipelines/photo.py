@@ -31,9 +31,10 @@ from ..networks.detection.person import FoundPerson
 from ..networks.predictors.keypoints import find_keypoints
 from ..networks.predictors.networks import KeypointNetwork, PartNetwork
 from ..networks.predictors.parts import PeopleParts
-from ..solve.ellipsoids.fitting import Progress, fit_evidence
+from ..solve.ellipsoids.fitting import fit_evidence
 from ..solve.ellipsoids.options import FitOptions
 from ..solve.ellipsoids.result import FitResult
+from ..solve.ellipsoids.stages import Progress
 from ..solve.mesh.mesh_stage import MeshFit
 from ..solve.scene.overlapping import refine_people
 

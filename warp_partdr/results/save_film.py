@@ -26,7 +26,7 @@ from ..networks.predictors.film_sights import GivenNetworks
 from ..pipelines.film import FilmFit, Motion
 from ..pipelines.photo import PACKAGED
 from ..pipelines.seen_film import SeenFilm
-from ..solve.ellipsoids.fitting import Progress
+from ..solve.ellipsoids.stages import Progress
 from .film_file import write_film
 from .film_pictures import PosedMotions, draw_bodies, resized, zoomed_view
 from .further_files import check_formats, save_further

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from ...solve.ellipsoids.fitting import Progress
+from ...solve.ellipsoids.stages import Progress
 
 Job = tuple[str, Callable[[], None]]  # its name, and what it does
 

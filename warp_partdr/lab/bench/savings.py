@@ -17,7 +17,7 @@ from ...render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_lo
 from ...render.mesh import mesh_label_loss
 from ...render.options import Gradient
 from ...render.part_mesh import PartMesh, ellipbody_mesh
-from ...solve.ellipsoids.fitting import Progress
+from ...solve.ellipsoids.stages import Progress
 from .jobs import run_jobs
 from .machine import in_words
 from .report import make_table, print_tables

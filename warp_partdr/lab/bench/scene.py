@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import torch
 
 from ...body.labels import label_set
@@ -13,7 +14,7 @@ from ...body.pose_prior import packaged_prior
 from ...body.posing import LandmarkGather, Posed
 from ...body.skeletons import skeleton
 from ...cameras import WeakPerspective
-from ...inputs.observation import Observation
+from ...inputs.observations import Observations
 from ...render.ellipsoids import draw_ellipsoids
 from ...render.options import Gradient
 from ...render.renderers import RendererEllipsoids
@@ -64,12 +65,10 @@ class BenchScene:
         """Cameras of the bodies."""
         return self.bodies.camera(self.size)
 
-    def energies(self, gradient: Gradient) -> list[Energy]:
-        """The energy of each body."""
-        names = skeleton("coco17").landmarks
-        seen = Observation(names, self.points[0], torch.ones_like(self.points[0, :, 0]), self.targets[0], LABELS)
-        first = Energy(
-            seen, size=self.size, prior=packaged_prior(str(self.points.device)), renderer=RendererEllipsoids(gradient)
-        )
-        rest = zip(self.points[1:], self.targets[1:], strict=True)
-        return [first, *(replace(first, observation=replace(seen, points=p, labels=t)) for p, t in rest)]
+    def energy(self, gradient: Gradient) -> Energy:
+        """Energy of the bodies, each of which has an observation of its own."""
+        form, confidence = skeleton("coco17"), torch.ones_like(self.points[..., 0])
+        visible = np.ones(confidence.shape, dtype=bool)
+        seen = Observations(form.landmarks, form.marks, visible, self.points, confidence, self.targets, LABELS)
+        prior, renderer = packaged_prior(str(self.points.device)), RendererEllipsoids(gradient)
+        return Energy(seen, size=self.size, prior=prior, renderer=renderer)

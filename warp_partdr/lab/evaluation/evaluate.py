@@ -26,8 +26,9 @@ from ...inputs.part_labels import PartLabels
 from ...inputs.sample import Sample
 from ...interop.devices import without_driver_warning
 from ...kernels.launch import set_num_threads
-from ...solve.ellipsoids.fitting import Progress, fit_body
+from ...solve.ellipsoids.fitting import fit_body
 from ...solve.ellipsoids.options import FitOptions
+from ...solve.ellipsoids.stages import Progress
 from .scoring import Score, score_fit, summarise
 
 

@@ -116,7 +116,7 @@ def _timed(pictures: list[np.ndarray], device: str, half: bool) -> dict[str, np.
     masked = [MaskedPerson(each.keypoints, shown, 1) for each, shown in zip(people, owners, strict=True)]
     cut = stage("evidence and crops", lambda: cut_masks(masked, device))
     together = stage("people as arrays", lambda: CutPeople.of([CutPerson(*each) for each in cut]))
-    stage("label network", lambda: ask_network(together.seen, network, half=half).parameters())
+    stage("label network", lambda: ask_network(together.observations, network, half=half).parameters())
     names = ["all of these: find_people_in", "whom each pixel shows", "evidence and crops", "people as arrays"]
     names.append("label network")
     seconds["from pictures to bodies"] = np.sum([seconds[name] for name in names], axis=0)

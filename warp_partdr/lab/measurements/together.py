@@ -20,9 +20,10 @@ from ...inputs.observation import crop_evidence
 from ...inputs.sample import Sample
 from ...networks.regression import predict
 from ...networks.regression.checkpoint import packaged_network
-from ...solve.ellipsoids import captured, depth_flips, together
+from ...solve.ellipsoids import captured, depth_flips, network_start
 from ...solve.ellipsoids.batch import Batch
-from ...solve.ellipsoids.together import fit_together
+from ...solve.ellipsoids.energy import Energy
+from ...solve.ellipsoids.fitting import fit_people
 from ..clocks import Step, StepClock, synchronize
 from ..evaluation.partbench.samples import make_sample
 from ..figures import FigureTable
@@ -32,11 +33,11 @@ from ..synthetic.partbench_people import COCO
 _DISTINCT = 64
 _STEPS = (
     Step(predict, "upright_inputs", "network, its input"),
-    Step(together, "ask_network", "network"),
-    Step(Batch, "of_stacked", "landmarks in their places"),
-    Step(Batch, "drawn_at", "label images resized"),
+    Step(network_start, "ask_network", "network"),
+    Step(Energy, "__post_init__", "expected sizes and label images"),
+    Step(Batch, "of", "landmarks in their places"),
     Step(depth_flips, "_propose", "depth flips proposed"),
-    Step(together, "repair_depth_orders", "depth flips chosen"),
+    Step(network_start, "repair_depth_orders", "depth flips chosen"),
     Step(captured.CapturedRefinement, "__init__", "refinement, set up and captured"),
     Step(captured.CapturedRefinement, "refine", "refinement, replayed"),
 )
@@ -64,12 +65,12 @@ def measure_together(
             for _ in range(3):
                 synchronize(device)
                 began = time.perf_counter()
-                fits = fit_together(people, options, network)
+                fits = fit_people(people, options, network)
                 synchronize(device)
                 seconds = time.perf_counter() - began
             yield f"{quality}, {number} people: {number / seconds:.0f} a second"
             clock = StepClock(device, _STEPS)
-            clock.measure(lambda: fit_together(people, options, network))  # noqa: B023  at once
+            clock.measure(lambda: fit_people(people, options, network))  # noqa: B023  at once
             yield clock.table(f"{quality}, {number} people", number)
             began = time.perf_counter()
             rows = PeopleRows(number, describe_bodies(fits))

@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 
-from ...body.labels import label_set
+from ...body.labels import LabelSet, label_set
 from ...body.parameters import BodyParameters
 from ...body.pose_prior import packaged_prior
 from ...body.posing import LandmarkGather
 from ...body.rotations import rotation_from_axis_angle, rotation_to_6d
 from ...body.skeletons import MPJPE_HIPS, MPJPE_JOINTS, skeleton
 from ...cameras import Crop, WeakPerspective
-from ...inputs.observation import REFERENCE_SIZE, Observation
+from ...inputs.observation import REFERENCE_SIZE
+from ...inputs.observations import Observations
 from ...interop.movable import Movable
 from ...render.ellipsoids import draw_ellipsoids
 from ...solve.ellipsoids.energy import Energy
@@ -51,10 +53,9 @@ class People(Movable):
         """Number of people, N."""
         return len(self.labels)
 
-    def observation(self, person: int | None = None) -> Observation:
-        """Input of a fit to a person; of None, to all: points (N, 17, 2) and labels (N, ...), a body each."""
-        points, labels = (self.points, self.labels) if person is None else (self.points[person], self.labels[person])
-        return Observation(KEYPOINTS, points, points.new_ones(len(KEYPOINTS)), labels, LABELS)
+    def observations(self) -> Observations:
+        """Input of a fit to all people."""
+        return surely_seen(self.points, self.labels, LABELS)
 
     def starts(self, distance: float) -> BodyParameters:
         """The bodies with normal noise of ``distance`` [rad] on each number of a rotation, and mean sizes.
@@ -74,6 +75,15 @@ class People(Movable):
             log_scale=true.log_scale + noise(true.log_scale, _SCALE_PER_RADIAN),
             shift=true.shift + noise(true.shift, _SHIFT_PER_RADIAN),
         )
+
+
+def surely_seen(
+    points: torch.Tensor, labels: torch.Tensor | None = None, label_set: LabelSet | None = None
+) -> Observations:
+    """Observations of N people whose ``KEYPOINTS`` (N, 17, 2) are seen with full confidence, perhaps with labels."""
+    confidence = points.new_ones(points.shape[:2])
+    visible = np.ones(confidence.shape, dtype=bool)
+    return Observations(KEYPOINTS, KEYPOINTS, visible, points, confidence, labels, label_set)
 
 
 def make_people(num_ellipbodies: int, num_annys: int) -> tuple[People, People]:
@@ -149,7 +159,7 @@ def _lift(persons: list[Person], crops: list[Crop], points: torch.Tensor, joints
         log_scale=scale.log().repeat(turns),
         shift=shift.repeat(turns, 1),
     )
-    seen = Observation(KEYPOINTS, points.repeat(turns, 1, 1), points.new_ones(len(KEYPOINTS)), None, None)
+    seen = surely_seen(points.repeat(turns, 1, 1))
     energy, gather = Energy(seen, prior=prior), LandmarkGather(MPJPE_JOINTS, "cpu")
     target = _centred(joints).repeat(turns, 1, 1)
 

@@ -13,8 +13,7 @@ from dataclasses import replace
 import torch
 
 from ...body.landmarks import CONVENTIONS
-from ...inputs.observation import Observation
-from ...inputs.stacked import StackedObservations
+from ...inputs.observations import Observations
 from .predicted import Predicted, landmarks_in_crop
 
 
@@ -23,30 +22,17 @@ def lies_elsewhere(marks: Sequence[str]) -> bool:
     return any(mark.startswith(tuple(f"{convention}_" for convention in CONVENTIONS)) for mark in marks)
 
 
-def keypoints_at_landmarks(
-    observations: Sequence[Observation] | StackedObservations, predicted: Predicted
-) -> Sequence[Observation] | StackedObservations | None:
+def keypoints_at_landmarks(observations: Observations, predicted: Predicted) -> Observations | None:
     """Observations whose keypoints lie at the landmarks; None if all do already.
 
     Args:
         observations: N people.
         predicted: The bodies of a first look, as a camera along its axis would see them.
     """
-    if isinstance(observations, StackedObservations):
-        if not lies_elsewhere(observations.marks):
-            return None
-        moves = _moves(observations.landmarks, observations.marks, predicted, observations.lens)
-        return replace(observations, points=observations.points - moves)
-    rows = [row for row, each in enumerate(observations) if lies_elsewhere(each.body_points)]
-    if not rows:
+    if not lies_elsewhere(observations.marks):
         return None
-    moved = list(observations)
-    for row in rows:
-        seen = observations[row]
-        lens = None if seen.lens is None else seen.lens[None]
-        moves = _moves(seen.landmarks, seen.body_points, predicted.select(slice(row, row + 1)), lens)
-        moved[row] = replace(seen, points=seen.points - moves[0])
-    return moved
+    moves = _moves(observations.landmarks, observations.marks, predicted, observations.lens)
+    return replace(observations, points=observations.points - moves)
 
 
 def _moves(

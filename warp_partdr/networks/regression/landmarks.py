@@ -35,18 +35,8 @@ def network_keypoints(names: Sequence[str], points: torch.Tensor, confidence: to
     Returns:
         Coordinates and confidence, all 0 where missing, shape (24, 3).
     """
-    return stack_keypoints([names], [points], [confidence])[0]
-
-
-def stack_keypoints(
-    names: Sequence[Sequence[str]], points: Sequence[torch.Tensor], confidence: Sequence[torch.Tensor]
-) -> torch.Tensor:
-    """Keypoints of N people, each as of ``network_keypoints``, shape (N, 24, 3)."""
-    starts = np.cumsum([0, *map(len, names)])
-    rows = np.stack([_rows(tuple(each)) for each in names])
-    rows = np.where(rows < 0, starts[-1], rows + starts[:-1, None])  # the last one is of what is missing
-    known = torch.cat([torch.cat(list(points)), torch.cat(list(confidence))[:, None]], dim=1)
-    return _taken(known, rows)
+    visible = np.ones((1, len(names)), dtype=bool)
+    return format_keypoints(tuple(names), visible, points[None], confidence[None])[0]
 
 
 def format_keypoints(

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
 
-from ...body.labels import LabelSet
 from ...body.parameters import BodyParameters
 from ...errors import check_each, check_type
 from ...inputs.observation import Observation, resize_nearest
-from ...inputs.stacked import StackedObservations
+from ...inputs.observations import Observations, group_alike
 from ...interop.torch_threads import one_torch_thread
 from .conventions import keypoints_at_landmarks
 from .fused import ask_fused, ask_with
@@ -26,7 +25,7 @@ from .label_network import (
     map_shares,
     network_conditions,
 )
-from .landmarks import format_keypoints, stack_keypoints
+from .landmarks import format_keypoints
 from .mirror import mean_bodies, mirror_bodies, mirror_inputs
 from .predicted import Predicted
 from .upright import leans, turn_inputs, turn_predicted
@@ -39,47 +38,35 @@ REAL_PEOPLE = 1.2
 REAL_SIZE = 1.015
 
 
-def network_inputs(
-    seen: Sequence[Observation] | StackedObservations, size: int
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def network_inputs(seen: Observations, size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Input of a label network for N people: shares (N, 22, size, size), keypoints (N, 24, 3) and conditions (N, 6)."""
-    if isinstance(seen, StackedObservations):
-        keypoints = format_keypoints(seen.landmarks, seen.visible, seen.points, seen.confidence)
-        lenses = keypoints.new_ones(len(seen), 3) if seen.lens is None else seen.lens
-        certainty = keypoints.new_full((len(seen),), _certainty(seen))
-        return _stacked_pictures(seen, size), keypoints, network_conditions(lenses, certainty)
-    keypoints = stack_keypoints(
-        [each.landmarks for each in seen], [each.points for each in seen], [each.confidence for each in seen]
-    )
-    unknown = keypoints.new_ones(3)
-    lenses = torch.stack([unknown if each.lens is None else each.lens for each in seen])
-    certainty = torch.tensor([_certainty(each) for each in seen]).to(lenses.device)
-    statures = torch.tensor([each.stature or 0.0 for each in seen]).to(lenses.device)
-    return _network_pictures(seen, size), keypoints, network_conditions(lenses, certainty, statures)
+    return _shares(seen, size), *_numbers(seen)
 
 
-def _certainty(seen: Observation | StackedObservations) -> float:
+def _numbers(seen: Observations) -> tuple[torch.Tensor, torch.Tensor]:
+    """Keypoints and conditions of ``network_inputs``."""
+    keypoints = format_keypoints(seen.landmarks, seen.visible, seen.points, seen.confidence)
+    lenses = keypoints.new_ones(len(seen), 3) if seen.lens is None else seen.lens
+    certainty = keypoints.new_full((len(seen),), _certainty(seen))
+    return keypoints, network_conditions(lenses, certainty, seen.statures)
+
+
+def _certainty(seen: Observations) -> float:
     if seen.lens is None:
         return 0.0
     return USUAL_LENS if seen.lens_assumed else KNOWN_LENS
 
 
-def upright_inputs(
-    seen: Sequence[Observation] | StackedObservations, size: int, *, half: bool = False
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Inputs of N people, turned upright, and by how much they lean, (N,); with ``half``, shares may be bfloat16."""
-    if not isinstance(seen, StackedObservations) or seen.labels is None or seen.label_set is None:
-        shares, keypoints, conditions = network_inputs(seen, size)
-        angles = leans(keypoints)
-        return *turn_inputs(shares, keypoints, conditions, -angles), angles
-    _, keypoints, conditions = network_inputs(replace(seen, labels=None, label_set=None), size)
-    angles = leans(keypoints)
-    labels = resize_nearest(seen.labels, size)[:, None].float()  # to be turned: a number a pixel, not 22
-    labels, keypoints, conditions = turn_inputs(labels, keypoints, conditions, -angles)
-    table = label_table(seen.label_set).to(labels.device)
-    if half:
-        table = torch.nn.functional.pad(table, (0, EVEN_CHANNELS - table.shape[1])).bfloat16()
-    return _shares_of_ids(labels[:, 0], table), keypoints, conditions, angles
+def _shares(seen: Observations, size: int) -> torch.Tensor:
+    """Shares of the parts in each pixel, shape (N, 22, size, size)."""
+    if seen.label_set is None or seen.labels is None:
+        unknown = torch.zeros(1, NUM_CHANNELS, 1, 1, device=seen.points.device)
+        unknown[:, -1] = 1.0
+        return unknown.expand(len(seen), -1, size, size)
+    table = label_table(seen.label_set).to(seen.points.device)
+    if seen.maps is not None and seen.known is not None:
+        return map_shares(resize_nearest(seen.maps, size), resize_nearest(seen.known, size), table)
+    return _shares_of_ids(resize_nearest(seen.labels, size), table)
 
 
 def _shares_of_ids(labels: torch.Tensor, table: torch.Tensor) -> torch.Tensor:
@@ -87,60 +74,20 @@ def _shares_of_ids(labels: torch.Tensor, table: torch.Tensor) -> torch.Tensor:
     return label_shares(labels, table[None], which)
 
 
-def _stacked_pictures(seen: StackedObservations, size: int) -> torch.Tensor:
-    """Shares of people with labels of one set, or of all without."""
-    if seen.labels is None or seen.label_set is None:
-        return _no_labels(seen.points.device).expand(len(seen), -1, size, size)
-    return _label_shares(seen.labels, seen.label_set, size)
-
-
-def _no_labels(device: torch.device) -> torch.Tensor:
-    """Shares of a person without labels, shape (1, 22, 1, 1)."""
-    shares = torch.zeros(1, NUM_CHANNELS, 1, 1, device=device)
-    shares[:, -1] = 1.0
-    return shares
-
-
-def _label_shares(labels: torch.Tensor, label_set: LabelSet, size: int) -> torch.Tensor:
-    return _shares_of_ids(resize_nearest(labels, size), label_table(label_set).to(labels.device))
-
-
-def _network_pictures(seen: Sequence[Observation], size: int) -> torch.Tensor:
-    """Shares of all, those with labels of one set and size at a time: one by one, launches would take long."""
-    shares: torch.Tensor | None = None
-    alike: dict[Hashable, list[int]] = {}
-    for row, each in enumerate(seen):
-        labels = None if each.label_set is None else each.labels
-        soft = each.maps is not None and each.known is not None
-        alike.setdefault(None if labels is None else (id(each.label_set), labels.shape, soft), []).append(row)
-    for key, rows in alike.items():
-        some = [seen[row] for row in rows]
-        if key is None:
-            found = _no_labels(seen[0].points.device)
-        else:
-            found = _shares_of(some, size)
-        if len(rows) == len(seen):
-            return found.expand(len(seen), -1, size, size)
-        if shares is None:
-            shares = found.new_empty(len(seen), size, size, NUM_CHANNELS).permute(0, 3, 1, 2)
-        shares[torch.tensor(rows).to(shares.device)] = found
-    assert shares is not None
-    return shares
-
-
-def _shares_of(seen: Sequence[Observation], size: int) -> torch.Tensor:
-    """Shares of people with labels of one set and size, all with probabilities or none."""
-    first = seen[0]
-    assert first.label_set is not None
-
-    def together(pictures: Iterable[torch.Tensor | None]) -> torch.Tensor:
-        return torch.stack([resize_nearest(each, size) for each in pictures if each is not None])
-
-    if first.maps is not None and first.known is not None:
-        table = label_table(first.label_set).to(first.points.device)
-        return map_shares(together(each.maps for each in seen), together(each.known for each in seen), table)
-    labels = torch.stack([each.labels for each in seen if each.labels is not None])
-    return _label_shares(labels, first.label_set, size)
+def upright_inputs(
+    seen: Observations, size: int, *, half: bool = False
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Inputs of N people, turned upright, and by how much they lean, (N,); with ``half``, shares may be bfloat16."""
+    keypoints, conditions = _numbers(seen)
+    angles = leans(keypoints)
+    if seen.labels is None or seen.label_set is None or seen.maps is not None:
+        return *turn_inputs(_shares(seen, size), keypoints, conditions, -angles), angles
+    labels = resize_nearest(seen.labels, size)[:, None].float()  # to be turned: a number a pixel, not 22
+    labels, keypoints, conditions = turn_inputs(labels, keypoints, conditions, -angles)
+    table = label_table(seen.label_set).to(labels.device)
+    if half:
+        table = torch.nn.functional.pad(table, (0, EVEN_CHANNELS - table.shape[1])).bfloat16()
+    return _shares_of_ids(labels[:, 0], table), keypoints, conditions, angles
 
 
 @one_torch_thread()
@@ -163,12 +110,25 @@ def predict_bodies(observations: Sequence[Observation], network: LabelNetwork) -
     check_type("network", network, LabelNetwork, "of load_label_network")
     if not observations:
         raise ValueError("observations: none; expected at least one")
-    return ask_network(observations, network).parameters()
+    return ask_about_each(observations, network).parameters()
+
+
+def ask_about_each(observations: Sequence[Observation], network: LabelNetwork, *, mirror: bool = True) -> Predicted:
+    """Return ``ask_network`` of N people in their order, who need not be alike: it is asked about each kind at once."""
+    rows: list[int] = []
+    predicted: list[Predicted] = []
+    for own, seen in group_alike(observations):
+        rows += own
+        predicted.append(ask_network(seen, network, mirror=mirror))
+    if len(predicted) == 1:
+        return predicted[0]
+    joined = Predicted.joined(predicted)
+    return joined.select(torch.tensor(rows).argsort().to(joined.shift.device))
 
 
 @torch.no_grad()
 def ask_network(
-    observations: Sequence[Observation] | StackedObservations,
+    observations: Observations,
     network: LabelNetwork,
     *,
     mirror: bool = True,
@@ -185,9 +145,7 @@ def ask_network(
     return predicted if moved is None else _look(moved, network, mirror=mirror, half=half)
 
 
-def _look(
-    observations: Sequence[Observation] | StackedObservations, network: LabelNetwork, *, mirror: bool, half: bool
-) -> Predicted:
+def _look(observations: Observations, network: LabelNetwork, *, mirror: bool, half: bool) -> Predicted:
     """Returns ``ask_network`` of keypoints that are taken for landmarks as they are."""
     *inputs, angles = upright_inputs(observations, network.config.size, half=half)
     shares, keypoints, conditions = inputs
@@ -208,9 +166,7 @@ def _look(
     return predicted.resized(_size_shares(observations, predicted.log_scale))
 
 
-def _size_shares(observations: Sequence[Observation] | StackedObservations, like: torch.Tensor) -> torch.Tensor:
+def _size_shares(observations: Observations, like: torch.Tensor) -> torch.Tensor:
     """Factors of people's sizes against what the network says, shape (N,); 1 where it was told their stature."""
     shares = torch.full_like(like, REAL_SIZE)
-    if not isinstance(observations, StackedObservations) and any(each.stature is not None for each in observations):
-        shares = like.new_tensor([REAL_SIZE if each.stature is None else 1.0 for each in observations])
-    return shares
+    return shares if observations.statures is None else torch.where(observations.statures > 0, 1.0, shares)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -50,6 +51,14 @@ class Predicted:
         chosen = {name: value[index] for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
         said = self.uncertainty
         return Predicted(**chosen, uncertainty=None if said is None else said.select(index))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Predicted]) -> Predicted:
+        """Join the bodies of several batches, of one network, in one batch."""
+        names = [name for name, value in vars(parts[0]).items() if isinstance(value, torch.Tensor)]
+        numbers = {name: torch.cat([getattr(each, name) for each in parts]) for name in names}
+        said = [each.uncertainty for each in parts if each.uncertainty is not None]
+        return cls(**numbers, uncertainty=Uncertainty.joined(said) if said else None)
 
     def with_rows(self, rows: torch.Tensor, other: Predicted) -> Predicted:
         """Bodies of which those at ``rows``, shape (N,), are N others."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -44,6 +45,11 @@ class Uncertainty(Movable):
     def widened(self, factor: float) -> Uncertainty:
         """Spreads so many times as wide; the distance stays."""
         return replace(self, depths=self.depths * factor, turns=self.turns * factor)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Uncertainty]) -> Uncertainty:
+        """Join the uncertainties of several batches in one batch."""
+        return cls(**{name: torch.cat([getattr(each, name) for each in parts]) for name in vars(parts[0])})
 
     def with_rows(self, rows: torch.Tensor, other: Uncertainty) -> Uncertainty:
         """Uncertainties of bodies of which those at ``rows``, shape (N,), are N others."""

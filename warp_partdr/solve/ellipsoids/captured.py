@@ -37,7 +37,7 @@ from ...render.captured import CapturedEllipsoids
 from ...render.renderers import RendererEllipsoids
 from .batch import Batch
 from .energy import TERMS, Energy
-from .stepper import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, size_bounds
+from .stepper import LEARNING_RATE, SHAPE_RATE, SIZES, Descent, Refined, rate_share, size_bounds
 from .tables import LANDMARK_NAMES, bone_arrays, landmark_arrays, mixture_arrays, rule_arrays
 
 _WIDTHS = [math.prod(shape) for shape in ROW.values()]  # of a body's parameters as they follow one another in a row
@@ -52,22 +52,21 @@ class CapturedRefinement:
     nothing in between. A run repeats bit for bit.
 
     Args:
-        energies: One for all bodies, or N of them, of which body b takes number b % N. They may differ in their
-            observations, and in nothing else. Or one of the kind of all of ``people``.
+        energy: Energy of N people; body b has the observation of number b % N.
         batch_size: B, the number of bodies refined at once.
-        people: N observations, in place of the energies' own.
         iterations: Steps of Adam.
         learning_rate: As in ``refine``.
         frozen: As in ``refine``.
+        people: The energy's arrays, if they are made already; they may be replaced (``take``).
 
     Raises:
-        ValueError: If the energies differ in more than their observations, see probabilities, or draw a mesh, or
-            ``frozen`` names what is no parameter, or all of them.
+        ValueError: If the energy sees probabilities, or draws a mesh, or ``frozen`` names what is no parameter, or all
+            of them.
     """
 
     def __init__(
         self,
-        energies: Energy | Sequence[Energy],
+        energy: Energy,
         batch_size: int,
         *,
         iterations: int = 50,
@@ -77,16 +76,13 @@ class CapturedRefinement:
     ) -> None:
         free = BodyParameters.free(frozen)
         iterations, batch_size = check_steps(iterations, learning_rate), check_whole("batch_size", batch_size, 0)
-        energies = [energies] if isinstance(energies, Energy) else list(energies)
-        self._energy = energy = energies[0]
-        self._device = energy.observation.points.device
-        if energy.observation.maps is not None:
-            raise ValueError("energies: probabilities of labels; expected labels, ``refine`` takes probabilities")
+        self._energy = energy
+        self._device = energy.observations.points.device
+        if energy.with_probabilities:
+            raise ValueError("energy: probabilities of labels; expected labels, ``refine`` takes probabilities")
         if not can_capture(energy):
-            raise ValueError(f"energies: {energy.renderer}; expected exact ellipsoids, ``refine`` takes others")
-        for other in energies:
-            _check_alike(energy, other)
-        self._people = people = people or Batch.of([each.observation for each in energies], energy)
+            raise ValueError(f"energy: {energy.renderer}; expected exact ellipsoids, ``refine`` takes others")
+        self._people = people = people or Batch.of(energy)
 
         # What the host reads or writes, in torch's memory.
         buffer = partial(torch.zeros, device=self._device)
@@ -108,12 +104,12 @@ class CapturedRefinement:
 
     def _make_renderer(self, people: Batch) -> CapturedEllipsoids | None:
         """Renderer that draws the posed ellipsoids and compares them with label images; None if there are none."""
-        renderer, label_set = self._energy.renderer, self._energy.observation.label_set
+        renderer, label_set = self._energy.renderer, self._energy.observations.label_set
         if people.targets is None or label_set is None:
             return None
         assert isinstance(renderer, RendererEllipsoids)
         labels = [int(group) for group in label_set.part_groups[1:]]
-        perspective = self._energy.observation.lens is not None
+        perspective = self._energy.observations.lens is not None
         return CapturedEllipsoids(renderer, labels, people.targets, self._state.ellipsoids, perspective)
 
     def _make_state(self, where: str) -> State:
@@ -218,7 +214,7 @@ class CapturedRefinement:
         """
         batch = self._parameters.shape[0]
         for name, tensor in start.tensors().items():
-            like = ("energies", self._parameters)
+            like = ("energy", self._parameters)
             check_tensor(name, tensor, (batch, *ROW[name]), dtypes=(torch.float32,), like=like)
         self._put(start)
         if batch > 0:
@@ -242,23 +238,24 @@ class CapturedRefinement:
 def can_capture(energy: Energy) -> bool:
     """True if the kernels have all that an energy asks for: labels, not probabilities, and exact ellipsoids."""
     drawn = energy.target is None or isinstance(energy.renderer, RendererEllipsoids)
-    return energy.observation.maps is None and drawn
+    return not energy.with_probabilities and drawn
 
 
 def refine_captured(
     start: BodyParameters,
     energy: Energy,
-    rule: dict[str, Any],
+    descent: Descent,
     *,
     on_iteration: Callable[[int], None] | None = None,
-    people: Batch | None = None,
 ) -> Refined:
-    """Refine by captured graphs, a thread's bodies by one; ``rule`` are arguments of ``CapturedRefinement``.
+    """Refine by captured graphs, a thread's bodies by one.
 
-    Of ``people``, each body has its own; then graphs are kept for the next batch that is alike.
+    Where each body has an observation of its own, graphs are kept for the next batch that is alike.
     """
     device, count = start.shift.device, start.batch_size
-    if people is not None and (size := _rounded(count)) > count:
+    people = Batch.of(energy)
+    one_each = len(people) == count
+    if one_each and (size := _rounded(count)) > count:
         rows = torch.arange(size, device=device).clamp_max(count - 1)
         start, people = start.select(rows), people.select(rows)
     made: dict[int, tuple[CapturedRefinement, BodyParameters]] = {}
@@ -266,10 +263,10 @@ def refine_captured(
     slices = split_batch(start.batch_size, on_cpu=device.type == "cpu")
     for part in slices:
         bodies = start.select(torch.arange(part.start, part.stop, device=device))
-        if people is None:
-            captured = CapturedRefinement(energy, bodies.batch_size, **rule)
+        if one_each:
+            captured = _find_captured(energy, people.select(part), descent, part.start)
         else:
-            captured = _find_captured(energy, people.select(part), rule, part.start)
+            captured = _capture(energy, people, descent, bodies.batch_size)
         made[part.start] = captured, bodies
 
     def work(part: slice) -> None:
@@ -280,31 +277,41 @@ def refine_captured(
     return _join([done[part.start] for part in slices], count)
 
 
+def _capture(energy: Energy, people: Batch, descent: Descent, batch_size: int) -> CapturedRefinement:
+    return CapturedRefinement(
+        energy,
+        batch_size,
+        iterations=descent.iterations,
+        learning_rate=descent.learning_rate,
+        frozen=descent.frozen,
+        people=people,
+    )
+
+
 def _rounded(count: int) -> int:
     """Size of a batch that has a graph: rounded up by an eighth at most, so that few sizes occur."""
     step = 1 << max(count.bit_length() - 4, 0)
     return -(-count // step) * step
 
 
-def _find_captured(energy: Energy, people: Batch, rule: dict[str, Any], start: int) -> CapturedRefinement:
+def _find_captured(energy: Energy, people: Batch, descent: Descent, start: int) -> CapturedRefinement:
     """Refinement of a body of each person, captured before or now; ``start`` is the slice's, for each has its own."""
-    labels, count, device = energy.observation.label_set, len(people), people.votes.device
+    labels, count, device = energy.observations.label_set, len(people), people.votes.device
     kind = (
-        *(energy.size, energy.weights, energy.prior, energy.renderer, energy.observation.lens is None),
+        *(energy.size, energy.weights, energy.prior, energy.renderer, energy.observations.lens is None),
         None if labels is None else tuple(labels.part_groups.tolist()),
         tuple(term.applies(energy) for term in TERMS),
     )
-    key = CapturedRefinement, start, kind, people.kind, tuple(sorted(rule.items()))
+    key = CapturedRefinement, start, kind, people.kind, descent
     num_bytes = count * (_BYTES_PER_BODY + (0 if people.targets is None else BYTES_PER_PIXEL * energy.size**2))
-    captured = graphs.find(
-        key,
-        device,
-        num_bytes,
-        lambda: CapturedRefinement(energy, count, people=people.copied(), **rule),
-        at_once=True,
-    )
+
+    def make() -> CapturedRefinement:
+        one = energy.select(torch.zeros(1, dtype=torch.int64, device=device))  # a copy, which keeps nobody's pictures
+        return _capture(one, people.copied(), descent, count)
+
+    captured = graphs.find(key, device, num_bytes, make, at_once=True)
     if captured is None:
-        return CapturedRefinement(energy, count, people=people, **rule)
+        return _capture(energy, people, descent, count)
     captured.take(people)
     return captured
 
@@ -320,21 +327,6 @@ def _join(parts: Sequence[Refined], count: int) -> Refined:
         {name: torch.cat([part.terms[name] for part in parts])[:count] for name in parts[0].terms},
         torch.cat([part.history for part in parts], dim=1)[:, :count],
     )
-
-
-def _check_alike(first: Energy, other: Energy) -> None:
-    """Raise ValueError if energies differ in more than their observations."""
-    for name in ("size", "weights", "prior", "renderer"):
-        if getattr(other, name) != getattr(first, name):
-            raise ValueError(f"energies: {name} differs; expected {getattr(first, name)}, as at first")
-    for name, what in (("target", "labels"), ("depths", "depths")):
-        if (getattr(other, name) is None) != (getattr(first, name) is None):
-            raise ValueError(f"energies: some with {what}, some without; expected the same of all")
-    if (first.observation.lens is None) != (other.observation.lens is None):
-        raise ValueError("energies: some with a lens, some without; expected the same of all")
-    expected = first.observation.label_set
-    if first.target is not None and expected is not None and other.observation.label_set != expected:
-        raise ValueError(f"energies: another label set; expected {expected.name!r}")
 
 
 def _split(rows: torch.Tensor) -> dict[str, torch.Tensor]:

@@ -7,7 +7,6 @@ order that it begins with; a flip jumps. What hides what is all that labels say 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -24,13 +23,13 @@ from ...body.posing import Posed
 from ...body.rotations import rotation_between, rotation_from_axis_angle, rotation_to_axis_angle
 from ...body.stature import bone_statures
 from ...body.template import BONE_STARTS, JOINT_NAMES, PARENTS, PART_NAMES
-from ...inputs.observation import Observation
+from ...inputs.observations import Observations
 from ...networks.regression.uncertainty import Uncertainty
 from ...render.renderers import RendererEllipsoids
 from .batch import Batch
-from .captured import refine_captured
 from .energy import SEG, Energy, Weights
-from .refine import refine
+from .refine import descend
+from .stepper import Descent
 from .tables import LANDMARK_NAMES
 
 # Bones of a limb: each may be mirrored, and what follows the last one turns with it.
@@ -72,52 +71,28 @@ class DepthOrder:
     hidden: tuple[str, ...] = ()  # limbs of which labels show nothing where their joints are, such as "left arm"
 
 
-def repair_depth_order(
-    body: BodyParameters, seen: Observation, prior: PosePrior, said: Uncertainty | None = None
-) -> tuple[BodyParameters, DepthOrder]:
-    """The body, or the flip of it that labels prefer by far; a flip is refined a little, as it was compared.
-
-    A limb of which labels show nothing where its joints are is hidden: of its flips, the best for the labels alone is
-    taken, and what the network said of depths rules out none. Of 72 people with arms behind their backs this changed
-    5, whose errors fell by 21 mm on average, and none of 180 others (PartBench, realistic and hard; 2026-11-28).
-    """
-    found, (order,) = repair_depth_orders(body, [seen], prior, said=said)
-    return found, order
-
-
 def repair_depth_orders(
-    bodies: BodyParameters,
-    seen: Sequence[Observation],
-    prior: PosePrior,
-    everyone: Batch | None = None,
-    *,
-    said: Uncertainty | None = None,
+    bodies: BodyParameters, observations: Observations, prior: PosePrior, *, said: Uncertainty | None = None
 ) -> tuple[BodyParameters, list[DepthOrder]]:
-    """Bodies of people after ``repair_depth_order`` of each, all at once.
+    """Return the body of each person, or the flip of it that labels prefer by far.
+
+    A flip is refined a little, as it was compared. A limb of which labels show nothing where its joints are is hidden:
+    of its flips, the best for the labels alone is taken, and what the network said of depths rules out none. Of 72
+    people with arms behind their backs this changed 5, whose errors fell by 21 mm on average, and none of 180 others
+    (PartBench, realistic and hard; 2026-11-28).
 
     Args:
-        bodies: One of each person.
-        seen: With labels of one set; of several people no probabilities. Cameras of all or of none are known.
-        prior: Of poses.
-        everyone: What was seen, where it is stacked already, and the first of ``seen`` alone is looked at.
-        said: How sure the network was of its bodies, which leaves out flips that it does not believe.
+        bodies: N bodies, one of each person.
+        observations: N people with labels.
+        prior: Prior of poses.
+        said: Uncertainty of the network about its bodies, which leaves out flips that it does not believe.
     """
-    if not seen:
+    count = bodies.batch_size
+    if count == 0:
         return bodies, []
-    count, lens = bodies.batch_size, seen[0].lens
-    lenses = None
-    if lens is not None:
-        lenses = (
-            everyone.lenses
-            if everyone is not None
-            else torch.stack([each.lens for each in seen if each.lens is not None])
-        )
-    energy = Energy(seen[0], FLIP_SIZE, FLIP_WEIGHTS, prior, renderer=RendererEllipsoids("edges"))
-    if everyone is not None:
-        everyone = everyone.drawn_at(FLIP_SIZE)
-    elif count > 1:
-        everyone = Batch.of(seen, energy)
-    hidden = _hidden_limbs(bodies, Batch.of(seen, energy) if everyone is None else everyone, seen[0].label_set)
+    energy = Energy(observations, FLIP_SIZE, FLIP_WEIGHTS, prior, renderer=RendererEllipsoids("edges"))
+    hidden = _hidden_limbs(bodies, Batch.of(energy), observations.label_set)
+    lenses = observations.lens
     flips, owners, names = _propose(bodies, prior, lenses, said, hidden)
     tried: list[list[str]] = [[] for _ in range(count)]
     for name, owner in zip(names, owners.tolist(), strict=True):
@@ -129,22 +104,15 @@ def repair_depth_orders(
     # Each one's own body comes before its flips.
     asked = owners.unique()
     both, people = BodyParameters.joined([bodies.select(asked), flips]), torch.cat([asked, owners])
-    if everyone is None:
-        with torch.no_grad():
-            losses = energy.segmentation(both, both.posed())
-    else:
-        losses = refine_captured(both, energy, {"iterations": 0}, people=everyone.select(people)).terms[SEG.name]
+    of_bodies = energy.select(people)
+    losses = descend(both, of_bodies, Descent(iterations=0)).terms[SEG.name]
     own = losses.new_zeros(count).index_copy(0, asked, losses[: len(asked)])
     worth = (losses <= own[people] * (1 - _WORTH_REFINING))[len(asked) :]
     if not worth.any():
         return bodies, orders
     doubted = torch.isin(asked, owners[worth])
     some = torch.cat([doubted, worth]).nonzero()[:, 0]
-    if everyone is None:
-        refined = refine(both.select(some), energy, iterations=_ITERATIONS, learning_rate=_RATE)
-    else:
-        rule = {"iterations": _ITERATIONS, "learning_rate": _RATE}
-        refined = refine_captured(both.select(some), energy, rule, people=everyone.select(people[some]))
+    refined = descend(both.select(some), of_bodies.select(some), Descent(_ITERATIONS, _RATE))
     chosen = torch.arange(count)
     totals, flip = refined.energy.tolist(), (some - len(asked)).tolist()
     rows_of: dict[int, list[int]] = {}

@@ -7,10 +7,13 @@ in pixels of the same (whatever size is drawn), L_l, L_t and the hold in square 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
+from copy import copy
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 
 from ...body.landmarks import landmark_points
@@ -22,6 +25,7 @@ from ...body.template import NUM_PARTS
 from ...cameras import Camera
 from ...errors import check_type, check_whole
 from ...inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
+from ...inputs.observations import Observations
 from ...render.renderers import Renderer, RendererEllipsoids
 
 _MILLIMETRES = 1000.0
@@ -104,7 +108,7 @@ class Weights:
     thickness: float = _term(1e-3, 3, _thickness)
     prior: float = _term(3.0, 4, _prior, lambda energy: energy.prior is not None)
     limits: float = _term(20.0, 5, _limits, lambda energy: energy.prior is not None)
-    depth: float = _term(0.0, 6, _depth, lambda energy: energy.observation.depths is not None)
+    depth: float = _term(0.0, 6, _depth, lambda energy: energy.depths is not None)
 
     def __post_init__(self) -> None:
         for term in fields(self):
@@ -113,25 +117,18 @@ class Weights:
                 raise ValueError(f"{term.name}: {weight}; expected 0 or a positive number")
 
 
-def landmark_votes(seen: Observation) -> torch.Tensor:
-    """Weights of landmarks, shape (L,): those of a part share its vote, for ten of a face say little more than one."""
-    parts = torch.from_numpy(landmark_points(seen.landmarks).parts[:, 0]).to(seen.confidence.device)
-    return split_votes(seen.confidence[None], parts[None])[0]
-
-
 def split_votes(confidence: torch.Tensor, parts: torch.Tensor) -> torch.Tensor:
-    """``landmark_votes`` of B people, whose L landmarks lie on these parts, 0 to 19; all are of shape (B, L)."""
+    """Weights of landmarks: those of a part share its vote, for ten keypoints of a face say little more than one.
+
+    Args:
+        confidence: Confidence in L landmarks of B people, shape (B, L).
+        parts: Part of the body that each lies on, 0 to 19, shape (B, L), int64.
+
+    Returns:
+        Shape (B, L).
+    """
     votes = confidence.new_zeros(len(confidence), NUM_PARTS).scatter_add(1, parts, confidence)
     return confidence / votes.clamp_min(1.0).gather(1, parts)
-
-
-def stack_depth_scales(spreads: Sequence[torch.Tensor | None], device: torch.device) -> torch.Tensor:
-    """1 / ``depth_spreads`` of N people [1/m], of 1 mm each without, shape (N, 20)."""
-    known = [each for each in spreads if each is not None]
-    if len(known) == len(spreads):
-        return 1 / torch.stack(known)
-    even = torch.full((NUM_PARTS,), _MILLIMETRES, device=device)
-    return torch.stack([even if each is None else 1 / each for each in spreads])
 
 
 TERMS = tuple(Term(row.name, *row.metadata["term"]) for row in fields(Weights))
@@ -140,45 +137,49 @@ SEG = next(term for term in TERMS if term.name == "seg")
 
 @dataclass
 class Energy:
-    """The terms of the fit's energy for one observation and any batch of bodies.
+    """Terms of the fit's energy for bodies of one person, or of N people.
 
     Args:
-        observation: Keypoints and labels.
+        observation: Keypoints and labels of one person, whom all bodies are compared with; or of N people, of whom each
+            has one body.
         size: Side of the drawn crop [px].
-        weights: Of the terms.
+        weights: Weights of the terms.
         prior: The pose prior.
         renderer: Exact ellipsoids, or their mesh; a level that is "auto" is chosen for the first bodies that are drawn.
             With a label set of one group no z gradient is looked for: nothing that shows hides something else.
 
     Attributes:
-        votes: Weight of each landmark, shape (L,).
-        usual_lengths: Lengths at which L_l is 0 [m], shape (12,).
-        usual_thicknesses: Thicknesses at which L_t is 0 [m], shape (15,).
-        depths: Where the parts' centres are to stay along z, pelvis at 0 [m], shape (20,); None: anywhere. Neither
-            labels nor keypoints say so, and a body leans to fit an outline.
-        depth_scales: 1 / the observation's ``depth_spreads`` [1/m], of 1 mm each without, shape (20,).
-        target: Target labels, shape (size, size), uint8; None if nothing is drawn.
-        key: Of this energy among others.
+        observations: The observation as a batch of one, or all of them.
+        votes: Weight of each landmark, shape (N, L).
+        usual_lengths: Lengths at which L_l is 0 [m], shape (N, 12).
+        usual_thicknesses: Thicknesses at which L_t is 0 [m], shape (N, 15).
+        depths: Depths along z at which the parts' centres are to stay, pelvis at 0 [m], shape (N, 20); None: anywhere.
+            Neither labels nor keypoints say so, and a body leans to fit an outline.
+        depth_scales: 1 / the observations' ``depth_spreads`` [1/m], 1 / 1 mm each without, shape (N, 20).
+        target: Target labels, shape (N, size, size), uint8; None if nothing is drawn.
+        key: Key of this energy among others.
     """
 
-    observation: Observation
+    observation: Observation | Observations
     size: int = REFERENCE_SIZE
     weights: Weights = field(default_factory=Weights)
     prior: PosePrior | None = None
     renderer: Renderer = field(default_factory=RendererEllipsoids)
 
     def __post_init__(self) -> None:
-        seen = self.observation
-        check_type("observation", seen, Observation, "of observe")
+        check_type("observation", self.observation, Observation | Observations, "of observe")
         self.size = check_whole("size", self.size, 1)
-        device = seen.points.device
-        self._gather = LandmarkGather(seen.body_points, device)
-        self.votes = landmark_votes(seen)
+        given = self.observation
+        self.observations = seen = Observations.of([given]) if isinstance(given, Observation) else given
+        count, device = len(seen), seen.points.device
+        self.votes = split_votes(seen.confidence, _landmark_parts(seen.landmarks, device).expand(count, -1))
         mean = BodyParameters.mean(1, device=device)
-        self.usual_lengths = mean.lengths[0] if seen.lengths is None else seen.lengths
-        self.usual_thicknesses = mean.thicknesses[0] if seen.thicknesses is None else seen.thicknesses
+        self.usual_lengths = mean.lengths.expand(count, -1) if seen.lengths is None else seen.lengths
+        self.usual_thicknesses = mean.thicknesses.expand(count, -1) if seen.thicknesses is None else seen.thicknesses
         self.depths: torch.Tensor | None = seen.depths
-        self.depth_scales = stack_depth_scales([seen.depth_spreads], device)[0]
+        self.depth_scales = torch.full((count, NUM_PARTS), _MILLIMETRES, device=device)
+        if seen.depth_spreads is not None:
+            self.depth_scales = 1 / seen.depth_spreads
         self.target: torch.Tensor | None = None
         self.key = object()
         self._fixed: Renderer | None = None
@@ -191,17 +192,40 @@ class Energy:
         self._maps = None if seen.maps is None else resize_nearest(seen.maps, self.size)
         self._known = None if seen.known is None else resize_nearest(seen.known, self.size)
 
+    def select(self, rows: torch.Tensor | slice) -> Energy:
+        """Return the energy of some of the N people, without the pictures from which targets were made.
+
+        Args:
+            rows: The person of each body, shape (B,); one may come several times.
+        """
+        chosen = copy(self)
+        chosen.observation = chosen.observations = self.observations.without_pictures().select(rows)
+        for name in ("votes", "usual_lengths", "usual_thicknesses", "depth_scales"):
+            setattr(chosen, name, getattr(self, name)[rows])
+        for name in ("depths", "target", "_maps", "_known"):
+            values = getattr(self, name)
+            setattr(chosen, name, None if values is None else values[rows])
+        chosen.key = object()
+        return chosen
+
+    @property
+    def with_probabilities(self) -> bool:
+        """True if bodies are compared with probabilities of labels."""
+        return self._maps is not None
+
+    @cached_property
+    def _gather(self) -> LandmarkGather:
+        return LandmarkGather(self.observations.marks, self.observations.points.device)
+
     def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
         """Weighted terms by name, shape (B,) each."""
         posed = parameters.posed()
-        if self.target is None or self._maps is not None or self.observation.lens is not None:
+        if self.target is None or self._maps is not None or self.observations.lens is not None:
             return self.terms(parameters, posed)
         found = self.terms(parameters, posed, [term.name for term in TERMS if term is not SEG])
         # From the parameters, in one graph.
         renderer = self._fix(parameters, posed)
-        found[SEG.name] = self.weight(SEG) * renderer.crop_loss(
-            parameters, self._targets, part_labels=self._part_labels
-        )
+        found[SEG.name] = self.weight(SEG) * renderer.crop_loss(parameters, self.target, part_labels=self._part_labels)
         return {term.name: found[term.name] for term in TERMS if term.name in found}
 
     def terms(
@@ -229,22 +253,17 @@ class Energy:
         renderer, labels = self._fix(parameters, posed), self._part_labels
         posed, camera = self.place(parameters, posed, self.size)
         if self._maps is None:
-            return renderer.label_loss(posed, camera, self._targets, part_labels=labels, validate=False)[0]
-        size, count = (self.size, self.size), len(self._maps)
+            assert self.target is not None
+            return renderer.label_loss(posed, camera, self.target, part_labels=labels, validate=False)[0]
+        size, count = (self.size, self.size), self._maps.shape[1]
         maps = renderer.draw(posed, camera, size, part_labels=labels, num_maps=count, validate=False).maps
         assert maps is not None
         assert self._known is not None
-        return ((maps - self._maps).square() * self._known).sum((1, 2, 3))
+        return ((maps - self._maps).square() * self._known[:, None]).sum((1, 2, 3))
 
     def place(self, parameters: BodyParameters, posed: Posed, size: int) -> tuple[Posed, Camera]:
         """Bodies before their camera, which draws the crop at ``size`` px: the observation's, or weak perspective."""
-        return place_bodies(parameters, posed, self.observation.lens, size)
-
-    @property
-    def _targets(self) -> torch.Tensor:
-        """Label images, one for all bodies or one each, shape (N, size, size)."""
-        assert self.target is not None
-        return self.target.view(-1, self.size, self.size)
+        return place_bodies(parameters, posed, self.observations.lens, size)
 
     def _fix(self, parameters: BodyParameters, posed: Posed) -> Renderer:
         """Renderer with the level that the first bodies need."""
@@ -256,8 +275,15 @@ class Energy:
         """L1 distance of the keypoints [half-sides of the crop], weighted with their confidence, shape (B,)."""
         posed, camera = self.place(parameters, posed, 2)
         image = camera.project(self._gather(posed))[..., :2] - 1
-        return ((image - self.observation.points).abs().sum(-1) * self.votes).sum(1)
+        return ((image - self.observations.points).abs().sum(-1) * self.votes).sum(1)
 
     def reprojection(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
         """Reprojection cost L_proj: ``misses`` in px of a 256 px crop, shape (B,)."""
         return self.misses(parameters, posed) * (REFERENCE_SIZE / 2)
+
+
+@lru_cache(maxsize=256)
+def _landmark_parts(names: tuple[str, ...], device: torch.device) -> torch.Tensor:
+    """Part that each landmark lies on, shape (L,), int64."""
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        return torch.from_numpy(landmark_points(names).parts[:, 0].astype(np.int64)).to(device)

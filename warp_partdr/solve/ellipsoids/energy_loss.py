@@ -20,7 +20,7 @@ def energy_loss(energy: Energy, bodies: BodyParameters) -> torch.Tensor:
     The first call takes torch. So do energies that no graph serves: of label probabilities, of a mesh, and in float64.
 
     Args:
-        energy: Energy of one observation, which must not be changed afterwards.
+        energy: Energy of one person, or of B people, which must not be changed afterwards.
         bodies: B bodies, whose tensors may require gradients; only first derivatives exist.
 
     Returns:

@@ -53,7 +53,7 @@ def explain(
     stages = stages_of(options, parts)
     choices = [
         _keypoints(keypoints),
-        _camera(camera, assumed=seen.lens_assumed and options.guess_camera, labelled=shows_parts(seen)),
+        _camera(camera, assumed=seen.lens_assumed and options.guess_camera, labelled=shows_parts(seen.label_set)),
         _size(options.stature),
         _start(options),
     ]

@@ -12,38 +12,38 @@ from dataclasses import replace
 
 import torch
 
-from ...inputs.observation import Observation
-from ...inputs.stacked import Seen, StackedObservations
+from ...body.labels import LabelSet
+from ...inputs.observations import Observations
 from ...networks.regression.predicted import Predicted
 
 MUCH_FARTHER = 2.0  # times the distance of an assumed lens; the lenses of usual photos differ by less
 _FARTHEST = 10.0  # [m]; bodies look the same from all distances beyond, so what the network says there means nothing
 
 
-def with_longer_lens(seen: Seen, predicted: Predicted) -> Seen | None:
+def with_longer_lens(seen: Observations, predicted: Predicted) -> Observations | None:
     """Returns the observations with a longer lens for each person who is much farther away than assumed.
 
     The longer lens shows the person as large as before, at the distance that the network says.
 
     Args:
-        seen: N people, or one.
+        seen: N people.
         predicted: What the label network says of them, N bodies.
 
     Returns:
         None if all lenses stay: those that are known, and of people who have no labels of parts.
     """
-    if seen.lens is None or not seen.lens_assumed or not shows_parts(seen) or predicted.uncertainty is None:
+    if seen.lens is None or not seen.lens_assumed or not shows_parts(seen.label_set) or predicted.uncertainty is None:
         return None
-    lenses = seen.lens.reshape(-1, 3)
+    lenses = seen.lens
     # A lens shows one metre, at a distance of one metre, as long as its focal length.
     focal = predicted.log_scale.exp() / predicted.uncertainty.nearness.clamp_min(1 / _FARTHEST)
     far = focal > MUCH_FARTHER * lenses[:, 0]
     if not bool(far.any()):
         return None
     longer = torch.cat([torch.where(far, focal, lenses[:, 0])[:, None], lenses[:, 1:]], dim=1)
-    return replace(seen, lens=longer.reshape(seen.lens.shape))
+    return replace(seen, lens=longer)
 
 
-def shows_parts(seen: Observation | StackedObservations) -> bool:
-    """Returns True if labels tell parts of the body apart; a mask of the whole person does not."""
-    return seen.label_set is not None and seen.label_set.num_groups > 1
+def shows_parts(labels: LabelSet | None) -> bool:
+    """Returns True if labels of a set tell parts of the body apart; a mask of the whole person does not."""
+    return labels is not None and labels.num_groups > 1

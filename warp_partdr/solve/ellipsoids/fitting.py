@@ -1,46 +1,38 @@
-"""Fit of EllipBody to one person's 2D keypoints and part labels: hypotheses are refined in a batch and pruned."""
+"""Fit of EllipBody to people's 2D keypoints and part labels, side by side; one person is a batch of one."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
-import numpy as np
 import torch
 
-from ...body.lens import turn_to_rays
 from ...body.parameters import BodyParameters
 from ...body.pose_prior import PosePrior, packaged_prior
-from ...body.stature import bone_statures
+from ...body.skeletons import skeleton
 from ...body.template import NUM_PARTS
-from ...cameras import Crop, Perspective, check_square
-from ...errors import check_type
+from ...cameras import Perspective, check_square
+from ...errors import check_each, check_type
+from ...inputs.cut_people import CutPeople, CutPerson, stack_alike
 from ...inputs.evidence import Evidence, weigh_evidence
 from ...inputs.keypoints import Keypoints2D
-from ...inputs.observation import Observation, crop_evidence, usual_lens
+from ...inputs.observation import crop_evidence, usual_lens
+from ...inputs.observations import Observations
 from ...inputs.part_labels import PartLabels
 from ...inputs.person import check_inside
 from ...interop.gradient_mode import with_gradients
 from ...interop.torch_threads import one_torch_thread
 from ...networks.regression.checkpoint import known_network
 from ...networks.regression.label_network import LabelNetwork
-from ...networks.regression.predict import ask_network
-from ...networks.regression.predicted import Predicted
-from .depth_flips import repair_depth_order
+from .batch_fits import BatchFits
 from .energy import Energy
-from .far_people import shows_parts, with_longer_lens
+from .network_start import sized, start_from_network, turned_to_lenses
 from .options import FitOptions, drawn_or_not, stages_of
-from .plausibility import choose_sides, complaints, poor_labels
-from .refine import refine
+from .plausibility import find_misfits, find_poor_labels, implausibility
 from .result import FitResult
-from .stages import OUTLINE, STAGES, Quality, Stage, Start
-from .start_search import LiftEnergy, distinct, hypothesize
-from .wrong_keypoints import doubt_keypoints
-
-Progress = Callable[[str, int, int], None]
-Sized = TypeVar("Sized", BodyParameters, Predicted)
+from .stage_loop import refine_stages
+from .stages import STAGES, Progress, Quality, Stage
+from .start_search import LiftEnergy, hypothesize
 
 
 @one_torch_thread()
@@ -102,199 +94,232 @@ def fit_evidence(
     camera: Perspective | None = None,
     body: BodyParameters | None = None,
 ) -> FitResult:
-    """Fit EllipBody to a person whose evidence was weighed (``weigh_evidence``); the rest is as of ``fit_body``.
+    """Fit EllipBody to a person whose evidence was weighed (``weigh_evidence``).
 
-    From ``body``, in the crop of ``crop_evidence``, instead of the network's, of which only its uncertainty is used.
+    Args:
+        readings: One reading of the evidence, or two of which the more plausible one is taken.
+        options: Stages and weights.
+        device: "cpu" or a CUDA device.
+        progress: As of ``fit_body``.
+        camera: As of ``fit_body``.
+        body: Body to begin from, B = 1, in the crop of ``crop_evidence``, instead of the network's, of which only its
+            uncertainty is used then.
     """
     _check_camera(camera)
     assumed = camera is None and options.guess_camera and body is None
     if assumed:
         camera = usual_lens(readings[0])
-    prior, parts = packaged_prior(str(device)), readings[0].picture
-
-    def start(evidence: Evidence, options: FitOptions, progress: Progress | None = None) -> _Fit:
+    people = []
+    for evidence in readings:
         trust = options.trust_background
-        seen, crop = crop_evidence(evidence, trust_background=trust, device=device, camera=camera)
-        return _Fit(seen, crop, prior, options, stages_of(options, parts), evidence, progress, body, assumed)
+        observation, crop = crop_evidence(evidence, trust_background=trust, device=device, camera=camera)
+        observation = replace(observation, stature=options.stature)
+        people.append(CutPerson(evidence, observation, crop))
+    network = known_network(options.network, str(device))
+    plan = _Plan(options, network, packaged_prior(str(device)), longer_lenses=assumed, bodies=body, progress=progress)
+    person = _more_plausible(people, plan)
+    return replace(_fit_alike(CutPeople.of([person]), plan)[0], evidence=person.evidence)
 
-    def glance(evidence: Evidence) -> FitResult:
-        fit = start(evidence, replace(options, stages=STAGES["network"]["fast"], start="network"))
-        return fit.looked_at().from_network(doubt=False)  # or a wrong reading would seem to fit
 
-    evidence = choose_sides(readings, glance)
-    plain, from_network = start(evidence, options, progress), options.start == "network"
-    fit = plain.looked_at() if from_network else plain
-    found = fit.from_network() if from_network else fit.search()
-    # Far from keypoints that the network itself doubts, its body may be right: a search would follow them.
-    if from_network and options.search and fit.complaints(found, found.observation):
-        fit, found = fit.better(found, replace(fit, stages=drawn_or_not(options.search, parts)))
-    return fit.warn(found)
+@one_torch_thread()
+@with_gradients()
+def fit_people(people: Sequence[CutPerson], options: FitOptions, network: LabelNetwork) -> Sequence[FitResult]:
+    """Fit EllipBody to many people side by side, each as ``fit_body`` alone does, to rounding.
+
+    Args:
+        people: People on the network's device. What is known of their cameras and statures stands in their
+            observations; a lens that is assumed is lengthened for those who are far away.
+        options: Stages and weights, and if a search is tried for those who end far from what was seen;
+            ``options.stature`` and ``options.network`` are not looked at.
+        network: Label network in evaluation mode.
+
+    Returns:
+        A fit of each person; ``BatchFits`` of people who are alike where no search was tried. Seconds of stages are
+        those of all people who are alike.
+
+    Raises:
+        TypeError: If an argument is of another type.
+    """
+    if not isinstance(people, CutPeople):
+        check_each("people", people, CutPerson, "of crop_evidence")
+    check_type("options", options, FitOptions, "such as FitOptions.at('fast')")
+    check_type("network", network, LabelNetwork, "of load_label_network")
+    if isinstance(people, CutPeople):
+        device = people.observations.points.device
+        return _fit_alike(people, _Plan(options, network, packaged_prior(str(device))))
+    groups = stack_alike(people)
+    if len(groups) == 1:
+        return fit_people(groups[0][1], options, network)
+    found: dict[int, FitResult] = {}
+    for rows, some in groups:
+        found |= zip(rows, fit_people(some, options, network), strict=True)
+    return [found[row] for row in range(len(people))]
 
 
 @dataclass(frozen=True)
-class _Fit:
-    """Fit of one observation; arguments as ``fit_body`` has them."""
+class _Plan:
+    """Way to fit people who are alike.
 
-    seen: Observation
-    crop: Crop
-    prior: PosePrior
+    Attributes:
+        options: Stages and weights.
+        network: Label network, on the people's device.
+        prior: Prior of poses, on the people's device.
+        longer_lenses: Lengthen an assumed lens for a person who is far away. False where one lens is everybody's in a
+            picture.
+        doubting: Give less confidence to keypoints that the network doubts.
+        bodies: Bodies to begin from instead of the network's.
+        progress: Called after each iteration.
+    """
+
     options: FitOptions
-    stages: tuple[Stage, ...]
-    evidence: Evidence
-    progress: Progress | None
-    body: BodyParameters | None
-    own_lens: bool  # True if the lens is assumed for this person alone, and not for everybody in the picture
-    predicted: Predicted | None = None  # by the network, of ``looked_at``
-    seconds: float = 0.0  # that the network took
+    network: LabelNetwork
+    prior: PosePrior
+    longer_lenses: bool = True
+    doubting: bool = True
+    bodies: BodyParameters | None = None
+    progress: Progress | None = None
 
-    def search(self) -> FitResult:
-        """Fit from many hypotheses, lifted in the first stage."""
-        first = self.stages[0]
-        bodies, targets, known = hypothesize(self.seen, first.bodies, seed=self.options.seed)
-        bodies = replace(bodies, rotations=self.prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
-        bodies, seen = self._sized(self._turned(bodies)), self.seen
-        if self.options.stature is not None:
-            seen = replace(seen, lengths=bodies.lengths[0], thicknesses=bodies.thicknesses[0])
-        return self._refine(bodies, seen, "search", lambda energy: LiftEnergy(energy, targets, known))
 
-    def _sized(self, bodies: Sized) -> Sized:
-        """Bodies as tall as the person is known to be; cameras see the same."""
-        stature = self.options.stature
-        return bodies if stature is None else bodies.resized(stature / bone_statures(bodies.lengths))
+def _more_plausible(people: Sequence[CutPerson], plan: _Plan) -> CutPerson:
+    """Choose the most plausible reading of one person: each is fitted quickly."""
+    if len(people) == 1:
+        return people[0]
+    options = replace(plan.options, stages=STAGES["network"]["fast"], start="network", search=())
+    # With doubts, a wrong reading would seem to fit.
+    fits = _fit_alike(CutPeople.of(people), replace(plan, options=options, doubting=False, bodies=None, progress=None))
+    return people[min(range(len(people)), key=lambda row: implausibility(fits[row]))]
 
-    def _turned(self, bodies: BodyParameters) -> BodyParameters:
-        """Starts, which are made as if the camera looked at the person, before the camera that is known."""
-        return bodies if self.seen.lens is None else turn_to_rays(bodies, self.seen.lens)
 
-    def looked_at(self) -> _Fit:
-        """Returns a copy with the network's prediction, and with a longer lens for a person who is far away."""
-        network = known_network(self.options.network, str(self.seen.points.device))
-        started = time.perf_counter()
-        fit, predicted = self, self._ask(network)
-        longer = with_longer_lens(self.seen, predicted) if self.own_lens else None
-        if longer is not None:
-            fit = replace(self, seen=longer)
-            predicted = fit._ask(network)
-        return replace(fit, predicted=predicted, seconds=time.perf_counter() - started)
+def _fit_alike(people: CutPeople, plan: _Plan) -> Sequence[FitResult]:
+    """Fit people who are alike, from the network's bodies or by a search."""
+    options, labels = plan.options, people.observations.label_set
+    if options.start == "search":
+        return _search(people, people.observations, stages_of(options, labels), plan)
+    fits, given = _fit_from_network(people, plan)
+    if not options.search:
+        return fits
+    # Far from keypoints that the network itself doubts, its body may be right: a search would follow them.
+    form = skeleton(people.skeleton)
+    rows = sorted(find_misfits(fits.parameters, fits.observations, plan.prior, form))
+    if not rows:
+        return fits
+    stages = drawn_or_not(options.search, labels)
+    some = people.select(rows)
+    seen = given.select(torch.tensor(rows, device=given.points.device))
+    better = _better(fits, rows, _search(some, seen, stages, plan), seen, plan)
+    return [better[row] if row in better else fits[row] for row in range(len(fits))]
 
-    def _ask(self, network: LabelNetwork) -> Predicted:
-        told = replace(self.seen, stature=self.options.stature)
-        return self._sized(ask_network([told], network, mirror=self.options.mirror, half=self.options.half))
 
-    def from_network(self, *, doubt: bool = True) -> FitResult:
-        """Fit from the body of ``looked_at``, whose sizes then are the expected ones.
+def _fit_from_network(people: CutPeople, plan: _Plan) -> tuple[BatchFits, Observations]:
+    """Fit from the network's bodies; and what was seen, perhaps with longer lenses."""
+    options, prior = plan.options, plan.prior
+    stages = stages_of(options, people.observations.label_set)
+    start = start_from_network(
+        people.observations,
+        plan.network,
+        prior,
+        options,
+        bodies=plan.bodies,
+        longer_lenses=plan.longer_lenses,
+        doubting=plan.doubting,
+        flips=bool(stages),
+    )
+    owners = torch.arange(len(people), device=start.bodies.shift.device)
+    refined = refine_stages(start.bodies, owners, start.observations, stages, options, prior, progress=plan.progress)
+    bodies, before = refined.bodies, refined.before_outline
+    fits = BatchFits(
+        people=people,
+        observations=start.observations,
+        stages=stages,
+        parameters=sized(bodies, start.given.statures),
+        energy={name: term.cpu().numpy() for name, term in refined.terms.items()},
+        history=refined.history,
+        stage_seconds=start.seconds | refined.seconds,
+        misfits=_warnings(bodies, start.given, people, prior),
+        depth_orders=start.depth_orders,
+        uncertainty=start.uncertainty,
+        before_outline=None if before is None else sized(before, start.given.statures),
+    )
+    return fits, start.given
 
-        With ``doubt``, keypoints far from that body count less (``doubt_keypoints``).
-        """
-        predicted = self.predicted
-        assert predicted is not None
-        body = self._turned(predicted.parameters()) if self.body is None else self._sized(self.body)
-        seconds = {"network": self.seconds}
-        seen = doubt_keypoints(self.seen, predicted) if doubt else self.seen
-        seen = replace(seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])
-        said, order = predicted.uncertainty, None
-        assert said is not None
-        several = shows_parts(seen)  # within one part, nothing hides another
-        if self.stages and several and self.options.depth_flips:
-            started = time.perf_counter()
-            # What the network says of its own body it does not say of others.
-            body, order = repair_depth_order(body, seen, self.prior, said if self.body is None else None)
-            seconds["depth order"] = time.perf_counter() - started
-        seen = replace(seen, depths=body.posed().centres[0, :, 2], depth_spreads=said.centre_depths()[0])
-        found = self._refine(body, seen, "network")
-        return replace(
-            found,
-            stage_seconds=seconds | found.stage_seconds,
-            depth_order=order,
-            uncertainty=said,
-        )
 
-    def _refine(
-        self,
-        bodies: BodyParameters,
-        seen: Observation,
-        start: Start,
-        lift: Callable[[Energy], LiftEnergy] | None = None,
-    ) -> FitResult:
-        """Refine through all stages; the first one by another energy, if there is one."""
-        hypotheses = bodies.batch_size
-        energies = torch.zeros(hypotheses, device=seen.points.device)
-        terms: dict[str, torch.Tensor] = {}
-        seconds: dict[str, float] = {}
-        lineage: list[np.ndarray] = []  # energies of what is left and of its ancestors
-        finalists: list[float] = []
-        before_outline: BodyParameters | None = None
-        done, total = 0, sum(stage.iterations for stage in self.stages)
-        for index, stage in enumerate(self.stages):
-            started = time.perf_counter()
-            if len(energies) > 1 and index > 0:
-                kept = distinct(bodies, energies, stage.bodies)
-                bodies = bodies.select(kept)
-                lineage = [rows[:, kept.cpu().numpy()] for rows in lineage]
-            if stage.name == OUTLINE:
-                before_outline = bodies
-            energy = self.options.energy(stage, seen, self.prior)
-
-            def step(iteration: int, name: str = stage.name, before: int = done) -> None:
-                if self.progress is not None:
-                    self.progress(name, before + iteration, total)
-
-            refined = refine(
-                bodies,
-                lift(energy) if lift is not None and index == 0 else energy,
-                iterations=stage.iterations,
-                learning_rate=stage.learning_rate,
-                frozen=stage.frozen,
-                on_iteration=step,
+def _search(people: CutPeople, seen: Observations, stages: Sequence[Stage], plan: _Plan) -> list[FitResult]:
+    """Fit from many hypotheses of each person, lifted in the first stage."""
+    options, prior = plan.options, plan.prior
+    hypotheses = [hypothesize(seen[row], stages[0].bodies, seed=options.seed) for row in range(len(seen))]
+    counts = torch.tensor([len(each.targets) for each in hypotheses], device=seen.points.device)
+    owners = torch.arange(len(seen), device=seen.points.device).repeat_interleave(counts)
+    bodies = BodyParameters.joined([each.bodies for each in hypotheses])
+    bodies = replace(bodies, rotations=prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
+    of_bodies = seen.without_pictures().select(owners)
+    bodies = sized(turned_to_lenses(bodies, of_bodies), of_bodies.statures)
+    if seen.statures is not None:
+        first = torch.searchsorted(owners, torch.arange(len(seen), device=owners.device))
+        seen = replace(seen, lengths=bodies.lengths[first], thicknesses=bodies.thicknesses[first])
+    targets = torch.cat([each.targets for each in hypotheses])
+    known = torch.stack([each.known for each in hypotheses])[owners]
+    refined = refine_stages(
+        bodies,
+        owners,
+        seen,
+        stages,
+        options,
+        prior,
+        first_energy=lambda energy: LiftEnergy(energy, targets, known),
+        progress=plan.progress,
+    )
+    warnings = _warnings(refined.bodies, seen, people, prior)
+    statures, found = seen.statures, []
+    parameters = sized(refined.bodies, statures)
+    before = None if refined.before_outline is None else sized(refined.before_outline, statures)
+    for row, person in enumerate(people):
+        own = slice(row, row + 1)
+        found.append(
+            FitResult(
+                parameters=parameters.select(own),
+                crop=person.crop,
+                observation=seen[row],
+                stages=tuple(stages),
+                energy={name: float(term[row]) for name, term in refined.terms.items()},
+                history=[rows[row] for rows in refined.history],
+                stage_seconds=dict(refined.seconds),
+                hypotheses=int(counts[row]),
+                finalists=refined.finalists[row],
+                start="search",
+                evidence=person.evidence,
+                warnings=(*person.evidence.warnings, *warnings.get(row, ())),
+                before_outline=None if before is None else before.select(own),
+                stature=seen[row].stature,
             )
-            bodies, energies, terms = refined.parameters, refined.energy, refined.terms
-            lineage.append(refined.history.cpu().numpy())
-            if len(energies) > 1:
-                finalists = energies.sort().values.tolist()
-            done += stage.iterations
-            seconds[stage.name] = time.perf_counter() - started
-        winner = int(energies.argmin())
-        chosen = torch.tensor([winner], device=energies.device)
-        return FitResult(
-            parameters=self._sized(bodies.select(chosen)),
-            crop=self.crop,
-            observation=seen,
-            stages=self.stages,
-            energy={name: float(term[winner]) for name, term in terms.items()},
-            history=[rows[:, winner] for rows in lineage],
-            stage_seconds=seconds,
-            hypotheses=hypotheses,
-            finalists=finalists,
-            start=start,
-            evidence=self.evidence,
-            before_outline=None if before_outline is None else self._sized(before_outline.select(chosen)),
-            stature=self.options.stature,
         )
+    return found
 
-    def complaints(self, found: FitResult, seen: Observation) -> list[str]:
-        """Warnings of what the body is too far from; none if it lies where keypoints and labels are."""
-        return complaints(found.parameters, self._judge(seen), self.evidence.keypoints.format)
 
-    def warn(self, found: FitResult) -> FitResult:
-        """Result with all warnings: of the input, of the body and of its parts. All keypoints count as they are."""
-        poor = poor_labels(found.parameters, self._judge(self.seen))
-        return replace(found, warnings=(*self.evidence.warnings, *self.complaints(found, self.seen), *poor))
+def _warnings(bodies: BodyParameters, seen: Observations, people: CutPeople, prior: PosePrior) -> dict[int, list[str]]:
+    """Warnings of bodies that lie elsewhere than keypoints and labels, by rows. All keypoints count as they are."""
+    misfits = find_misfits(bodies, seen, prior, skeleton(people.skeleton))
+    poor = find_poor_labels(bodies, seen)
+    return {row: misfits.get(row, []) + poor.get(row, []) for row in misfits | poor}
 
-    def better(self, found: FitResult, other: _Fit) -> tuple[_Fit, FitResult]:
-        """The fit whose result has the lower energy, this one's or the other's search; with times of both."""
-        again = other.search()
-        losses = [
-            sum(float(term) for term in self._judge(self.seen)(result.parameters).values()) for result in (found, again)
-        ]
-        seconds = {
-            f"{name}, {each.start}": value for each in (found, again) for name, value in each.stage_seconds.items()
-        }
-        fit, best = (other, again) if losses[1] < losses[0] else (self, found)
-        return fit, replace(best, stage_seconds=seconds, hypotheses=found.hypotheses + again.hypotheses)
 
-    def _judge(self, seen: Observation) -> Energy:
-        """Energy by which results of all starts are compared."""
-        return Energy(seen, weights=self.options.weights, prior=self.prior, renderer=self.options.renderer)
+def _better(
+    fits: BatchFits, rows: Sequence[int], searched: Sequence[FitResult], seen: Observations, plan: _Plan
+) -> dict[int, FitResult]:
+    """Fit with the lower energy, from the network or from the search, of each row; with the times of both."""
+    judge = Energy(seen, weights=plan.options.weights, prior=plan.prior, renderer=plan.options.renderer)
+    network = fits.parameters.select(torch.tensor(rows, device=seen.points.device))
+    losses = []
+    for bodies in (network, BodyParameters.joined([each.parameters for each in searched])):
+        with torch.no_grad():
+            losses.append(torch.stack(list(judge(bodies).values())).sum(0).tolist())
+    chosen = {}
+    for index, row in enumerate(rows):
+        both = fits[row], searched[index]
+        seconds = {f"{name}, {each.start}": value for each in both for name, value in each.stage_seconds.items()}
+        hypotheses = sum(each.hypotheses for each in both)
+        best = both[1] if losses[1][index] < losses[0][index] else both[0]
+        chosen[row] = replace(best, stage_seconds=seconds, hypotheses=hypotheses)
+    return chosen
 
 
 def _check_camera(camera: Perspective | None) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from ...body.labels import LabelSet
 from ...body.pose_prior import PosePrior
 from ...body.stature import check_stature
-from ...inputs.observation import Observation
+from ...inputs.observations import Observations
 from ...inputs.part_labels import PartLabels
 from ...networks.detection import LandmarkNetwork, check_landmark_network
 from ...render.renderers import Renderer, RendererEllipsoids
@@ -33,7 +33,7 @@ class FitOptions:
         network: File of a label network of `partdr train`; None takes the packaged one.
         search: Stages of the search that is tried too where the network's body ends far from keypoints or labels; the
             lower energy wins. Empty: never.
-        depth_flips: Try the network's body with limbs mirrored in depth, where parts overlap (``repair_depth_order``).
+        depth_flips: Try the network's body with limbs mirrored in depth, where parts overlap (``repair_depth_orders``).
         guess_camera: Where no camera is known, assume a usual lens (``UsualLens``), if labels or
             ``Keypoints2D.image_size`` tell the picture's size. Otherwise the camera is one of weak perspective. Where
             part labels show that the person is much farther away, a longer lens (``with_longer_lens``).
@@ -97,8 +97,8 @@ class FitOptions:
         """Renderer of the last stage; exact ellipsoids where there is none."""
         return self.stages[-1].renderer if self.stages else RendererEllipsoids()
 
-    def energy(self, stage: Stage, seen: Observation, prior: PosePrior) -> Energy:
-        """Energy of one of the stages."""
+    def energy(self, stage: Stage, seen: Observations, prior: PosePrior) -> Energy:
+        """Energy of N people in one of the stages."""
         weights = stage.weights or self.weights
         if stage.size == 0:
             weights = replace(weights, seg=0.0)

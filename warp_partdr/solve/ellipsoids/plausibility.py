@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 import numpy as np
 import torch
 
 from ... import metrics
 from ...body.labels import BACKGROUND, IGNORE
+from ...body.lens import place_bodies
 from ...body.parameters import BodyParameters
+from ...body.pose_prior import PosePrior
 from ...body.skeletons import Skeleton
-from ...inputs.evidence import Evidence
 from ...inputs.keypoint_order import order_question
-from ...inputs.observation import REFERENCE_SIZE
+from ...inputs.observation import REFERENCE_SIZE, resize_nearest
+from ...inputs.observations import Observations
 from ...render.ellipsoids import draw_ellipsoids
-from .energy import Energy
+from .energy import SEG, Energy
+from .refine import descend
 from .result import FitResult
+from .stepper import Descent
 
+JUDGED_SIZE = 128  # [px], side of the crop in which bodies are compared with labels in the end
 # PartBench's hard people 60 to 119 end at 18, 0.31 and 0.37 at the worst, the first 20 at 22 px (default fit).
 MOST_OFF = 25.0  # [px of a 256 px crop], mean distance of keypoints along both axes
 MOST_WRONG = 0.4  # wrong pixels a pixel of the person
@@ -31,17 +34,29 @@ _FACE = ("nose", "left_eye", "right_eye")
 _EARS = ("left_ear", "right_ear")
 
 
-def complaints(parameters: BodyParameters, energy: Energy, form: Skeleton) -> list[str]:
-    """Warnings of what one body is too far from; none if it lies where keypoints and labels are.
+def find_misfits(bodies: BodyParameters, seen: Observations, prior: PosePrior, form: Skeleton) -> dict[int, list[str]]:
+    """Find the bodies that are too far from keypoints or labels.
 
-    ``form`` is the keypoints' format.
+    Args:
+        bodies: N bodies, one of each person.
+        seen: N people.
+        prior: Prior of poses.
+        form: Format of the keypoints.
+
+    Returns:
+        Warnings of the bodies that are too far, by their rows; no other rows.
     """
-    posed = parameters.posed()
-    off = float(energy.reprojection(parameters, posed) / energy.votes.sum())
-    wrong = None
+    energy = Energy(seen, JUDGED_SIZE, prior=prior)
+    terms = descend(bodies, energy, Descent(iterations=0)).terms
+    offs = terms["proj"] / energy.weights.proj / energy.votes.sum(1)
+    bad, wrongs = ~(offs < MOST_OFF), None
     if energy.target is not None:
-        wrong = float(energy.segmentation(parameters, posed) / (2 * person_pixels(energy.target)))
-    return describe_misfit(off, wrong, form)
+        wrongs = terms[SEG.name] / energy.weight(SEG) / (2 * person_pixels(energy.target))
+        bad |= ~(wrongs < MOST_WRONG)
+    rows = bad.nonzero()[:, 0]
+    shares = [None] * len(rows) if wrongs is None else wrongs[rows].tolist()
+    named = zip(rows.tolist(), offs[rows].tolist(), shares, strict=True)
+    return {row: describe_misfit(off, wrong, form) for row, off, wrong in named}
 
 
 def person_pixels(target: torch.Tensor) -> torch.Tensor:
@@ -64,38 +79,30 @@ def describe_misfit(off: float, wrong: float | None, form: Skeleton) -> list[str
     return told
 
 
-def poor_labels(parameters: BodyParameters, energy: Energy) -> list[str]:
-    """Warning if one body's parts lie elsewhere than the labels."""
-    label_set = energy.observation.label_set
-    if energy.target is None or label_set is None:
-        return []
-    placed = energy.place(parameters, parameters.posed(), energy.size)
-    parts = draw_ellipsoids(*placed, (energy.size, energy.size)).parts[0]
-    shown = label_set.part_groups[parts.cpu().numpy()]
-    counts = metrics.confusion(shown, energy.target.cpu().numpy(), label_set.num_groups + 1)
-    score = metrics.part_f1(counts)
-    if np.isnan(score) or score >= LEAST_PART_F1:
-        return []
-    return [f"labels: part F1 {score:.2f}; expected {LEAST_PART_F1:g} or more; are these ids of {label_set.name}?"]
+def find_poor_labels(bodies: BodyParameters, seen: Observations) -> dict[int, list[str]]:
+    """Warnings of the bodies whose parts lie elsewhere than the labels, by their rows, of N people."""
+    if seen.labels is None or seen.label_set is None:
+        return {}
+    placed = place_bodies(bodies, bodies.posed(), seen.lens, JUDGED_SIZE)
+    parts = draw_ellipsoids(*placed, (JUDGED_SIZE, JUDGED_SIZE)).parts
+    groups = torch.from_numpy(seen.label_set.part_groups).to(parts.device)
+    target = resize_nearest(seen.labels, JUDGED_SIZE)
+    scores = metrics.part_f1(metrics.confusion(groups[parts.long()], target, seen.label_set.num_groups + 1))
+    said = f"expected {LEAST_PART_F1:g} or more; are these ids of {seen.label_set.name}?"
+    return {int(row): [f"labels: part F1 {scores[row]:.2f}; {said}"] for row in np.flatnonzero(scores < LEAST_PART_F1)}
 
 
-def choose_sides(readings: Sequence[Evidence], fit: Callable[[Evidence], FitResult]) -> Evidence:
-    """Choose the most plausible of several readings of one person.
+def implausibility(result: FitResult) -> float:
+    """Energy of a fit, plus a penalty for a face that is seen through the back of the head.
 
     Seen in weak perspective, a person and the mirror image behind the picture's plane look the same but for what hides
-    what, and for the face. So both readings are fitted, quickly, by ``fit``.
+    what, and for the face.
     """
-    if len(readings) == 1:
-        return readings[0]
-    return min(readings, key=lambda reading: implausibility(reading, fit(reading)))
-
-
-def implausibility(reading: Evidence, result: FitResult) -> float:
-    """Energy plus a penalty for a face that is seen through the back of the head."""
+    keypoints = result.evidence.keypoints
     points = result.landmarks((*_FACE, *_EARS))
     forward = points[0] - points[len(_FACE) :].mean(axis=0)
     away = max(float(forward[2] / np.linalg.norm(forward)), 0.0)
-    confidence = dict(zip(reading.keypoints.format.landmarks, reading.keypoints.confidence, strict=True))
+    confidence = dict(zip(keypoints.format.landmarks, keypoints.confidence, strict=True))
     # Formats with visibilities give 0.5 to what is guessed.
     seen = np.mean([max(2.0 * float(confidence.get(name, 0.0)) - 1.0, 0.0) for name in _FACE])
     return sum(result.energy.values()) + _HIDDEN_FACE * away * float(seen)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from typing import Any
 
 from ...body.parameters import BodyParameters
 from ...errors import check_type
 from ...interop.gradient_mode import with_gradients
 from .captured import can_capture, refine_captured
 from .energy import Energy
-from .stepper import LEARNING_RATE, EnergyFunction, Refined, Refinement
+from .stepper import LEARNING_RATE, Descent, EnergyFunction, Refined, Refinement
 
 
 @with_gradients()
@@ -31,7 +30,8 @@ def refine(
 
     Args:
         start: B bodies; they do not influence one another.
-        energy: An ``Energy``, or a function that returns terms by name, shape (B,) each; their sum is minimised.
+        energy: An ``Energy`` of one person, or of B people, or a function that returns terms by name, shape (B,) each;
+            their sum is minimised.
         iterations: Steps of Adam.
         learning_rate: Of angles [rad] and of the camera [half-sides of the crop]; shape moves at 0.3 of it. It falls
             along a cosine to a tenth.
@@ -46,13 +46,32 @@ def refine(
     Raises:
         TypeError: If ``start`` are no bodies, or ``energy`` is no function that returns terms.
         ValueError: If a term has another shape, or none has a gradient; if ``frozen`` names what is no parameter, or
-            all of them; if ``iterations`` or ``learning_rate`` is out of range, or ``start`` holds NaN or infinity.
+            all of them; if ``iterations`` or ``learning_rate`` is out of range, if ``start`` holds NaN or infinity, or
+            if the energy is of neither one person nor B people.
     """
     check_type("start", start, BodyParameters, "such as BodyParameters.mean(1)")
     if not callable(energy):
         raise TypeError(f"energy: {type(energy).__name__}; expected an Energy or a function of bodies")
-    rule: dict[str, Any] = {"iterations": iterations, "learning_rate": learning_rate, "frozen": frozen}
+    if isinstance(energy, Energy):
+        people = len(energy.observations)
+        if people not in (1, start.batch_size):
+            expected = f"one, or {start.batch_size}, one for each body"
+            raise ValueError(f"energy: observations of {people} people; expected {expected}")
+    BodyParameters.free(frozen)
+    start.check_finite()
+    return descend(start, energy, Descent(iterations, learning_rate, tuple(frozen)), on_iteration)
+
+
+def descend(
+    start: BodyParameters,
+    energy: Energy | EnergyFunction,
+    descent: Descent,
+    on_iteration: Callable[[int], None] | None = None,
+) -> Refined:
+    """Refine as ``refine`` does, without its checks, for which a GPU would be waited for."""
     if isinstance(energy, Energy) and can_capture(energy):
-        start.check_finite()
-        return refine_captured(start, energy, rule, on_iteration=on_iteration)
-    return Refinement(start, energy, **rule).run(on_iteration)
+        return refine_captured(start, energy, descent, on_iteration=on_iteration)
+    stepper = Refinement(
+        start, energy, iterations=descent.iterations, learning_rate=descent.learning_rate, frozen=descent.frozen
+    )
+    return stepper.run(on_iteration)

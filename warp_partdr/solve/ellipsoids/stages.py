@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -14,6 +15,8 @@ from .energy import Weights
 
 Quality = Literal["fast", "balanced", "accurate"]
 Start = Literal["network", "search"]
+# Called with the stage's name, the iterations done, and the iterations in all.
+Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)

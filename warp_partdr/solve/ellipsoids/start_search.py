@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -43,14 +44,24 @@ def rest_positions(device: torch.device | str) -> dict[str, np.ndarray]:
     return dict(zip(_JOINTS, points, strict=True))
 
 
-def hypothesize(seen: Observation, count: int, *, seed: int = 0) -> tuple[BodyParameters, torch.Tensor, torch.Tensor]:
-    """Starts for a fit: cameras, orientations, and target depths of the joints.
+class Hypotheses(NamedTuple):
+    """Starts for a fit of one person.
+
+    Attributes:
+        bodies: Bodies in the mean pose, placed and turned, B of them.
+        targets: Positions of ``_JOINTS`` in crop coordinates, depth in the same unit, shape (B, J, 3).
+        known: True for the joints that are known, shape (J,), bool.
+    """
+
+    bodies: BodyParameters
+    targets: torch.Tensor
+    known: torch.Tensor
+
+
+def hypothesize(seen: Observation, count: int, *, seed: int = 0) -> Hypotheses:
+    """Make starts for a fit: cameras, orientations, and target depths of the joints.
 
     At most ``count`` hypotheses: a random choice (``seed``) of all combinations where there are more.
-
-    Returns:
-        Bodies in the mean pose, placed and turned, B of them; the joints' target positions for ``_JOINTS`` in crop
-        coordinates (depth in the same unit), shape (B, J, 3); and a mask of the known ones, shape (J,), bool.
     """
     rest = rest_positions(seen.points.device)
     flat = _joints_in_picture(seen)
@@ -67,7 +78,7 @@ def hypothesize(seen: Observation, count: int, *, seed: int = 0) -> tuple[BodyPa
     bodies = BodyParameters.mean(len(depths), device=device)
     orientation = [_turn_trunk(target, known, rest) for target in targets]
     origin = flat.get("mid_hip", next(iter(flat.values())))
-    return (
+    return Hypotheses(
         replace(
             bodies,
             orientation=rotation_to_6d(torch.tensor(np.array(orientation), dtype=torch.float32, device=device)),
@@ -83,15 +94,16 @@ class LiftEnergy:
     """Energy of keypoints with a depth, which pulls bodies into their hypotheses, with pose prior and joint limits."""
 
     def __init__(self, energy: Energy, targets: torch.Tensor, known: torch.Tensor) -> None:
+        """Take target positions (B, J, 3) of B bodies, of which those that are ``known`` count, shape (B, J), bool."""
         self._energy = energy
         self._targets = targets
-        self._known = known.float()[:, None]
+        self._known = known.float()[..., None]
         self._gather = LandmarkGather(_JOINTS, targets.device)
 
     def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
         """Weighted terms by name, shape (B,)."""
         points = self._gather(parameters.posed()) * parameters.log_scale.exp()[:, None, None]
-        if (lens := self._energy.observation.lens) is not None:
+        if (lens := self._energy.observations.lens) is not None:
             points = points @ ray_rotations(parameters, lens)  # as seen along the ray to the pelvis
         points = points - points[:, :1] * points.new_tensor([0.0, 0.0, 1.0])  # depth counts from the hips
         points = points + torch.nn.functional.pad(parameters.shift, (0, 1))[:, None]

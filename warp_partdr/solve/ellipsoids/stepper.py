@@ -28,6 +28,21 @@ SIZES = {"lengths": (0.6, 1.4), "thicknesses": (0.4, 1.6)}
 
 
 @dataclass(frozen=True)
+class Descent:
+    """Course of a refinement.
+
+    Attributes:
+        iterations: Steps of Adam.
+        learning_rate: Rate of angles [rad] and of the camera [half-sides of the crop] at the first step.
+        frozen: Names of parameters that stay as they are.
+    """
+
+    iterations: int = 50
+    learning_rate: float = LEARNING_RATE
+    frozen: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Refined(Movable):
     """Result of a refinement.
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ...inputs.observation import REFERENCE_SIZE, Observation
-from ...inputs.stacked import Seen
+from ...inputs.observation import REFERENCE_SIZE
+from ...inputs.observations import Observations
 from ...networks.regression.predicted import Predicted, landmarks_in_crop
 
 # Of PartBench's first 40 people at the level "hard", 20 to 40 px give the same errors within 0.6 mm. Real people, of
@@ -17,21 +17,19 @@ from ...networks.regression.predicted import Predicted, landmarks_in_crop
 GROSS_ERROR = 30.0  # [px of a crop of 256 px], about 15 cm of an adult; a keypoint this far off counts a quarter
 
 
-def doubt_keypoints(seen: Seen, predicted: Predicted) -> Seen:
+def doubt_keypoints(seen: Observations, predicted: Predicted) -> Observations:
     """Returns the observations with lower confidence in keypoints that lie far from the predicted bodies.
 
     The factor is that of Geman and McClure's robust function, (1 + (distance / GROSS_ERROR)²)⁻².
 
     Args:
-        seen: N people, or one.
+        seen: N people.
         predicted: What the label network says of them, N bodies.
 
     Reference:
         Geman and McClure, "Statistical methods for tomographic image reconstruction", 1987.
     """
-    names = seen.body_points if isinstance(seen, Observation) else seen.marks
-    lenses = None if seen.lens is None else seen.lens.reshape(-1, 3)
-    ways = landmarks_in_crop(predicted, names, lenses) - seen.points.reshape(-1, len(names), 2)
+    ways = landmarks_in_crop(predicted, seen.marks, seen.lens) - seen.points
     distances = ways.norm(dim=-1) * (REFERENCE_SIZE / 2)
     factors = (1 + (distances / GROSS_ERROR) ** 2) ** -2
-    return replace(seen, confidence=seen.confidence * factors.reshape(seen.confidence.shape))
+    return replace(seen, confidence=seen.confidence * factors)

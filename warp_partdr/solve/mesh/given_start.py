@@ -17,9 +17,10 @@ from ...errors import check_type
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.part_labels import PartLabels
 from ...models.registration import Registered
-from ..ellipsoids.fitting import Progress, fit_body
+from ..ellipsoids.fitting import fit_body
 from ..ellipsoids.options import FitOptions
 from ..ellipsoids.result import FitResult
+from ..ellipsoids.stages import Progress
 from .mesh_options import MeshOptions
 from .mesh_stage import MeshFit, measure_parameters, refine_meshes
 

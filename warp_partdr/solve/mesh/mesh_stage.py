@@ -31,8 +31,8 @@ from ...models.model import DetailedModel, detailed_mesh
 from ...models.registration import Registered, ungrown
 from ...models.resizing import resize_shapes
 from ...render.mesh import PartImage, draw_mesh
-from ..ellipsoids.fitting import Progress
 from ..ellipsoids.result import FitResult
+from ..ellipsoids.stages import Progress
 from ..ellipsoids.stepper import rate_share
 from .given_poses import GivenPoses
 from .mesh_energy import MeshEnergy, gather_starts, mesh_energy

@@ -25,7 +25,7 @@ from ...models.model import DetailedModel
 from ...models.registration import Registered, ungrown
 from ...models.resizing import resize_before
 from ...render.part_mesh import PartMesh
-from ..ellipsoids.fitting import Progress
+from ..ellipsoids.stages import Progress
 from ..ellipsoids.stepper import rate_share
 from ..mesh.mesh_energy import MeshEnergy, mesh_energy
 from ..mesh.mesh_unknowns import Unknowns

@@ -19,8 +19,7 @@ from ...interop.torch_threads import one_torch_thread
 from ...kernels.launch import get_num_threads, run_slices
 from ...networks.regression.checkpoint import packaged_network
 from ...networks.regression.label_network import LabelNetwork
-from ...networks.regression.predict import ask_network
-from ...networks.regression.predicted import Predicted
+from ...networks.regression.predict import ask_about_each
 from ...networks.regression.uncertainty import Uncertainty
 
 _TOGETHER = {"cpu": 8, "cuda": 64}  # sights that the network looks at at a time; on the CPU, on each thread
@@ -87,7 +86,7 @@ def _look(
         crop_evidence(each, device=device, camera=views[sight.view].camera)
         for each, sight in zip(evidence, sights, strict=True)
     ]
-    said: Predicted = ask_network([seen for seen, _ in pairs], network)
+    said = ask_about_each([seen for seen, _ in pairs], network)
     lenses = torch.stack([seen.lens for seen, _ in pairs if seen.lens is not None])
     bodies = turn_to_rays(said.parameters(), lenses)
     found = []

@@ -11,8 +11,8 @@ import torch
 
 from ....body.parameters import BodyParameters
 from ....solve.ellipsoids.energy import Energy
-from ....solve.ellipsoids.fitting import Progress
 from ....solve.ellipsoids.refine import refine
+from ....solve.ellipsoids.stages import Progress
 from ....solve.ellipsoids.stepper import Refined, Refinement
 from ..jobs import run_jobs
 from ..launches import count_bytes, observe_launches, time_kernels
@@ -110,7 +110,7 @@ def _time(plan: KernelPlan, group: str, wanted: Run) -> _Rows:
         call = CALLS_OF[what](scene, name)
     else:
         refine_all = _refine_by_autograd if what == TORCH_REFINEMENT else partial(refine, iterations=NUM_ITERATIONS)
-        call = partial(refine_all, scene.bodies, scene.energies(GRADIENTS[name])[0])
+        call = partial(refine_all, scene.bodies, scene.energy(GRADIENTS[name]))
     timing = time_calls(call, plan.device, plan.budget)
     return [row("call", timing, memory=peak_memory(call, plan.device))]
 

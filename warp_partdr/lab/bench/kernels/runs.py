@@ -163,7 +163,7 @@ def refined_once(scene: BenchScene, gradient: Gradient, learning_rate: float = L
     With a learning rate of 0 the bodies stay where they are, and every iteration does the same.
     """
     captured = CapturedRefinement(
-        scene.energies(gradient), scene.batch_size, iterations=NUM_ITERATIONS, learning_rate=learning_rate
+        scene.energy(gradient), scene.batch_size, iterations=NUM_ITERATIONS, learning_rate=learning_rate
     )
     captured.refine(scene.bodies)
     return captured

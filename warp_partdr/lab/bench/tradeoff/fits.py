@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +18,7 @@ from ....body.template import NUM_PARTS
 from ....metrics import accuracy, confusion, pa_mpjpe, part_f1
 from ....render.renderers import RendererMesh
 from ....solve.ellipsoids.captured import CapturedRefinement
-from ....solve.ellipsoids.energy import Weights
+from ....solve.ellipsoids.energy import Energy, Weights
 from ....solve.ellipsoids.refine import refine
 from ....solve.ellipsoids.stepper import Refined
 from ...synthetic.tradeoff_people import TRUTH_SIZE, People, draw_truth
@@ -69,12 +68,7 @@ def refine_all(
         The bodies, and the seconds that an iteration took for one of them.
     """
     prior = packaged_prior(str(start.shift.device))
-    if isinstance(setting.renderer, RendererMesh):
-        # Each term of the energy broadcasts: with all points and labels as one observation, it is that of each body.
-        run = _refinement(setting, setting.energy(people.observation(), prior, weights), len(people))
-    else:
-        energies = [setting.energy(people.observation(index), prior, weights) for index in range(len(people))]
-        run = _refinement(setting, energies, len(people))
+    run = _refinement(setting, setting.energy(people.observations(), prior, weights), len(people))
     begin = time.perf_counter()
     found = run(start)
     float(found.energy.sum())  # until the device is done
@@ -92,13 +86,16 @@ def time_iteration(setting: Setting, people: People, start: BodyParameters, devi
     bodies = one_by_one(start)[:_TIMED_PEOPLE]
     fastest = []
     for person, body in enumerate(bodies):
-        run = partial(_refinement(setting, setting.energy(people.observation(person), prior), 1), body)
+        run = partial(
+            _refinement(setting, setting.energy(people.observations().select(slice(person, person + 1)), prior), 1),
+            body,
+        )
         fastest.append(time_calls(run, device, budget / len(bodies)).fastest / setting.iterations)
     return fastest
 
 
-def _refinement(setting: Setting, energy: Any, batch_size: int) -> Callable[[BodyParameters], Refined]:
-    """A refinement of so many bodies, with one energy or, of exact ellipsoids, perhaps one each."""
+def _refinement(setting: Setting, energy: Energy, batch_size: int) -> Callable[[BodyParameters], Refined]:
+    """A refinement of so many bodies."""
     if isinstance(setting.renderer, RendererMesh):
         return partial(refine, energy=energy, iterations=setting.iterations, learning_rate=RATE)
     captured = CapturedRefinement(energy, batch_size, iterations=setting.iterations, learning_rate=RATE)

@@ -17,9 +17,8 @@ from ....body.pose_prior import PosePrior
 from ....body.posing import LandmarkGather
 from ....body.skeletons import MPJPE_JOINTS
 from ....solve.ellipsoids.energy import Weights
-from ....solve.ellipsoids.fitting import Progress
 from ....solve.ellipsoids.options import FitOptions
-from ....solve.ellipsoids.stages import Quality
+from ....solve.ellipsoids.stages import Progress, Quality
 from ....solve.ellipsoids.stepper import Refinement
 from ...evaluation.evaluate import Method, evaluate
 from ...evaluation.partbench.methods import METHODS
@@ -133,7 +132,7 @@ def _refine_in_torch(setting: Setting, people: People, start: BodyParameters, ki
     prior = PosePrior().to(start.shift.device, kind)
     found = []
     for person, body in enumerate(one_by_one(_cast(start, kind))):
-        seen = people.observation(person)
+        seen = people.observations().select(slice(person, person + 1))
         energy = setting.energy(replace(seen, points=seen.points.to(kind)), prior)
         refined = Refinement(body, energy, iterations=setting.iterations, learning_rate=RATE).run()
         found.append(refined.parameters.tensors().values())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ....body.pose_prior import PosePrior
-from ....inputs.observation import Observation
+from ....inputs.observations import Observations
 from ....render.renderers import Renderer
 from ....solve.ellipsoids.energy import Energy, Weights
 from ..renderers import COVERAGE, EXACT, LEVELS, PARTDR, RENDERERS
@@ -34,7 +34,7 @@ class Setting:
         """The object that draws."""
         return RENDERERS[self.name]
 
-    def energy(self, seen: Observation, prior: PosePrior, weights: Weights | None = None) -> Energy:
+    def energy(self, seen: Observations, prior: PosePrior, weights: Weights | None = None) -> Energy:
         """The energy that the refinement minimises."""
         return Energy(seen, self.size, weights or Weights(), prior, self.renderer)
 

@@ -19,10 +19,9 @@ from warp_partdr.inputs.observation import crop_evidence
 from warp_partdr.inputs.part_labels import PartLabels, read_parts
 from warp_partdr.interop.precision import exact_convolutions
 from warp_partdr.networks.regression.checkpoint import packaged_network
-from warp_partdr.solve.ellipsoids.fitting import fit_body
+from warp_partdr.solve.ellipsoids.fitting import fit_body, fit_people
 from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.stages import OUTLINE, Stage
-from warp_partdr.solve.ellipsoids.together import fit_together
 
 KEYPOINTS = read_keypoints(EXAMPLE / "keypoints.json")[0]
 PARTS = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
@@ -54,7 +53,7 @@ def test_each_is_as_alone(options: FitOptions, fov: float | None, device: str) -
     given = [(KEYPOINTS, PARTS), (turned(10), None), (KEYPOINTS, PARTS), (turned(-15), None)]
     people = [cut(keypoints, parts, device, camera) for keypoints, parts in given]
     with exact_convolutions():  # rounded to TF32, those of another batch differ, in the end by millimetres of depth
-        fits = fit_together(people, options, packaged_network(device))
+        fits = fit_people(people, options, packaged_network(device))
         everyone = [fit_body(*each, options=options, device=device, camera=camera) for each in given]
     for alone, fit in zip(everyone, fits, strict=True):
         torch.testing.assert_close(fit.posed.joints, alone.posed.joints, atol=2e-3, rtol=0)
@@ -72,29 +71,25 @@ def test_bodies_far_from_what_was_seen_are_told(device: str) -> None:
     rng = np.random.default_rng(0)
     wild = replace(KEYPOINTS, points=rng.uniform(0, 400, KEYPOINTS.points.shape).astype(np.float32))
     people = [cut(KEYPOINTS, None, device), cut(wild, None, device)]
-    near, far = fit_together(people, replace(FAST, stages=()), packaged_network(device))
+    near, far = fit_people(people, replace(FAST, stages=()), packaged_network(device))
     assert near.warnings == ()
     assert any("the body ends" in warning for warning in far.warnings)
     alone = fit_body(wild, options=replace(FAST, stages=()), device=device)
     assert far.warnings == alone.warnings
     coco = Keypoints2D("coco17", wild.points[:17], np.ones(17, np.float32))
-    (asked,) = fit_together([cut(coco, None, device)], replace(FAST, stages=()), packaged_network(device))
+    (asked,) = fit_people([cut(coco, None, device)], replace(FAST, stages=()), packaged_network(device))
     assert any(text.endswith("are these keypoints of coco17, not of h36m17 or posetrack17?") for text in asked.warnings)
 
 
-def test_what_can_not_be_fitted_so_is_refused(device: str) -> None:
-    person = cut(KEYPOINTS, None, device)
-    network = packaged_network(device)
-    with pytest.raises(ValueError, match=r"options.start: 'search'; expected 'network'"):
-        fit_together([person], FitOptions.at("fast", "search"), network)
-    with pytest.raises(ValueError, match=r"options.stature: 1\.8, of many people; expected none"):
-        fit_together([person], replace(FAST, stature=1.8), network)
-    soft = replace(person, observation=replace(person.observation, maps=torch.zeros(1, 4, 4)))
-    with pytest.raises(ValueError, match=r"people\[1\]: probabilities"):
-        fit_together([person, soft], FAST, network)
-    with pytest.raises(TypeError, match="people"):
-        fit_together([person.observation], FAST, network)  # type: ignore[list-item]
-    assert fit_together([], FAST, network) == []
+def test_bad_calls_name_the_argument(device: str) -> None:
+    person, network = cut(KEYPOINTS, None, device), packaged_network(device)
+    with pytest.raises(TypeError, match=r"people\[0\]: Observation; expected CutPerson"):
+        fit_people([person.observation], FAST, network)  # type: ignore[list-item]
+    with pytest.raises(TypeError, match="options: NoneType"):
+        fit_people([person], None, network)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="network: str; expected LabelNetwork"):
+        fit_people([person], FAST, "packaged")  # type: ignore[arg-type]
+    assert fit_people([], FAST, network) == []
 
 
 def test_without_the_mirror_image_and_in_bfloat16_people_stay_near() -> None:
@@ -103,6 +98,6 @@ def test_without_the_mirror_image_and_in_bfloat16_people_stay_near() -> None:
     usual = replace(FAST, stages=())
     network = packaged_network("cpu")
     ways = (usual, replace(usual, half=True), replace(usual, mirror=False))
-    exact, half, alone = (torch.cat([fit.posed.joints for fit in fit_together(people, way, network)]) for way in ways)
+    exact, half, alone = (torch.cat([fit.posed.joints for fit in fit_people(people, way, network)]) for way in ways)
     assert 0 < (half - exact).norm(dim=-1).max() < 0.01
     assert 1e-3 < (alone - exact).norm(dim=-1).max() < 0.1

@@ -1,0 +1,236 @@
+"""Observations of N people as arrays, as networks and fits read them; one person is a batch of one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..body.labels import LabelSet
+from ..body.skeletons import Skeleton
+from ..interop.movable import Movable
+from .observation import Observation, resize_nearest
+
+# Tensors of an ``Observation`` that all people of a batch have, or none of them, beside keypoints and pictures.
+_EXPECTED = ("lens", "lengths", "thicknesses", "depths", "depth_spreads")
+_PICTURES = ("labels", "maps", "known")
+_KEYPOINTS = ("points", "confidence")
+
+
+@dataclass(frozen=True, eq=False)
+class Observations(Movable):
+    """Observations of N people with keypoints of one format, and labels of one set, or none.
+
+    What may be missing is there for all people or for none.
+
+    Attributes:
+        landmarks: Names of the format's J keypoints.
+        marks: Point of the body that each marks.
+        visible: True for the keypoints that are there, shape (N, J), bool; on the host.
+        points: Their positions in crops of side 2, 0 where missing, shape (N, J, 2).
+        confidence: Their weights, 0 where missing, shape (N, J).
+        labels: Group ids in the crops, shape (N, size, size), uint8; None without labels.
+        label_set: Meaning of the group ids.
+        maps: Probability of each group, shape (N, G, size, size); None without probabilities.
+        known: Weight of each pixel of ``maps``, shape (N, size, size).
+        lens: Focal lengths and principal points of the cameras, shape (N, 3); None if they are unknown.
+        lens_assumed: True if the lenses are usual ones, because the pictures' own are not known.
+        lengths: Expected lengths [m], shape (N, 12); None: the mean adult's.
+        thicknesses: Expected thicknesses [m], shape (N, 15); None: the mean adult's.
+        depths: Expected depths of the parts' centres, pelvis at 0 [m], shape (N, 20); None: unknown.
+        depth_spreads: Uncertainty of these depths [m], shape (N, 20); None: 1 mm.
+        statures: Heights of the people [m], 0 where one is not known, shape (N,); None if none is known.
+    """
+
+    landmarks: tuple[str, ...]
+    marks: tuple[str, ...]
+    visible: np.ndarray
+    points: torch.Tensor
+    confidence: torch.Tensor
+    labels: torch.Tensor | None = None
+    label_set: LabelSet | None = None
+    maps: torch.Tensor | None = None
+    known: torch.Tensor | None = None
+    lens: torch.Tensor | None = None
+    lens_assumed: bool = False
+    lengths: torch.Tensor | None = None
+    thicknesses: torch.Tensor | None = None
+    depths: torch.Tensor | None = None
+    depth_spreads: torch.Tensor | None = None
+    statures: torch.Tensor | None = None
+
+    @classmethod
+    def of(cls, seen: Sequence[Observation], form: Skeleton | None = None) -> Observations:
+        """Stack observations of people who are alike.
+
+        Args:
+            seen: N observations.
+            form: Format of the keypoints that these observations show. None: the landmarks are those that anybody
+                shows.
+
+        Raises:
+            ValueError: If the observations differ in their label set, or in what is missing.
+        """
+        _check_alike(seen)
+        first, device = seen[0], seen[0].points.device
+        marks = _marks_of(seen) if form is None else dict(zip(form.landmarks, form.marks, strict=True))
+        landmarks = tuple(marks)
+        columns = [_columns(each.landmarks, landmarks) for each in seen]
+        visible = np.zeros((len(seen), len(landmarks)), dtype=bool)
+        for row, own in enumerate(columns):
+            visible[row, own] = True
+        people = torch.from_numpy(np.repeat(np.arange(len(seen)), [len(own) for own in columns])).to(device)
+        places = torch.from_numpy(np.concatenate(columns)).to(device)
+        points = torch.zeros(*visible.shape, 2, device=device)
+        points[people, places] = torch.cat([each.points for each in seen])
+        confidence = torch.zeros(visible.shape, device=device)
+        confidence[people, places] = torch.cat([each.confidence for each in seen])
+        return cls(
+            landmarks,
+            tuple(marks.values()),
+            visible,
+            points,
+            confidence,
+            label_set=first.label_set,
+            lens_assumed=first.lens_assumed,
+            statures=_statures(seen),
+            **{name: _stacked(_at_one_side([getattr(each, name) for each in seen])) for name in _PICTURES},
+            **{name: _stacked([getattr(each, name) for each in seen]) for name in _EXPECTED},
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Observations]) -> Observations:
+        """Join observations that are alike, one after the other."""
+        if len(parts) == 1:
+            return parts[0]
+        statures = None
+        if any(each.statures is not None for each in parts):
+            statures = torch.cat([each._all_statures() for each in parts])
+        return replace(
+            parts[0],
+            visible=np.concatenate([each.visible for each in parts]),
+            statures=statures,
+            **{name: _joined([getattr(each, name) for each in parts]) for name in _KEYPOINTS},
+            **{name: _joined(_at_one_side([getattr(each, name) for each in parts])) for name in _PICTURES},
+            **{name: _joined([getattr(each, name) for each in parts]) for name in _EXPECTED},
+        )
+
+    def __len__(self) -> int:
+        """Number of people, N."""
+        return len(self.visible)
+
+    def __getitem__(self, row: int) -> Observation:
+        """Return one person's observation."""
+        there = self.visible[row].nonzero()[0]
+        columns: slice | torch.Tensor = slice(None)  # no copy, and nothing goes to the device, where all are there
+        if len(there) < len(self.landmarks):
+            columns = torch.from_numpy(there).to(self.points.device)
+        return Observation(
+            landmarks=tuple(self.landmarks[column] for column in there),
+            marks=tuple(self.marks[column] for column in there),
+            points=self.points[row, columns],
+            confidence=self.confidence[row, columns],
+            label_set=self.label_set,
+            lens_assumed=self.lens_assumed,
+            stature=None if self.statures is None else float(self.statures[row]) or None,
+            **self._each_at(row, (*_PICTURES, *_EXPECTED)),
+        )
+
+    def select(self, rows: slice | torch.Tensor) -> Observations:
+        """Return the observations of some of the people; one person may come several times."""
+        visible = self.visible[rows.cpu().numpy() if torch.is_tensor(rows) else rows]
+        return replace(self, visible=visible, **self._each_at(rows, _ROWS))
+
+    def without_pictures(self) -> Observations:
+        """Return a copy without labels and probabilities, which are large; their label set stays."""
+        return replace(self, labels=None, maps=None, known=None)
+
+    def _each_at(self, rows: int | slice | torch.Tensor, names: Sequence[str]) -> dict[str, Any]:
+        """Rows of the tensors of some names; None where there is no such tensor."""
+        return {name: None if (each := getattr(self, name)) is None else each[rows] for name in names}
+
+    def _all_statures(self) -> torch.Tensor:
+        return self.confidence.new_zeros(len(self)) if self.statures is None else self.statures
+
+
+_ROWS = (*_KEYPOINTS, *_PICTURES, *_EXPECTED, "statures")  # all tensors, a row a person
+
+
+def _statures(seen: Sequence[Observation]) -> torch.Tensor | None:
+    if all(each.stature is None for each in seen):
+        return None
+    return torch.tensor([each.stature or 0.0 for each in seen], device=seen[0].points.device)
+
+
+def _stacked(rows: Sequence[torch.Tensor | None]) -> torch.Tensor | None:
+    known = [each for each in rows if each is not None]
+    if len(known) == 1:
+        return known[0][None]  # no copy
+    return torch.stack(known) if known else None
+
+
+def _joined(parts: Sequence[torch.Tensor | None]) -> Any:
+    known = [each for each in parts if each is not None]
+    return torch.cat(known) if known else None
+
+
+def _at_one_side(pictures: Sequence[torch.Tensor | None]) -> list[torch.Tensor | None]:
+    """Pictures (..., size, size) as large as the largest."""
+    side = max((each.shape[-1] for each in pictures if each is not None), default=0)
+    return [each if each is None or each.shape[-1] == side else resize_nearest(each, side) for each in pictures]
+
+
+def _marks_of(seen: Sequence[Observation]) -> dict[str, str]:
+    """Landmarks that anybody shows, with their marks."""
+    return {name: mark for each in seen for name, mark in zip(each.landmarks, each.body_points, strict=True)}
+
+
+@lru_cache(maxsize=1024)
+def _columns(names: tuple[str, ...], landmarks: tuple[str, ...]) -> np.ndarray:
+    """Columns of names among landmarks, shape (L,)."""
+    return np.array([landmarks.index(name) for name in names], dtype=np.int64)
+
+
+def _check_alike(seen: Sequence[Observation]) -> None:
+    """Raise ValueError unless observations can be stacked."""
+    first = seen[0]
+    for each in seen[1:]:
+        for name in (*_PICTURES, *_EXPECTED):
+            if (getattr(each, name) is None) != (getattr(first, name) is None):
+                raise ValueError(f"observations: some with {name}, some without; expected the same of all")
+        if each.label_set is not first.label_set and each.label_set != first.label_set:
+            raise ValueError("observations: of two label sets; expected one")
+        if each.lens_assumed != first.lens_assumed:
+            raise ValueError("observations: some lenses are assumed, others known; expected the same of all")
+
+
+def group_alike(seen: Sequence[Observation]) -> list[tuple[list[int], Observations]]:
+    """Group observations that can be stacked, and return each group's indices beside it.
+
+    Observations are alike whose landmarks have the same marks, which have labels of one set and one size, and which
+    lack the same things.
+    """
+    groups: list[list[int]] = []
+    for index, each in enumerate(seen):
+        own = next((rows for rows in groups if _alike(seen[rows[0]], each)), None)
+        if own is None:
+            groups.append([index])
+        else:
+            own.append(index)
+    return [(rows, Observations.of([seen[row] for row in rows])) for rows in groups]
+
+
+def _alike(one: Observation, other: Observation) -> bool:
+    names = (*_PICTURES, *_EXPECTED)
+    shapes = [[None if (each := getattr(seen, name)) is None else each.shape for name in names] for seen in (one, other)]
+    marks, others = _marks_of([one]), _marks_of([other])
+    return (
+        shapes[0] == shapes[1]
+        and one.lens_assumed == other.lens_assumed
+        and all(marks.get(name, mark) == mark for name, mark in others.items())
+        and (one.label_set is other.label_set or one.label_set == other.label_set)
+    )

@@ -1,0 +1,118 @@
+"""Start of a fit at the label network's bodies: its lenses, its doubts about keypoints, and the order in depth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from ...body.lens import turn_to_rays
+from ...body.parameters import BodyParameters
+from ...body.pose_prior import PosePrior
+from ...body.stature import bone_statures
+from ...inputs.observations import Observations
+from ...networks.regression.label_network import LabelNetwork
+from ...networks.regression.predict import ask_network
+from ...networks.regression.predicted import Predicted
+from ...networks.regression.uncertainty import Uncertainty
+from .depth_flips import DepthOrder, repair_depth_orders
+from .far_people import shows_parts, with_longer_lens
+from .options import FitOptions
+from .wrong_keypoints import doubt_keypoints
+
+
+@dataclass(frozen=True)
+class NetworkStart:
+    """N bodies from which a fit begins.
+
+    Attributes:
+        bodies: Bodies and their cameras in the crops.
+        given: Observations as they were given, perhaps with longer lenses.
+        observations: The same with the network's doubts about keypoints, and with expected sizes and depths.
+        uncertainty: Uncertainty of the network about its bodies.
+        depth_orders: Limbs that were tried mirrored in depth, of each person; None where none can be.
+        seconds: Wall time of each step, of all people.
+    """
+
+    bodies: BodyParameters
+    given: Observations
+    observations: Observations
+    uncertainty: Uncertainty
+    depth_orders: Sequence[DepthOrder | None]
+    seconds: dict[str, float]
+
+
+def start_from_network(
+    seen: Observations,
+    network: LabelNetwork,
+    prior: PosePrior,
+    options: FitOptions,
+    *,
+    bodies: BodyParameters | None = None,
+    longer_lenses: bool = True,
+    doubting: bool = True,
+    flips: bool = True,
+) -> NetworkStart:
+    """Ask the label network about N people, and begin where it sees them.
+
+    Args:
+        seen: N people.
+        network: Label network in evaluation mode, on their device.
+        prior: Prior of poses.
+        options: Options of the fit.
+        bodies: Bodies to begin from instead; of the network's, only the uncertainty is used then.
+        longer_lenses: Lengthen an assumed lens where the network sees that a person is much farther away.
+        doubting: Give less confidence to keypoints that lie far from the network's body.
+        flips: Try limbs mirrored in depth, where labels show parts.
+    """
+    seconds: dict[str, float] = {}
+    started = time.perf_counter()
+    given, predicted = _predict(seen, network, options, longer_lenses=longer_lenses)
+    uncertainty = predicted.uncertainty
+    assert uncertainty is not None
+    seconds["network"] = time.perf_counter() - started
+    starts = turned_to_lenses(predicted.parameters(), given) if bodies is None else sized(bodies, given.statures)
+    seen = doubt_keypoints(given, predicted) if doubting else given
+    seen = replace(seen, lengths=starts.lengths, thicknesses=starts.thicknesses)
+    orders: Sequence[DepthOrder | None] = [None] * len(seen)
+    if flips and options.depth_flips and shows_parts(seen.label_set):  # within one part, nothing hides another
+        started = time.perf_counter()
+        # The network's uncertainty is about its own bodies.
+        starts, orders = repair_depth_orders(starts, seen, prior, said=uncertainty if bodies is None else None)
+        seconds["depth order"] = time.perf_counter() - started
+    depths = starts.posed().centres[..., 2]
+    seen = replace(seen, depths=depths, depth_spreads=uncertainty.centre_depths())
+    return NetworkStart(starts, given, seen, uncertainty, orders, seconds)
+
+
+def _predict(
+    seen: Observations, network: LabelNetwork, options: FitOptions, *, longer_lenses: bool
+) -> tuple[Observations, Predicted]:
+    """Ask about N people, and again about those who are far away, with a longer lens."""
+    predicted = ask_network(seen, network, mirror=options.mirror, half=options.half)
+    longer = with_longer_lens(seen, predicted) if longer_lenses else None
+    if longer is not None:
+        assert seen.lens is not None  # it was lengthened
+        assert longer.lens is not None
+        changed = (longer.lens != seen.lens).any(1).nonzero()[:, 0]
+        if seen.points.is_cuda:  # all of them again: for as many people as before, a captured graph is there
+            changed = torch.arange(len(seen), device=changed.device)
+        again = ask_network(longer.select(changed), network, mirror=options.mirror, half=options.half)
+        seen, predicted = longer, predicted.with_rows(changed, again)
+    return seen, predicted if seen.statures is None else predicted.resized(_growth(predicted.lengths, seen.statures))
+
+
+def turned_to_lenses(bodies: BodyParameters, seen: Observations) -> BodyParameters:
+    """Return bodies, which are made as if the camera looked at the person, before the cameras that are known."""
+    return bodies if seen.lens is None else turn_to_rays(bodies, seen.lens)
+
+
+def sized(bodies: BodyParameters, statures: torch.Tensor | None) -> BodyParameters:
+    """Return bodies as tall as the people are known to be [m], 0 where it is not known, (N,); cameras see the same."""
+    return bodies if statures is None else bodies.resized(_growth(bodies.lengths, statures))
+
+
+def _growth(lengths: torch.Tensor, statures: torch.Tensor) -> torch.Tensor:
+    return torch.where(statures > 0, statures / bone_statures(lengths), 1.0)
