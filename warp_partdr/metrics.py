@@ -64,15 +64,16 @@ def confusion(predicted: Array, target: Array, num_classes: int, *, ignored_is_b
     if ignored_is_background:
         want = want.masked_fill(want == IGNORE, BACKGROUND)
     counted = want != IGNORE
-    batch = want.shape[:-2]
-    picture = torch.arange(batch.numel(), device=want.device).reshape(*batch, 1, 1).expand_as(want)[counted]
-    have, want = have[counted], want[counted]
     for name, values in (("predicted", have), ("target", want)):
-        wrong = values[(values < 0) | (values >= num_classes)]
-        if len(wrong):
-            raise ValueError(f"{name}: class {int(wrong[0])}; expected 0 to {num_classes - 1}, or {IGNORE} = ignore")
-    index = (picture * num_classes + want) * num_classes + have
-    counts = torch.bincount(index, minlength=batch.numel() * num_classes**2)
+        wrong = counted & ((values < 0) | (values >= num_classes))
+        if bool(wrong.any()):
+            found = int(values[wrong][0])
+            raise ValueError(f"{name}: class {found}; expected 0 to {num_classes - 1}, or {IGNORE} = ignore")
+    batch = want.shape[:-2]
+    num_counts = batch.numel() * num_classes**2
+    pictures = torch.arange(batch.numel(), device=want.device).reshape(*batch, 1, 1)
+    index = ((pictures * num_classes + want) * num_classes + have).masked_fill_(~counted, num_counts)
+    counts = torch.bincount(index.flatten(), minlength=num_counts + 1)[:num_counts]
     return counts.reshape(*batch, num_classes, num_classes).cpu().numpy()
 
 

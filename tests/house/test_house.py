@@ -92,7 +92,6 @@ RIGHT_CARRIERS = {
 # Those still to be mended, by a typed dataclass or by names: this list may only shrink.
 CARRIERS_TO_MEND = {
     "_find: find_people(**how)",
-    "_find_captured: CapturedRefinement(**rule)",
     "_window: person_windows(*one)",
     "body_maps: self.draw(**options)",
     "crop_loss: _as_floats(*parameters)",
@@ -104,10 +103,7 @@ CARRIERS_TO_MEND = {
     "posed: pose_parts(*numbers)",
     "prepare: self._prepare_gradient(**scratch)",
     "prepare_labels: self.prepare_picture(**images)",
-    "refine: Refinement(**rule)",
-    "refine_captured: CapturedRefinement(**rule)",
     "register: Registered(*found)",
-    "select: replace(**chosen)",
     "try_refine: Refinement(**rule)",
     "try_refine: refine(**rule)",
     "work: self._prepare_gradient(**scratch)",

@@ -10,6 +10,7 @@ import torch
 from helpers.files import EXAMPLE
 
 from warp_partdr.body.labels import label_set
+from warp_partdr.body.stature import bone_statures
 from warp_partdr.cameras import Perspective
 from warp_partdr.inputs.cut_people import CutPerson
 from warp_partdr.inputs.evidence import weigh_evidence
@@ -101,3 +102,72 @@ def test_without_the_mirror_image_and_in_bfloat16_people_stay_near() -> None:
     exact, half, alone = (torch.cat([fit.posed.joints for fit in fit_people(people, way, network)]) for way in ways)
     assert 0 < (half - exact).norm(dim=-1).max() < 0.01
     assert 1e-3 < (alone - exact).norm(dim=-1).max() < 0.1
+
+
+def with_probabilities() -> PartLabels:
+    """The person's labels as probabilities of 0.9."""
+    maps = np.eye(PARTS.label_set.num_groups + 1, dtype=np.float32)[np.where(PARTS.groups < 255, PARTS.groups, 0)]
+    return replace(PARTS, maps=0.9 * np.moveaxis(maps, -1, 0))
+
+
+def test_people_with_probabilities_are_fitted_as_each_alone(device: str) -> None:
+    """Torch refines them, all at once; whoever has labels beside them is refined by a graph."""
+    soft, options = with_probabilities(), replace(QUICK, guess_camera=False)
+    given = [(KEYPOINTS, soft), (KEYPOINTS, PARTS), (turned(5), soft)]
+    with exact_convolutions():
+        fits = fit_people([cut(*each, device) for each in given], options, packaged_network(device))
+        everyone = [fit_body(*each, options=options, device=device) for each in given]
+    for alone, fit in zip(everyone, fits, strict=True):
+        torch.testing.assert_close(fit.posed.joints, alone.posed.joints, atol=2e-3, rtol=0)
+        assert fit.energy == pytest.approx(alone.energy, rel=1e-2, abs=0.05)
+        assert (fit.observation.maps is None) == (alone.observation.maps is None)
+
+
+def test_each_has_the_stature_that_is_known_of_them(device: str) -> None:
+    people = [cut(KEYPOINTS, PARTS, device) for _ in range(3)]
+    known = [1.95, None, 1.5]
+    people = [
+        replace(person, observation=replace(person.observation, stature=stature))
+        for person, stature in zip(people, known, strict=True)
+    ]
+    fits = fit_people(people, QUICK, packaged_network(device))
+    for stature, fit in zip(known, fits, strict=True):
+        assert fit.stature == pytest.approx(stature)
+        found = float(bone_statures(fit.parameters.lengths))
+        assert found == pytest.approx(stature or found, abs=1e-4)
+        assert stature or 1.55 < found < 1.9
+        alone = fit_body(KEYPOINTS, PARTS, options=replace(QUICK, stature=stature, guess_camera=False), device=device)
+        torch.testing.assert_close(fit.posed.joints, alone.posed.joints, atol=5e-3, rtol=0)
+
+
+def test_a_search_is_tried_for_those_alone_who_end_far_from_their_keypoints(device: str) -> None:
+    """The other one keeps the network's body."""
+    rng = np.random.default_rng(0)
+    wild = replace(KEYPOINTS, points=rng.uniform(0, 400, KEYPOINTS.points.shape).astype(np.float32))
+    search = (Stage("lift", 8, 6, 0.1), Stage("keypoints", 4, 4, 0.02))
+    options = replace(FAST, stages=(), search=search)
+    people = [cut(KEYPOINTS, None, device), cut(wild, None, device), cut(wild, None, device)]
+    near, far, twin = fit_people(people, options, packaged_network(device))
+    assert (near.start, near.hypotheses, near.warnings) == ("network", 1, ())
+    assert far.start == "search"
+    assert far.hypotheses > 1
+    assert len(far.finalists) > 1
+    assert far.finalists == sorted(far.finalists)
+    assert [name for name in far.stage_seconds if name.endswith("search")] == ["lift, search", "keypoints, search"]
+    assert [row.shape for row in far.history] == [(6,), (4,)]
+    torch.testing.assert_close(far.parameters.rotations, twin.parameters.rotations, atol=1e-3, rtol=0)
+    alone = fit_body(wild, options=replace(options, guess_camera=False), device=device)
+    assert alone.finalists == pytest.approx(far.finalists, rel=0.05)
+    assert any("the body ends" in warning for warning in far.warnings)
+
+
+def test_labels_that_lie_elsewhere_are_told_of_each(device: str) -> None:
+    """Ids of another label set make parts of the body lie where they can't be."""
+    mixed = PARTS.groups.copy()
+    ids = np.arange(1, PARTS.label_set.num_groups + 1)
+    for old, new in zip(ids, np.roll(ids, 5), strict=True):
+        mixed[PARTS.groups == old] = new
+    observations = [cut(KEYPOINTS, parts, device) for parts in (PARTS, replace(PARTS, groups=mixed))]
+    right, wrong = fit_people(observations, replace(FAST, stages=()), packaged_network(device))
+    assert not any("part F1" in warning for warning in right.warnings)
+    assert any("part F1" in warning and "are these ids of cdcl14?" in warning for warning in wrong.warnings)

@@ -153,7 +153,7 @@ def test_energies_that_are_none_are_refused(terms, error, says):
 
 def test_energies_of_something_else_are_refused():
     seen = observation_of(walker("cpu"))
-    with pytest.raises(TypeError, match="observation: BodyParameters; expected Observation or Observations, of observe"):
+    with pytest.raises(TypeError, match="observation: BodyParameters; expected Observation or Observations, of obs"):
         Energy(walker("cpu"))
     for size in (0, 64.5):
         with pytest.raises(ValueError, match=f"size: {size}; expected an integer of 1 or more"):

@@ -79,7 +79,7 @@ class Observations(Movable):
         first, device = seen[0], seen[0].points.device
         marks = _marks_of(seen) if form is None else dict(zip(form.landmarks, form.marks, strict=True))
         landmarks = tuple(marks)
-        columns = [_columns(each.landmarks, landmarks) for each in seen]
+        columns = [_indices(each.landmarks, landmarks) for each in seen]
         visible = np.zeros((len(seen), len(landmarks)), dtype=bool)
         for row, own in enumerate(columns):
             visible[row, own] = True
@@ -190,7 +190,7 @@ def _marks_of(seen: Sequence[Observation]) -> dict[str, str]:
 
 
 @lru_cache(maxsize=1024)
-def _columns(names: tuple[str, ...], landmarks: tuple[str, ...]) -> np.ndarray:
+def _indices(names: tuple[str, ...], landmarks: tuple[str, ...]) -> np.ndarray:
     """Columns of names among landmarks, shape (L,)."""
     return np.array([landmarks.index(name) for name in names], dtype=np.int64)
 
@@ -224,12 +224,15 @@ def group_alike(seen: Sequence[Observation]) -> list[tuple[list[int], Observatio
     return [(rows, Observations.of([seen[row] for row in rows])) for rows in groups]
 
 
+def _shapes(seen: Observation) -> list[torch.Size | None]:
+    tensors = [getattr(seen, name) for name in (*_PICTURES, *_EXPECTED)]
+    return [None if each is None else each.shape for each in tensors]
+
+
 def _alike(one: Observation, other: Observation) -> bool:
-    names = (*_PICTURES, *_EXPECTED)
-    shapes = [[None if (each := getattr(seen, name)) is None else each.shape for name in names] for seen in (one, other)]
     marks, others = _marks_of([one]), _marks_of([other])
     return (
-        shapes[0] == shapes[1]
+        _shapes(one) == _shapes(other)
         and one.lens_assumed == other.lens_assumed
         and all(marks.get(name, mark) == mark for name, mark in others.items())
         and (one.label_set is other.label_set or one.label_set == other.label_set)

@@ -45,7 +45,7 @@ class Batch:
     def of(cls, energy: Energy) -> Batch:
         """Make the arrays of the people whose energy this is."""
         people = energy.observations
-        columns = _columns(people.marks, people.points.device)
+        columns = _landmark_indices(people.marks, people.points.device)
         votes = people.points.new_zeros(len(people), len(LANDMARK_NAMES))
         votes[:, columns] = energy.votes
         points = votes.new_zeros(*votes.shape, 2)
@@ -88,7 +88,7 @@ class Batch:
 
 
 @lru_cache(maxsize=256)
-def _columns(marks: tuple[str, ...], device: torch.device) -> torch.Tensor:
+def _landmark_indices(marks: tuple[str, ...], device: torch.device) -> torch.Tensor:
     """Index of each mark in ``LANDMARK_NAMES``, shape (L,)."""
     with torch.inference_mode(False):  # kept for calls outside of it, too
         return torch.tensor([LANDMARK_NAMES.index(mark) for mark in marks], device=device)

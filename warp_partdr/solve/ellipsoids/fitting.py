@@ -28,7 +28,7 @@ from .batch_fits import BatchFits
 from .energy import Energy
 from .network_start import sized, start_from_network, turned_to_lenses
 from .options import FitOptions, drawn_or_not, stages_of
-from .plausibility import find_misfits, find_poor_labels, implausibility
+from .plausibility import far_bodies, find_poor_labels, implausibility
 from .result import FitResult
 from .stage_loop import refine_stages
 from .stages import STAGES, Progress, Quality, Stage
@@ -200,7 +200,7 @@ def _fit_alike(people: CutPeople, plan: _Plan) -> Sequence[FitResult]:
         return fits
     # Far from keypoints that the network itself doubts, its body may be right: a search would follow them.
     form = skeleton(people.skeleton)
-    rows = sorted(find_misfits(fits.parameters, fits.observations, plan.prior, form))
+    rows = sorted(far_bodies(fits.parameters, fits.observations, plan.prior, form))
     if not rows:
         return fits
     stages = drawn_or_not(options.search, labels)
@@ -297,7 +297,7 @@ def _search(people: CutPeople, seen: Observations, stages: Sequence[Stage], plan
 
 def _warnings(bodies: BodyParameters, seen: Observations, people: CutPeople, prior: PosePrior) -> dict[int, list[str]]:
     """Warnings of bodies that lie elsewhere than keypoints and labels, by rows. All keypoints count as they are."""
-    misfits = find_misfits(bodies, seen, prior, skeleton(people.skeleton))
+    misfits = far_bodies(bodies, seen, prior, skeleton(people.skeleton))
     poor = find_poor_labels(bodies, seen)
     return {row: misfits.get(row, []) + poor.get(row, []) for row in misfits | poor}
 

@@ -34,7 +34,7 @@ _FACE = ("nose", "left_eye", "right_eye")
 _EARS = ("left_ear", "right_ear")
 
 
-def find_misfits(bodies: BodyParameters, seen: Observations, prior: PosePrior, form: Skeleton) -> dict[int, list[str]]:
+def far_bodies(bodies: BodyParameters, seen: Observations, prior: PosePrior, form: Skeleton) -> dict[int, list[str]]:
     """Find the bodies that are too far from keypoints or labels.
 
     Args:

@@ -43,7 +43,7 @@ def refine_people(
     found: dict[int, MeshFit] = {}
     for members in overlapping(results):
         some = [results[place] for place in members]
-        found |= zip(members, _fit_people(some, model, options, progress), strict=True)
+        found |= zip(members, _fit_together(some, model, options, progress), strict=True)
     others = [place for place in range(len(results)) if place not in found]
     alone = refine_meshes([results[place] for place in others], model, options=options, progress=progress)
     found |= zip(others, alone, strict=True)
@@ -70,7 +70,7 @@ def _looked(result: FitResult, person: int) -> Looked:
     return Looked(sight, evidence, result.observation, result.crop, body, result.uncertainty)
 
 
-def _fit_people(
+def _fit_together(
     results: Sequence[FitResult], model: DetailedModel | None, options: MeshOptions, progress: Progress | None
 ) -> list[MeshFit]:
     camera = results[0].camera
