@@ -59,7 +59,7 @@ def assert_same(one: object, other: object) -> None:
             assert values[0] == values[1], field.name
 
 
-def test_they_come_back_one_by_one(people: list[CutPerson]) -> None:
+def test_joined_people_come_back_one_by_one(people: list[CutPerson]) -> None:
     stacked = CutPeople.joined([CutPeople.of(people[:1]), CutPeople.of(people[1:])])
     assert stacked.kind == people[0].kind
     for given, found in zip(people, stacked, strict=True):
@@ -78,7 +78,7 @@ def test_network_and_refinement_read_the_same(people: list[CutPerson], device: s
     assert_same(Batch.of(seen, energy), Batch.of_stacked(stacked, energy))
 
 
-def test_those_who_differ_are_stacked_apart(device: str) -> None:
+def test_people_whose_observations_differ_in_kind_are_stacked_apart(device: str) -> None:
     kinds = [(True, None), (False, None), (True, 50.0), (True, None)]
     people = [cut(KEYPOINTS, device, *kind) for kind in kinds]
     assert [places for places, _ in stack_alike(people)] == [[0, 3], [1], [2]]

@@ -145,7 +145,7 @@ def test_people_of_one_picture_share_it_and_its_camera() -> None:
     assert all(cut is not None and (cut[1].labels == IGNORE).any() for cut in found)
 
 
-def test_those_who_need_a_closer_look_are_left() -> None:
+def test_people_who_need_a_closer_look_are_left_to_it() -> None:
     keypoints, parts = example()
     there = LabelledPerson(keypoints, parts)
     assert cut_labels([]) == []
@@ -192,7 +192,7 @@ def test_those_who_need_a_closer_look_are_left() -> None:
 
 
 @pytest.mark.parametrize("form", SKELETONS)
-def test_all_formats(form: str) -> None:
+def test_people_of_each_format_are_cut_out(form: str) -> None:
     keypoints, parts = example()
     (cut,) = assert_as_alone([LabelledPerson(as_format(keypoints, form), parts)])
     assert cut is not None

@@ -114,7 +114,7 @@ def test_people_of_one_picture_share_it_and_its_camera(device):
     assert [evidence.window.size for evidence, _, _ in found] == [mask.shape] * 2
 
 
-def test_nobody_and_those_of_no_use(device):
+def test_nobody_is_cut_out_of_nothing_and_unusable_keypoints_are_refused(device):
     assert cut_masks([], device) == []
     keypoints, mask = example()
     there = MaskedPerson(keypoints, torch.from_numpy(mask), 1)
@@ -129,6 +129,6 @@ def test_nobody_and_those_of_no_use(device):
 
 
 @pytest.mark.parametrize("form", SKELETONS)
-def test_all_formats(form: str) -> None:
+def test_people_of_each_format_are_cut_out(form: str) -> None:
     keypoints, mask = example()
     assert_as_alone([MaskedPerson(as_format(keypoints, form), torch.from_numpy(mask), 1)], "cpu")

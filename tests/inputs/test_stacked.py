@@ -44,7 +44,7 @@ def assert_same(one: Observation, other: Observation) -> None:
         assert torch.equal(getattr(one, name), getattr(other, name)), name
 
 
-def test_each_is_what_it_was_alone(people):
+def test_each_stacked_observation_is_what_it_was_alone(people):
     seen, given = people
     stacked = StackedObservations.of(seen, given)
     assert len(stacked) == 5
@@ -57,7 +57,7 @@ def test_each_is_what_it_was_alone(people):
         assert_same(some[row], seen[1 + row])
 
 
-def test_joined_parts_are_as_all_at_once(people):
+def test_joined_parts_are_the_same_as_all_at_once(people):
     seen, given = people
     whole = StackedObservations.of(seen, given)
     parts = [StackedObservations.of(seen[some], given[some]) for some in (slice(0, 2), slice(2, 3), slice(3, 5))]
