@@ -226,7 +226,7 @@ def test_the_formula_book_needs_numpy_alone():
     }
 
 
-def test_no_circles():
+def test_modules_do_not_import_one_another_in_circles():
     graph = {name: targets - {""} for name, targets in imports().items() if name}  # "": a lazy table of names
     done: set[str] = set()
     path: list[str] = []

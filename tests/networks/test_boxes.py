@@ -69,7 +69,7 @@ def test_detectors_say_what_their_library_does(kind: str, tmp_path: Path) -> Non
         np.testing.assert_allclose(box, wanted[row], atol=1e-3)
 
 
-def test_checkpoints_that_are_refused(tmp_path: Path) -> None:
+def test_checkpoints_that_are_no_detector_of_people_are_refused(tmp_path: Path) -> None:
     pytest.importorskip("transformers", reason="needs the extra photo")
     from warp_partdr.networks.predictors.checkpoints import load_box_network, load_keypoint_network
 

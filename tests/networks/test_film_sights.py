@@ -118,7 +118,7 @@ def test_a_frame_s_sights_are_those_of_a_photo(found: tuple[Networks, Any, FilmS
     assert set(np.unique(small.groups)) == {BACKGROUND, 2, 3}
 
 
-def test_how_many_are_asked_about_at_a_time_does_not_matter(
+def test_the_size_of_batches_changes_no_sight(
     found: tuple[Networks, Any, FilmSights], film: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(film_sights, "_TOGETHER", {"cpu": 1})
@@ -127,7 +127,7 @@ def test_how_many_are_asked_about_at_a_time_does_not_matter(
     np.testing.assert_allclose(single.keypoints, found[2].keypoints, atol=1e-3)
 
 
-def test_a_scene_sees_them(found: tuple[Networks, Any, FilmSights]) -> None:
+def test_a_scene_takes_the_sights_of_the_given_networks(found: tuple[Networks, Any, FilmSights]) -> None:
     _, people, sights = found
     zoom = kept_size(people.image_size)[1] / people.image_size[1]
     rows = people.rows[3:4]
@@ -151,7 +151,7 @@ def test_a_scene_sees_them(found: tuple[Networks, Any, FilmSights]) -> None:
     np.testing.assert_array_equal(half.parts.groups, plain.parts.groups)
 
 
-def test_networks_that_see_nothing(film: Path) -> None:
+def test_networks_that_see_nothing_leave_the_packaged_keypoints(film: Path) -> None:
     blind = GivenNetworks(
         PartNetwork(LSP6, SIZE, lambda pictures: torch.zeros(len(pictures), 8, 8, dtype=torch.long)),
         KeypointNetwork("coco17", SIZE, lambda pictures: torch.zeros(len(pictures), 17, 3)),
@@ -194,7 +194,7 @@ def test_a_run_that_was_ended_asks_nobody_again(found: tuple[Networks, Any, Film
     np.testing.assert_array_equal(kept.keypoints, sights.keypoints)
 
 
-def test_faults(film: Path) -> None:
+def test_arguments_and_networks_at_fault_are_named(film: Path) -> None:
     with pytest.raises(TypeError, match="parts_from: str; expected PartNetwork or None"):
         GivenNetworks("net")  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="networks: NoneType; expected GivenNetworks"):

@@ -69,7 +69,7 @@ def test_the_mask_is_the_person(device):
     np.testing.assert_allclose(person.box, box, atol=3)
 
 
-def test_devices_agree(device):
+def test_devices_find_the_same_person(device):
     (here,), (there,) = example_people(device), example_people("cpu")
     alike(here, there, 0.5)  # TF32
 
@@ -101,7 +101,7 @@ def test_small_people_are_found_in_tiles():
     assert np.linalg.norm(person.keypoints.points - expected, axis=1).mean() < 5
 
 
-def test_two_people_are_two():
+def test_two_people_side_by_side_are_told_apart():
     both = np.concatenate([example(), example()[:, ::-1]], axis=1)
     people = find_people(both)
     assert len(people) == 2
@@ -140,7 +140,7 @@ def test_wrong_arguments_are_named(arguments, message):
         find_people(**{"picture": np.zeros((9, 9, 3), np.uint8), **arguments})
 
 
-def test_films_need_people_of_each_picture():
+def test_previous_people_must_be_given_for_each_picture():
     with pytest.raises(ValueError, match="previous: of 1 pictures; expected 2"):
         find_people_in([np.zeros((9, 9, 3), np.uint8)] * 2, previous=[[]])
 

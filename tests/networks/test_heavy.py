@@ -105,8 +105,8 @@ def test_people_of_several_pictures_keep_their_own() -> None:
     np.testing.assert_allclose(again.keypoints.points, expected.points, atol=1e-2)
 
 
-def test_whom_the_network_takes_for_somebody_else_keeps_their_keypoints() -> None:
-    """Two people in one crop, where the network shows the second: the first one's keypoints stay."""
+def test_a_person_keeps_their_keypoints_when_the_network_shows_another() -> None:
+    """One crop holds two people, and the network shows the second: the first one's keypoints stay."""
     second = example_person("cpu", "full")
     first = replace(second, keypoints=replace(second.keypoints, points=second.keypoints.points + np.float32(200)))
     places = np.full((39, 2), 0.5)
@@ -124,8 +124,8 @@ def test_whom_the_network_takes_for_somebody_else_keeps_their_keypoints() -> Non
     assert with_heavy_landmarks(Drawn(places), [pyramid], [[]]) == [[]]
 
 
-def test_in_float16_it_says_nearly_the_same(device: str) -> None:
-    """Landmarks within half a pixel of 256 on average, and as sure."""
+def test_landmarks_in_float16_are_nearly_the_same(device: str) -> None:
+    """They are within half a pixel of 256 on average, and as sure."""
     networks = packaged_people_networks(device, landmarks="heavy")
     halved = packaged_people_networks(device, half=True, landmarks="heavy")
     assert networks.heavy is not None

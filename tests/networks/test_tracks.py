@@ -113,7 +113,7 @@ def test_a_jump_is_a_cut_if_nobody_stays_where_they_were() -> None:
     assert (set(tracker.find(frame(130, 480), Change.JUMP)), tracker.cut) == ({2, 3}, True)
 
 
-def test_a_jump_to_or_from_nobody() -> None:
+def test_a_jump_is_a_cut_when_somebody_is_lost_and_none_when_nobody_was_there() -> None:
     tracker = PeopleTracker(every=1)
     assert (tracker.find(frame(None)), tracker.cut) == ({}, False)
     assert (set(tracker.find(frame(250), Change.JUMP)), tracker.cut) == ({0}, False)
@@ -185,7 +185,7 @@ def test_who_is_found_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
     assert PeopleTracker().find(frame(250)) == {0: person}
 
 
-def test_likeness_is_of_place_and_outline() -> None:
+def test_likeness_falls_with_distance() -> None:
     first, again, moved, apart = (find_people(frame(left))[0] for left in (40, 44, 100, 420))
     assert likeness(first, first) == pytest.approx(1)
     assert likeness(first, again) > 0.8
