@@ -44,7 +44,7 @@ def networks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_both_networks_from_folders(run: Run, files: Path, networks: Path) -> None:
+def test_both_networks_are_loaded_from_folders(run: Run, files: Path, networks: Path) -> None:
     shutil.copy(EXAMPLE / "photo.png", "whole.png")
     line = f"fit whole.png --parts-from {networks}/segformer --keypoints-from {networks}/vitpose --out out --device cpu"
     code, said, _ = run(line)
@@ -65,7 +65,7 @@ def test_both_networks_from_folders(run: Run, files: Path, networks: Path) -> No
     assert np.median(np.linalg.norm(seen[:, :2] - truth.points, axis=1)) < 20  # cells are 39 pixels wide
 
 
-def test_boxes_from_a_folder(run: Run, files: Path, networks: Path) -> None:
+def test_boxes_come_from_a_detector_in_a_folder(run: Run, files: Path, networks: Path) -> None:
     """A detector that sees nobody leaves nobody to fit; one that sees the person leads to as good a fit."""
     shutil.copy(EXAMPLE / "photo.png", "whole.png")
     tiny_detector("yolos", Path("yolos"), {0: "person"})

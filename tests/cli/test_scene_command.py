@@ -211,7 +211,7 @@ def test_photos_are_films_of_one_moment(run: Run, unplaced: SceneSample) -> None
         ),
     ],
 )
-def test_faults(run: Run, films: int, line: str, words: list[str]) -> None:
+def test_faults_are_refused_before_anything_is_written(run: Run, films: int, line: str, words: list[str]) -> None:
     rig = json.loads(Path("rig.json").read_text())["cameras"]
     Path("one.json").write_text(json.dumps({"cameras": {"left": rig["left"]}}))
     Path("text.mp4").write_text("no film")

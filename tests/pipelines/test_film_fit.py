@@ -199,7 +199,7 @@ def test_a_stature_of_several_people_is_whose(people: FilmPeople, monkeypatch: p
         fit_film([SeenFilm.of(people)] * 2, options=replace(QUICK, stature=1.8))
 
 
-def test_faults(people: FilmPeople, tmp_path: Path) -> None:
+def test_films_people_and_options_at_fault_are_named(people: FilmPeople, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="films: none; expected at least one"):
         fit_film([])
     with pytest.raises(TypeError, match="options: dict; expected SceneOptions or None"):

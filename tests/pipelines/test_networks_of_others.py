@@ -102,7 +102,9 @@ def test_sides_that_the_network_exchanged_are_set_right(found: FoundPerson, with
     assert part_f1(swapped) == pytest.approx(part_f1(with_parts), abs=0.01)
 
 
-def test_keypoints_and_parts_together(found: FoundPerson, alone: PhotoFit, device: str) -> None:
+def test_keypoints_and_parts_of_given_networks_are_taken_together(
+    found: FoundPerson, alone: PhotoFit, device: str
+) -> None:
     given = {"parts_from": part_network(found), "keypoints_from": keypoint_network(found)}
     both = fit_photo(PHOTO, options=FAST, device=device, **given)  # type: ignore[arg-type]
     assert both.fits[0].ellipbody.warnings == ()

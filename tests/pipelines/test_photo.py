@@ -59,7 +59,7 @@ def test_the_example_s_person_is_near_the_truth(device):
     assert found.hidden_by(0) == []
 
 
-def test_half_a_body_of_a_real_photo(device):
+def test_half_a_body_of_a_real_photo_is_fitted(device):
     photo = read_photo(EXAMPLE / "astronaut.jpg")
     found = fit_photo(photo, options=FAST, device=device)
     assert list(found.fits) == [0]
@@ -165,7 +165,7 @@ def test_a_person_hidden_by_another_is_told(everyone):
     assert found.hidden_by(1) == []
 
 
-def test_files_of_everyone(everyone, tmp_path):
+def test_files_of_everyone_are_saved_and_older_ones_go(everyone, tmp_path):
     trimesh = pytest.importorskip("trimesh")
     photo, found = everyone
     old = tmp_path / "person7"
