@@ -31,9 +31,9 @@ def named_joints(middle: Mapping[str, str], limbs: str, sides: Mapping[str, str]
     """SMPL's name of each of a rig's joints.
 
     Args:
-        middle: Of those of no side.
-        limbs: The others without their sides: "upleg hip, lowleg knee".
-        sides: What the rig puts before a joint's name for "left" and for "right".
+        middle: SMPL's name of each joint in the middle of the body, by the rig's name.
+        limbs: Names of the other joints without their sides, in pairs of the rig and SMPL: "upleg hip, lowleg knee".
+        sides: Prefix of the rig's joint names for "left" and for "right".
     """
     pairs = [pair.split() for pair in limbs.split(", ")]
     return {**middle, **{f"{sides[side]}{own}": f"{side}_{smpl}" for side in sides for own, smpl in pairs}}
@@ -96,13 +96,14 @@ def rig_model(
     """Model of a rig.
 
     Args:
-        kind: The model's name.
-        rig: Where its mesh and skeleton come from.
-        names_of_smpl: SMPL's name of joints that both have; fingers may lack. The spine's are found by the tree.
-        moves: Change by each shape value.
-        weights: Skin weights of the joints, in any sum, shape (V, J).
-        device: Of the model.
-        dtype: Of the model.
+        kind: Name of the model.
+        rig: Rig with the mesh and the skeleton.
+        names_of_smpl: SMPL's name of joints that both have. Fingers may be missing. Those of the spine are found by the
+            tree.
+        moves: Changes of the body by each shape value.
+        weights: Skin weights of the joints, whose sums are normalised, shape (V, J).
+        device: Device of the model.
+        dtype: Dtype of the model.
 
     Raises:
         InputError: If a joint is missing.
