@@ -61,9 +61,9 @@ def average_boxes(boxes: np.ndarray, scores: np.ndarray, pictures: np.ndarray) -
     """One box a person: the mean, by score, of those that overlap the best of them.
 
     Args:
-        boxes: Shape (N, 6, 2).
-        scores: Shape (N,).
-        pictures: Which picture each is of, shape (N,).
+        boxes: Boxes, shape (N, 6, 2).
+        scores: Score of each box, shape (N,).
+        pictures: Index of each box's picture, shape (N,).
 
     Returns:
         Boxes, shape (M, 6, 2), the best score of each, shape (M,), and its picture, shape (M,): picture by picture,

@@ -40,11 +40,11 @@ class TurnedCrops:
     """N crops of pictures, square unless ``aspect`` says else.
 
     Attributes:
-        centres: [px], shape (N, 2), float64.
+        centres: Centres [px], shape (N, 2), float64.
         sides: Heights [px], shape (N,).
-        angles: Turn of the crop's x axis from the picture's, clockwise as seen [rad], shape (N,).
-        pictures: Index of the picture that each is of, shape (N,), int64.
-        aspect: Width of all, as a share of the height.
+        angles: Angle from the picture's x axis to the crop's, clockwise as seen [rad], shape (N,).
+        pictures: Index of each crop's picture, shape (N,), int64.
+        aspect: Width of every crop, as a share of the height.
     """
 
     centres: np.ndarray
@@ -245,8 +245,8 @@ def cut_crops(
     Args:
         pyramids: The pictures.
         crops: N crops of them.
-        size: (H, W) [px] that the crops get, or the side of a square.
-        beyond: "zeros": it is black beyond the picture; "border": the border goes on.
+        size: Height and width (H, W) that the crops get [px], or the side of a square.
+        beyond: Filling beyond the picture: "zeros" is black, and "border" repeats the border.
 
     Returns:
         0 to 1, shape (N, 3, H, W).

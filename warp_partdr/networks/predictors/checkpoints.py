@@ -72,10 +72,11 @@ def load_keypoint_network(
     """Load a ViTPose or ViTPose+ network for keypoints.
 
     Args:
-        name: As of ``load_part_network``; "NAME+NAME" has the name of a ``load_box_network`` behind it.
-        skeleton: Keypoint format of its points; None: the one that their number tells.
+        name: Name or folder as in ``load_part_network``. "NAME+NAME" names a ``load_box_network``, too, behind the plus
+            sign.
+        skeleton: Keypoint format of its points. If it is None, their number tells it.
         device: Device to run on.
-        say: Told what is downloaded and loaded.
+        say: Function that is told what is downloaded and loaded.
 
     Raises:
         InputError: If there is no such checkpoint, it has another task, or its keypoints are of no known format.
@@ -112,9 +113,9 @@ def load_box_network(name: str, *, device: torch.device | str = "cpu", say: Say 
     """Load a network with a class "person" that ``transformers.AutoModelForObjectDetection`` knows, such as RT-DETR.
 
     Args:
-        name: As of ``load_part_network``.
+        name: Name or folder as in ``load_part_network``.
         device: Device to run on.
-        say: Told what is downloaded and loaded.
+        say: Function that is told what is downloaded and loaded.
 
     Raises:
         InputError: If there is no such checkpoint, it has another task, or no class "person".

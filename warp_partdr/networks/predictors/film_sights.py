@@ -35,8 +35,8 @@ class GivenNetworks:
     """Networks of others for films; None: the packaged one's keypoints, or its masks, serve.
 
     Attributes:
-        parts_from: For part labels instead of masks, of ``load_part_network`` or of your own.
-        keypoints_from: For keypoints, likewise.
+        parts_from: Network for part labels instead of masks, which ``load_part_network`` returns or you make.
+        keypoints_from: Network for keypoints, which ``load_keypoint_network`` returns or you make.
     """
 
     parts_from: PartNetwork | None = None
@@ -58,11 +58,12 @@ class FilmSights:
 
     Attributes:
         networks: The networks.
-        frames: Of the rows, shape (N,), int64.
-        places: Of the rows, shape (N,), int64.
-        keypoints: x, y [px] and confidence, shape (N, K, 3), float32; 0 where the network sees nobody. K may be 0.
-        size: (H, W) of the labels: ``kept_size`` of the film.
-        packed: Labels of groups, uint8, compressed; empty where the network sees no part.
+        frames: Frame of each row, shape (N,), int64.
+        places: Index of the person in the frame's ``owners``, for each row, shape (N,), int64.
+        keypoints: Points x, y [px] and confidence, shape (N, K, 3), float32. They are 0 where the network sees nobody.
+            K may be 0.
+        size: Height and width (H, W) of the labels: ``kept_size`` of the film.
+        packed: Compressed labels of groups, uint8. They are empty where the network sees no part.
     """
 
     networks: GivenNetworks
@@ -159,10 +160,11 @@ def find_film_sights(
     Args:
         path: The film.
         networks: The networks, on the device.
-        min_score: As of ``find_film_people``, like what follows.
+        min_score: Least confidence, as in ``find_film_people``.
         device: Device to run on.
-        progress: Told frames done and in all.
-        landmarks: As of ``find_film_people``; where the networks say keypoints, these serve where they see nobody.
+        progress: Function that is told the frames done and their total number.
+        landmarks: Network whose keypoints are taken, as in ``find_film_people``. If the given networks find keypoints,
+            these serve where they see nobody.
 
     Raises:
         InputError: As of ``find_film_people``, or if a network gives something else than it says.
@@ -198,10 +200,10 @@ class _Waiting:
     """Person about whom the networks are to be asked.
 
     Attributes:
-        key: Frame and place.
-        person: In the film's pixels.
-        parts: Places the labels in the frame.
-        pictures: Of the person, by the network's name, (1, 3, H, W).
+        key: Frame, and index in the frame's ``owners``.
+        person: Person in the film's pixels.
+        parts: Object that places the labels in the frame.
+        pictures: Pictures of the person, by the network's name, each of shape (1, 3, H, W).
     """
 
     key: tuple[int, int]
@@ -216,10 +218,10 @@ class _Asked:
 
     Attributes:
         networks: The networks.
-        device: Theirs.
+        device: Device of the networks.
         waiting: People who wait until there are enough of them.
-        keypoints: What was found, by frame and place.
-        packed: Likewise, of labels.
+        keypoints: Keypoints that were found, by frame and index.
+        packed: Labels that were found, by frame and index.
     """
 
     networks: GivenNetworks

@@ -29,8 +29,8 @@ class SaidParts:
     """Answer of a network about one person's crop.
 
     Attributes:
-        maps: Of background and groups, shape (G + 1, h, w), on CPU.
-        soft: True of probabilities, False of ids.
+        maps: Maps of the background and the groups, shape (G + 1, h, w), on CPU.
+        soft: True for probabilities, False for ids.
     """
 
     maps: torch.Tensor
@@ -41,10 +41,10 @@ class PlacedParts:
     """Part labels of people in one picture, from what a network said about each one's crop.
 
     Args:
-        network: Said them.
-        people: Everyone there, in pixels of ``owners``.
-        owners: Whom each pixel shows, of ``instance_map``, shape (H, W).
-        keeps_maps: Keep probabilities beside the labels.
+        network: Network that made the labels.
+        people: All people in the picture, in pixels of ``owners``.
+        owners: Number of the person that each pixel shows, as in ``instance_map``, shape (H, W).
+        keeps_maps: True keeps probabilities beside the labels.
     """
 
     def __init__(
@@ -82,11 +82,11 @@ class PeopleParts:
     """Part labels of people in one picture.
 
     Args:
-        network: Says them.
-        picture: On the network's device.
-        people: Everyone there.
-        owners: Whom each pixel shows, of ``instance_map``, shape (H, W).
-        count: People whose labels are wanted.
+        network: Network that makes the labels.
+        picture: Picture on the network's device.
+        people: All people in the picture.
+        owners: Number of the person that each pixel shows, as in ``instance_map``, shape (H, W).
+        count: Number of people whose labels are wanted.
     """
 
     def __init__(

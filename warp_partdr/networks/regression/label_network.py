@@ -100,8 +100,8 @@ def label_shares(groups: torch.Tensor, tables: torch.Tensor, which: torch.Tensor
 
     Args:
         groups: Group ids, shape (B, S, S), of any number type.
-        tables: Of N label sets, shape (N, 256, 22).
-        which: The set of each image, shape (B,), int64.
+        tables: Tables of N label sets, shape (N, 256, 22).
+        which: Index of each image's label set, shape (B,), int64.
 
     Returns:
         Shape (B, 22, S, S), channels last in memory, the dtype of ``tables``.
@@ -122,9 +122,9 @@ def map_shares(maps: torch.Tensor, known: torch.Tensor, table: torch.Tensor) -> 
     """Shares of the parts, background and unknown from probability maps.
 
     Args:
-        maps: Of the groups 1 to G, shape (B, G, S, S).
-        known: What is missing to 1 is unknown, shape (B, S, S).
-        table: Of the label set, shape (256, 22).
+        maps: Probability maps of the groups 1 to G, shape (B, G, S, S).
+        known: Share of each pixel that is known, shape (B, S, S). The rest, up to 1, is unknown.
+        table: Table of the label set, shape (256, 22).
     """
     known = known[:, None]
     background = (known - maps.sum(1, keepdim=True)).clamp_min(0.0)
@@ -207,9 +207,10 @@ class LabelNetwork(nn.Module):
         """Bodies.
 
         Args:
-            shares: From ``label_shares`` or ``map_shares``, shape (B, 22, S, S); more channels, of zeros, may follow.
+            shares: Shares that ``label_shares`` or ``map_shares`` returns, shape (B, 22, S, S). More channels, of
+                zeros, may follow.
             keypoints: Crop coordinates and confidence, all 0 where missing (``network_keypoints``), shape (B, 24, 3).
-            conditions: From ``network_conditions``, shape (B, 6).
+            conditions: Conditions that ``network_conditions`` returns, shape (B, 6).
         """
         return self.bodies(self.features(shares, keypoints, conditions), keypoints)
 

@@ -149,8 +149,8 @@ def predict_bodies(observations: Sequence[Observation], network: LabelNetwork) -
     """Predict bodies from observations, without refinement.
 
     Args:
-        observations: N people, on the network's device; ``observe`` makes them.
-        network: In evaluation mode.
+        observations: Observations of N people, on the network's device. ``observe`` makes them.
+        network: Network in evaluation mode.
 
     Returns:
         N bodies in their crops.
