@@ -46,9 +46,9 @@ class CocoAnnotation:
     """An annotation of a person.
 
     Attributes:
-        entry: Its entry in the list annotations.
-        image: Entry of its picture in the list images, which may state a size.
-        form: Skeleton of its keypoints; None: their number tells.
+        entry: Entry of the annotation in the list annotations.
+        image: Entry of its picture in the list images. It may state a size.
+        form: Skeleton of the keypoints. If it is None, their number tells it.
     """
 
     entry: Mapping[str, Any]
@@ -81,10 +81,10 @@ class CocoPictures:
     """Pictures of a COCO file of annotations, with its people: keypoints, and masks where all have one.
 
     Attributes:
-        folder: Of the pictures.
-        annotations: Of people, by the picture's file_name.
+        folder: Folder of the pictures.
+        annotations: Annotations of people, by the picture's file_name.
         digest: SHA-256 of the file.
-        skeleton: Format of the keypoints that rows have: that of most annotations.
+        skeleton: Format of the keypoints that rows have, which is that of most annotations.
         warnings: Sentences about what was left out of the file.
     """
 
@@ -171,8 +171,9 @@ def open_coco(path: Path, folder: Path, keypoint_format: Skeleton | None = None)
 
     Args:
         path: The file.
-        folder: Of the pictures.
-        keypoint_format: Format of all keypoints; None: the names in the file's categories tell, or their number.
+        folder: Folder of the pictures.
+        keypoint_format: Format of all keypoints. If it is None, the names in the file's categories tell it, or the
+            number of keypoints.
 
     Raises:
         InputError: If it can't be read or is none, two pictures have one id, or no annotation is of a person in one of
@@ -407,9 +408,9 @@ def decode_runs(given: Mapping[str, Any], size: tuple[int, int], where: str) -> 
     Own, for it is short and lengths of files by others are checked; pycocotools writes what they say.
 
     Args:
-        given: With "size" and "counts".
-        size: (H, W) of the picture.
-        where: Begins messages.
+        given: Mapping with "size" and "counts".
+        size: Height and width (H, W) of the picture [px].
+        where: Beginning of messages, such as the file's name.
 
     Returns:
         Shape (H, W), bool.

@@ -48,9 +48,9 @@ class Cut:
     """People cut out of some pictures.
 
     Attributes:
-        pictures: Their names.
-        rows: Of these.
-        people: Those who are alike together, with their rows' numbers.
+        pictures: Names of the pictures.
+        rows: Rows of the people.
+        people: Groups of people of the same kind, with their rows' indices.
     """
 
     pictures: tuple[str, ...]

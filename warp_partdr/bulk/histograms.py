@@ -36,9 +36,9 @@ class Histogram:
     """Counts of numbers of 0 or more, 0.05 % apart at most.
 
     Attributes:
-        total: How many were added.
-        low: The smallest.
-        high: The largest.
+        total: Count of the numbers that were added.
+        low: Smallest number.
+        high: Largest number.
     """
 
     total: int = 0

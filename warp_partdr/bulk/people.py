@@ -67,13 +67,13 @@ class PeopleFitter:
     """Fitter of everyone in pictures: it finds people, predicts their bodies and refines them.
 
     Attributes:
-        options: Of the fits, such as ``stages_of_quality``; with ``half``, people are found in float16 on CUDA.
-        network: On the device, in evaluation mode.
-        model: On the device; with one, the mesh stage makes the detailed body, too.
-        device: "cpu" or a CUDA device.
-        batch: People that are fitted at a time.
-        min_score: Least confidence that there is a person, of those who are found.
-        cutter: Cuts people out of pictures.
+        options: Options of the fits, such as ``stages_of_quality``. With ``half``, people are found in float16 on CUDA.
+        network: Network on the device, in evaluation mode.
+        model: Detailed model on the device. If there is one, the mesh stage makes the detailed body, too.
+        device: Device, "cpu" or a CUDA device.
+        batch: Number of people that are fitted at a time.
+        min_score: Least confidence that there is a person, for people who are found.
+        cutter: Object that cuts people out of pictures.
     """
 
     options: FitOptions
@@ -92,9 +92,10 @@ class PeopleFitter:
         Rows are the same whatever is fitted beside them.
 
         Args:
-            pool: Of so many ``workers``, which find and fit people.
-            pictures: Names, and pictures, or why they can't be read; or people cut out of some.
-            tell: Called with each picture's name.
+            pool: Pool with ``workers`` threads, which find and fit people.
+            pictures: Names with pictures, or with the reason why they can't be read, or people cut out of some
+                pictures.
+            tell: Function that is called with each picture's name.
         """
         taken = _Taken(self, pool)
         for given in pictures:

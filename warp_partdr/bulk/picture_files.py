@@ -58,17 +58,18 @@ class PictureFiles:
     """Photos, frames of films, and photos of tar files, in a folder.
 
     Attributes:
-        folder: From which on names are paths.
-        names: "a/7.jpg"; "film.mp4#0" and so on; "a.tar#7.jpg". What is only in part there has its own name, too, and
-            reading that tells why.
+        folder: Folder that the names are relative to.
+        names: Names of the pictures: "a/7.jpg", "film.mp4#0" and so on, "a.tar#7.jpg". A picture that is only in part
+            there has its own name, too, and reading it tells why.
         containers: Films and tar files among them.
-        skeleton: Format of the first keypoints; without any, that of people who are found.
-        digest: SHA-256 of names and sizes of the files beside photos, and of the label set; None without such files.
-        labels: What the ids of part labels mean.
-        left_out: A line that counts files which are no photos, by their endings and reasons; "" without any.
-        keypoint_format: Format of all keypoints, as the user says; None: the files tell.
-        spans: Of photos in tar files, where these and the files beside them are: start and size by ``ENDINGS``, -1
-            where there is none, shape (number of names, 3, 2). Whoever has a copy need not read the tar files' headers.
+        skeleton: Format of the first keypoints. Without any, it is that of people who are found.
+        digest: SHA-256 of names and sizes of the files beside photos, and of the label set. It is None without such
+            files.
+        labels: Label set that tells what the ids of part labels mean.
+        left_out: Line that counts files which are no photos, by their endings and reasons. It is "" without any.
+        keypoint_format: Format of all keypoints, as the user says. If it is None, the files tell it.
+        spans: Start and size of each photo in a tar file and of the files beside it, by ``ENDINGS``, -1 where there is
+            none, shape (number of names, 3, 2). Whoever has a copy need not read the tar files' headers.
     """
 
     folder: Path
@@ -181,10 +182,10 @@ def open_files(
     """Open photos, films and tar files by their paths from a folder on.
 
     Args:
-        folder: The source's.
-        entries: In the order in which their pictures are to come.
-        labels: Name or JSON file of the label set of part labels; None: ``labels.json`` in the folder.
-        keypoint_format: Format of all keypoints; None: the files tell.
+        folder: Folder of the source.
+        entries: Paths in the order in which their pictures are to come.
+        labels: Name or JSON file of the label set of part labels. If it is None, it is ``labels.json`` in the folder.
+        keypoint_format: Format of all keypoints. If it is None, the files tell it.
         left_out: Files of the folder that are none of these.
 
     Raises:

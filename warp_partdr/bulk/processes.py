@@ -44,10 +44,10 @@ def read_in_processes(
     """Read pictures in order, some groups ahead, by torch's ``DataLoader``.
 
     Args:
-        source: Of the pictures.
-        cutter: Of the people.
+        source: Source of the pictures.
+        cutter: Object that cuts people out of pictures.
         shards: Names of each shard's pictures.
-        processes: So many.
+        processes: Number of processes.
 
     Returns:
         What ``PeopleFitter.rows`` takes, of each shard.

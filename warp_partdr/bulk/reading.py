@@ -54,7 +54,7 @@ class PeopleFiles:
     """Shards of a data set that are there.
 
     Attributes:
-        folder: Of the data set.
+        folder: Folder of the data set.
         paths: Files by the number of the shard, in order.
         expected: Number of shards of the whole data set.
     """
@@ -195,8 +195,8 @@ class PersonRow:
     """A body in a row, as the fit had it.
 
     Attributes:
-        address: Of the row.
-        row: All that is in it.
+        address: Address of the row.
+        row: Values of all its columns.
         saved: EllipBody and camera.
     """
 

@@ -80,8 +80,8 @@ class RowPart:
     """Some columns of some rows.
 
     Attributes:
-        rows: Numbers of the rows, shape (N,).
-        columns: Their values by the column's name.
+        rows: Indices of the rows, shape (N,).
+        columns: Values of the columns, by the column's name.
     """
 
     rows: np.ndarray

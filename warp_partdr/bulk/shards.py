@@ -34,16 +34,16 @@ class Tally:
     """Numbers of what a run wrote, and of what failed.
 
     Attributes:
-        shards: Made, or made whole.
-        pictures: Tried by the run.
-        people: Bodies in their rows.
-        errors: Of their rows, those with an error.
-        unread: Pictures that another run reads again.
-        rows: Of the whole shards, also of pictures that an earlier run read.
-        failures: Of these, rows with an error.
-        first_error: The first row's error with its picture's name.
-        annotations: Rows with a warning about their annotations.
-        first_annotation: The first such warning with its picture's name.
+        shards: Number of shards that were made, or made whole.
+        pictures: Number of pictures that the run tried.
+        people: Number of bodies in their rows.
+        errors: Number of their rows with an error.
+        unread: Number of pictures that another run reads again.
+        rows: Number of rows in the whole shards, also of pictures that an earlier run read.
+        failures: Number of these rows with an error.
+        first_error: Error of the first row that has one, with its picture's name.
+        annotations: Number of rows with a warning about their annotations.
+        first_annotation: First such warning, with its picture's name.
     """
 
     shards: int = 0
@@ -66,10 +66,10 @@ class Tally:
         """Count a shard.
 
         Args:
-            pictures: Number of those that were read.
-            table: Their rows, with the columns ``TALLIED``.
+            pictures: Number of pictures that were read.
+            table: Rows of these pictures, with the columns ``TALLIED``.
             unread: Number of pictures that another run is to read again.
-            whole: All rows of the shard.
+            whole: Rows of the whole shard.
         """
         faults = table.filter(table["error"].is_valid())
         self.shards += 1
@@ -94,11 +94,11 @@ class Shards:
     """Shards of a data set in a folder.
 
     Attributes:
-        folder: Made when the first shard is written.
-        names: Of all pictures, in order.
-        size: Pictures of a shard; the last may have fewer.
-        options: All that rows depend on beside the pictures, of what JSON takes.
-        about: More to be stated, such as versions.
+        folder: Folder of the data set. It is made when the first shard is written.
+        names: Names of all pictures, in order.
+        size: Number of pictures in a shard. The last may have fewer.
+        options: Options that rows depend on, in addition to the pictures, as values that JSON takes.
+        about: Further facts to be stated, such as versions.
     """
 
     folder: Path
