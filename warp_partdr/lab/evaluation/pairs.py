@@ -26,8 +26,8 @@ def compare_pairs(report: Report, pairs: Sequence[tuple[str, str]]) -> Iterator[
     """Differences between two methods on the same samples, with 95 % intervals over people.
 
     Args:
-        report: Of ``evaluate``.
-        pairs: Names of methods: the first minus the second.
+        report: Report that ``evaluate`` returned.
+        pairs: Names of two methods each. The difference is the first minus the second.
 
     Yields:
         Source, and a sentence about a pair, for each pair that a source's samples were fitted by.

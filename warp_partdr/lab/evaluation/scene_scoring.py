@@ -35,9 +35,10 @@ class SceneBodies:
     """Bodies of a scene's people: of one fit, or of several, each of some of the people or one of the frames.
 
     Attributes:
-        fits: In the order of people, or of frames.
-        smoothing: Standard deviation of the Gaussian by which all points are smoothed in time [frames]; 0: not at all.
-        by_frame: Fits are of one frame each.
+        fits: Fits in the order of people, or of frames.
+        smoothing: Standard deviation of the Gaussian by which all points are smoothed in time [frames]. If it is 0,
+            they are not smoothed.
+        by_frame: True if each fit is of one frame.
     """
 
     fits: Sequence[SceneFit]

@@ -91,9 +91,9 @@ def score_fit(
     Args:
         sample: The person.
         method: Name of the method.
-        result: Of ``Method.fit``.
+        result: Result of ``Method.fit``.
         seconds: Duration of the fit.
-        vertices: Of the result's mesh, if it and the sample have one, in its camera frame, shape (V, 3) [m].
+        vertices: Vertices of the result's mesh in its camera frame, if it and the sample have one, shape (V, 3) [m].
     """
     sure = sample.keypoints.confident
     form = sample.keypoints.format

@@ -89,11 +89,11 @@ class _View:
 
     Attributes:
         picture: RGB, shape (H, W, 3), uint8.
-        moment: Number of the person, or of the moment; views of one are no independent samples.
-        joints: In the camera's frame [m], shape (12, 3).
-        points: In the picture [px], shape (12, 2).
-        height: The person's in the picture [px].
-        compared: Whether ``points`` are near enough to the truth to compare keypoints with them.
+        moment: Number of the person, or of the moment. Views with the same number are no independent samples.
+        joints: Joints in the camera's frame [m], shape (12, 3).
+        points: Joints in the picture [px], shape (12, 2).
+        height: Height of the person in the picture [px].
+        compared: True if ``points`` are near enough to the truth to compare keypoints with them.
     """
 
     picture: np.ndarray
@@ -121,9 +121,9 @@ class _FilmTruth:
     """Truth about the twelve joints in a film by C cameras.
 
     Attributes:
-        frames: Those that are taken as photos, shape (T,).
-        points: In the pictures, as they show them [px], shape (C, F, 12, 2).
-        joints: Likewise, in the cameras' frames [m], shape (C, F, 12, 3).
+        frames: Frames that are taken as photos, shape (T,).
+        points: Joints in the pictures, as they show them [px], shape (C, F, 12, 2).
+        joints: Joints in the cameras' frames [m], shape (C, F, 12, 3).
     """
 
     frames: np.ndarray

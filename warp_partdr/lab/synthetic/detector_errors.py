@@ -75,7 +75,7 @@ class DetectorErrors:
         Args:
             points: True places of ``LANDMARKS``, shape (B, 24, 2).
             states: ``SEEN``, ``HIDDEN`` or ``BEYOND``, shape (B, 24).
-            stature: Of the people as they are seen, in the unit of ``points``, shape (B,).
+            stature: Stature of the people as they are seen, in the unit of ``points``, shape (B,).
 
         Returns:
             Places and confidence, all 0 where missing, shape (B, 24, 3), and the errors, shape (B, 24, 2). Nothing that

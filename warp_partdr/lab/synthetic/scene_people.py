@@ -54,15 +54,16 @@ class SceneSample:
     """A scene and its truth.
 
     Attributes:
-        name: Such as "person 007", of PartBench.
-        scene: As it is seen, with noise.
-        joints: LSP's 14 joints in the world [m], shape (P, T, 14, 3).
-        vertices: Anny's in the world [m], shape (P, T, V, 3).
-        statures: Of people standing [m], shape (P,).
+        name: Name in PartBench, such as "person 007".
+        scene: Scene as it is seen, with noise.
+        joints: Joints of LSP, 14 of them, in the world [m], shape (P, T, 14, 3).
+        vertices: Vertices of Anny in the world [m], shape (P, T, V, 3).
+        statures: Height of each person standing [m], shape (P,).
         parts: True labels of each picture, shape (T V, H, W): person 20 + part, 0 = background.
         source: Group whose figures are pooled.
-        wrong_order: A fit is to start with the two exchanged in depth, as ``in_wrong_order`` does.
-        slots: People at most in scenes whose figures are pooled with its; 0: as many as here.
+        wrong_order: True if a fit is to start with the two exchanged in depth, as ``in_wrong_order`` does.
+        slots: Greatest number of people in scenes whose figures are pooled with its own. If it is 0, it is the number
+            here.
     """
 
     name: str

@@ -52,10 +52,10 @@ def run_training(config: TrainingConfig, *, resume: bool = False, device: str = 
     Started by ``torchrun`` or ``accelerate launch`` it is one of several processes that train together.
 
     Args:
-        config: All numbers.
-        resume: Go on from the newest checkpoint in ``config.out``, where there is one.
-        device: "auto", "cpu" or "cuda".
-        bits: Of the trained network's weights in their file, 32, 16 or 8; see ``NetworkFiles.save``.
+        config: Numbers of the run.
+        resume: True goes on from the newest checkpoint in ``config.out``, where there is one.
+        device: Device, "auto", "cpu" or "cuda".
+        bits: Bits of each weight of the trained network in its file, 32, 16 or 8, see ``NetworkFiles.save``.
 
     Raises:
         InputError: If the folder holds a run and ``resume`` is not set; if a checkpoint is damaged or of another

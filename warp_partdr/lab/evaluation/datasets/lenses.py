@@ -14,8 +14,8 @@ def find_lens(joints: np.ndarray, keypoints: np.ndarray) -> tuple[np.ndarray, np
     """Pinhole camera that shows points where they are seen, by linear least squares.
 
     Args:
-        joints: In the camera frame, shape (..., 3).
-        keypoints: In its picture [px], shape (..., 2).
+        joints: Joints in the camera frame, shape (..., 3).
+        keypoints: Keypoints in its picture [px], shape (..., 2).
 
     Returns:
         Focal lengths (f_x, f_y) and principal point (u, v) [px], shape (2,) each.

@@ -33,8 +33,8 @@ class Trajectories:
     """Joints of one person over time.
 
     Attributes:
-        names: Of J joints or markers.
-        points: In the world [m], shape (T, J, 3); NaN where unknown.
+        names: Names of the J joints or markers.
+        points: Points in the world [m], shape (T, J, 3). They are NaN where unknown.
         frames: Number of each moment, rising, shape (T,), whole numbers.
 
     Raises:

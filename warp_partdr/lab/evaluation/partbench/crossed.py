@@ -49,8 +49,8 @@ class CrossedSample(Sample):
     """Body of which keypoints tell all but the depth order of a limb.
 
     Attributes:
-        truth: The body, in the picture of side 2.
-        wrong: The same with the limb mirrored in depth.
+        truth: Body in the picture of side 2.
+        wrong: Body with the limb mirrored in depth.
     """
 
     truth: BodyParameters = field(default_factory=lambda: BodyParameters.mean(1))

@@ -72,11 +72,11 @@ def write_report(
     """Write tables, findings and the worst fits, which are fitted once more to be drawn, as HTML.
 
     Args:
-        path: Of the file.
-        report: Of ``evaluate`` on ``samples`` by ``methods``.
-        samples: People fitted.
-        methods: By name.
-        measured_with: Machine, versions and so on.
+        path: Path of the file.
+        report: Report that ``evaluate`` returned for ``samples`` and ``methods``.
+        samples: People that were fitted.
+        methods: Methods by name.
+        measured_with: Facts about the machine, versions and so on.
         device: "cpu" or a CUDA device.
     """
     console = Console(width=170, record=True, file=io.StringIO(), highlight=False)
