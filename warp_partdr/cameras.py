@@ -76,7 +76,7 @@ class WeakPerspective(Movable):
         """Make cameras from HMR's (s, t_x, t_y) of a square crop: x = s (X + t_x) in [-1, 1] (Kanazawa et al., 2018).
 
         Args:
-            parameters: Shape (B, 3).
+            parameters: Parameters (s, t_x, t_y), shape (B, 3).
             image_size: Side of the crop [px].
 
         Returns:

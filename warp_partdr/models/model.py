@@ -35,8 +35,8 @@ class Detailed(Movable):
     """Posed bodies, in the frame of the translation [m].
 
     Attributes:
-        vertices: Shape (B, V, 3).
-        joints: Shape (B, J, 3).
+        vertices: Vertices [m], shape (B, V, 3).
+        joints: Joints [m], shape (B, J, 3).
         transforms: Each joint's frame, its rotation from rest and its position, shape (B, J, 4, 4).
     """
 

@@ -47,10 +47,10 @@ class Ellipsoids(Movable):
     """B times P ellipsoids in the camera frame; ``Posed`` has the same fields and serves as well.
 
     Attributes:
-        centres: Shape (B, P, 3) [m].
+        centres: Centres [m], shape (B, P, 3).
         axes: Orthonormal axes as columns, shape (B, P, 3, 3): rotations, or reflections (determinant -1), which make
             the same ellipsoids.
-        semi_axes: Shape (B, P, 3) [m].
+        semi_axes: Semi-axes [m], shape (B, P, 3).
     """
 
     centres: torch.Tensor

@@ -77,7 +77,7 @@ def real_methods(
     Args:
         camera: A sample's is given.
         stature: A sample's is given, or one for all [m].
-        network: File of a label network of `partdr train`; None: the packaged one.
+        network: File of a label network of `partdr train`. If it is None, the packaged one is taken.
     """
     options = FitOptions(network=network, stature=None if isinstance(stature, bool) else stature)
     told = stature is True

@@ -137,7 +137,7 @@ class _Pictures:
     """Pictures of one size at their full size and at halves of it, on one device.
 
     Args:
-        pixels: Shape (N, H, W, 3), uint8.
+        pixels: Colours of the pictures, shape (N, H, W, 3), uint8.
     """
 
     def __init__(self, pixels: torch.Tensor) -> None:

@@ -35,7 +35,7 @@ def load_part_network(
 
     Args:
         name: A folder, a name of the Hub that is in the local cache, or ``hf:`` and a name, which may be downloaded.
-        labels: Label set of its classes; None: the known one with the same names.
+        labels: Label set of its classes. If it is None, it is the known set with the same names.
         device: Device to run on.
         say: Told what is downloaded and loaded.
 

@@ -143,7 +143,7 @@ def network_conditions(
     Args:
         lenses: Focal length and principal point in crop coordinates, shape (B, 3).
         certainty: Certainty of each lens: ``KNOWN_LENS``, ``USUAL_LENS``, or 0 where nothing is known, shape (B,).
-        statures: Known statures [m], 0 where unknown, shape (B,); None: none is known.
+        statures: Known statures [m], 0 where unknown, shape (B,). If it is None, none is known.
 
     Returns:
         Shape (B, 6): the certainty; the tangents of the crop's half side, as from ``_FARTHEST`` at most, and of its

@@ -122,8 +122,8 @@ def read_trajectories(
         cameras: File of calibrated cameras (``read_cameras``), in the world of the joints.
         films: Folder of the cameras' films, whose names tell the cameras. Their first frame is the first row's, and
             where the file leaves out a frame's number, the films' frame is left out as well.
-        axes: Axes of the file that are x, y and z of the cameras' world, such as "x -z y"; None: as it is, or as
-            Pose2Sim turns it ("z x y"), whichever puts more joints into pictures.
+        axes: Axes of the file that are x, y and z of the cameras' world, such as "x -z y". If it is None, the file is
+            taken as it is, or as Pose2Sim turns it ("z x y"), whichever puts more joints into pictures.
 
     Raises:
         InputError: If a file can't be read, names are no landmarks, or no camera sees a joint.
