@@ -7,23 +7,20 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_parts
 
-from warp_partdr.body.labels import label_set
 from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.cameras import Perspective
 from warp_partdr.inputs.cut_people import CutPeople, CutPerson, stack_alike
 from warp_partdr.inputs.evidence import weigh_evidence
-from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import crop_evidence
-from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.networks.regression.predict import network_inputs
 from warp_partdr.solve.ellipsoids.batch import Batch
 from warp_partdr.solve.ellipsoids.energy import Energy
 
-KEYPOINTS = read_keypoints(EXAMPLE / "keypoints.json")[0]
-PARTS = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
+KEYPOINTS = example_keypoints()
+PARTS = example_parts()
 
 
 def without(*missing: int) -> Keypoints2D:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_parts
 from PIL import Image
 
 from warp_partdr.body.labels import BACKGROUND, IGNORE, LabelSet, label_set
@@ -50,7 +50,7 @@ Person = tuple[Keypoints2D, PartLabels]
 
 @cache
 def example() -> Person:
-    return read_keypoints(EXAMPLE / "keypoints.json")[0], read_parts(EXAMPLE / "parts.png", CDCL)
+    return example_keypoints(), example_parts()
 
 
 def photo(shared: Path, name: str) -> Person:

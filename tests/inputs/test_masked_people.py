@@ -9,27 +9,25 @@ import numpy as np
 import pytest
 import torch
 from helpers.cuts import assert_cut_as_alone
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_parts
 
-from warp_partdr.body.labels import BACKGROUND, label_set
+from warp_partdr.body.labels import BACKGROUND
 from warp_partdr.body.skeletons import SKELETONS, skeleton
 from warp_partdr.cameras import Perspective
 from warp_partdr.errors import InputError
 from warp_partdr.inputs import masked_people
 from warp_partdr.inputs.evidence import WINDOW_SIDE
-from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.masked_people import MaskedPerson, cut_masks
 from warp_partdr.inputs.observation import CutOut
-from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.pipelines.photo import person_evidence
 
 
 @cache
 def example() -> tuple[Keypoints2D, np.ndarray]:
     """Keypoints, and whom each pixel shows: the person and nobody else."""
-    parts = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
-    return read_keypoints(EXAMPLE / "keypoints.json")[0], (parts.groups != BACKGROUND).astype(np.int32)
+    parts = example_parts()
+    return example_keypoints(), (parts.groups != BACKGROUND).astype(np.int32)
 
 
 def as_format(keypoints: Keypoints2D, form: str) -> Keypoints2D:

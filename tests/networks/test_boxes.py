@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 import torch
 from helpers.checkpoints import knowing_vitpose, tiny_detector, tiny_segformer
-from helpers.files import EXAMPLE
+from helpers.example import example_photo
 
 from warp_partdr.errors import InputError
-from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.networks.detection.crops import Pyramid
 from warp_partdr.networks.detection.given_boxes import BoxNetwork, find_boxes, find_people_in_boxes
 from warp_partdr.networks.detection.people import find_people
@@ -22,7 +21,7 @@ from warp_partdr.networks.predictors.networks import KeypointNetwork, upright_cr
 from warp_partdr.pipelines.photo import PACKAGED, fit_photo
 from warp_partdr.solve.ellipsoids.options import FitOptions
 
-PHOTO = read_photo(EXAMPLE / "photo.png")
+PHOTO = example_photo()
 CLASSES = {0: "dog", 1: "Person", 2: "car"}
 EVERYTHING = 0.0
 

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_photo
 from helpers.films import write_film
 
 from warp_partdr.body.labels import BACKGROUND, IGNORE, label_set
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.calibrated_camera import CalibratedCamera
 from warp_partdr.inputs.films import read_frames
-from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.inputs.person import crop_nearest
 from warp_partdr.networks.detection.crops import Pyramid
 from warp_partdr.networks.detection.film_people import kept_size
@@ -70,7 +69,7 @@ class Networks:
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example's person, who moves to the right."""
-    photo = read_photo(EXAMPLE / "photo.png")[::2, ::2]
+    photo = example_photo()[::2, ::2]
     height, width = (side - side % 2 for side in photo.shape[:2])
     wide = np.pad(photo, [(0, 0), (4 * COUNT, 4 * COUNT), (0, 0)], mode="edge")
     starts = [4 * COUNT - 4 * place for place in range(COUNT)]

@@ -8,10 +8,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers.files import EXAMPLE
+from helpers.example import example_photo
 from PIL import Image
 
-from warp_partdr import read_photo
 from warp_partdr.inputs.cuts import Change
 from warp_partdr.networks.detection.people import find_people
 from warp_partdr.networks.detection.person import FoundPerson
@@ -23,7 +22,7 @@ HEIGHT, WIDTH = 400, 640
 @cache
 def figure() -> np.ndarray:
     """The example's person on their photo's background, cut narrow: 320 px high."""
-    photo = Image.fromarray(read_photo(EXAMPLE / "photo.png")[20:500, 95:300])
+    photo = Image.fromarray(example_photo()[20:500, 95:300])
     return np.asarray(photo.resize((137, 320)))
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import HANG
-from helpers.files import EXAMPLE
+from helpers.example import example_mask, example_photo
 from helpers.people import crowd
 from PIL import Image
 
@@ -32,8 +32,7 @@ FAST = FitOptions.at("fast")
 @cache
 def example() -> tuple[np.ndarray, np.ndarray]:
     """Photo and true silhouette."""
-    with Image.open(EXAMPLE / "parts.png") as parts:
-        return read_photo(EXAMPLE / "photo.png"), np.asarray(parts) > 0
+    return example_photo(), example_mask()
 
 
 @cache

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_parts, example_photo
 from helpers.pictures import draw_on_screen
 from PIL import Image
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, PART_NAMES
-from warp_partdr.inputs.keypoint_files import read_keypoints
-from warp_partdr.inputs.part_labels import PartLabels, read_parts, read_photo
+from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.models.anny import anny
 from warp_partdr.models.model import detailed_mesh
 from warp_partdr.models.registration import Registered, RegistrationOptions, register
@@ -32,9 +31,9 @@ from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.result import FitResult
 from warp_partdr.solve.ellipsoids.stages import Stage
 
-PHOTO = read_photo(EXAMPLE / "photo.png")
-KEYPOINTS = read_keypoints(EXAMPLE / "keypoints.json")[0]
-PARTS = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
+PHOTO = example_photo()
+KEYPOINTS = example_keypoints()
+PARTS = example_parts()
 QUICK = FitOptions(
     start="search",
     stages=(Stage("lift", 16, 12, 0.1), Stage("keypoints", 16, 6, 0.04), Stage("labels", 2, 8, 0.02, 64)),

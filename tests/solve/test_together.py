@@ -7,16 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_parts
 
-from warp_partdr.body.labels import label_set
 from warp_partdr.cameras import Perspective
 from warp_partdr.inputs.cut_people import CutPerson
 from warp_partdr.inputs.evidence import weigh_evidence
-from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import crop_evidence
-from warp_partdr.inputs.part_labels import PartLabels, read_parts
+from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.interop.precision import exact_convolutions
 from warp_partdr.networks.regression.checkpoint import packaged_network
 from warp_partdr.solve.ellipsoids.fitting import fit_body
@@ -24,8 +22,8 @@ from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.stages import OUTLINE, Stage
 from warp_partdr.solve.ellipsoids.together import fit_together
 
-KEYPOINTS = read_keypoints(EXAMPLE / "keypoints.json")[0]
-PARTS = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
+KEYPOINTS = example_keypoints()
+PARTS = example_parts()
 FAST = replace(FitOptions.at("fast"), search=())
 # Rates so low that rounding, by which batches differ, does not turn small gradients, and with them Adam's steps.
 _STAGES = replace(FAST.stages[0], iterations=5, size=64, learning_rate=5e-4), Stage(OUTLINE, 1, 3, 5e-4, 48)

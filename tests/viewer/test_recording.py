@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 from helpers import viewer
-from helpers.files import EXAMPLE
+from helpers.example import example_photo
 from helpers.viewer import click
 from PIL import Image
 from typer.testing import CliRunner
@@ -39,7 +39,7 @@ def test_the_command_records_a_film_or_a_page(can_draw, tmp_path, name):
 
 def test_a_photo_is_enough(can_draw, tmp_path):
     """The second largest of the people in it is the target, with photo and mask."""
-    photo = Image.open(EXAMPLE / "photo.png").convert("RGB")
+    photo = Image.fromarray(example_photo())
     both = Image.new("RGB", (2 * photo.width, photo.height), photo.getpixel((5, 5)))
     both.paste(photo, (0, 0))
     both.paste(photo.resize((photo.width // 2, photo.height // 2)), (photo.width + 60, 120))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import viewer
+from helpers.example import example_mask
 from helpers.files import EXAMPLE
 from helpers.viewer import SMALL, make_state, play, read_target
 from PIL import Image
@@ -155,7 +156,7 @@ def test_a_photo_with_labels_is_a_target():
 
 
 def test_the_photo_is_cut_as_its_labels_are(tmp_path):
-    person = np.asarray(Image.open(EXAMPLE / "parts.png")) > 0
+    person = example_mask()
     Image.fromarray(np.repeat(person[..., None] * np.uint8(255), 3, axis=-1)).save(tmp_path / "white.png")
     target = read_target(tmp_path / "white.png", parts=EXAMPLE / "parts.png", labels="cdcl14")
     labels = resize_nearest(target.observation.labels, len(target.photo)).numpy()
