@@ -77,8 +77,8 @@ class MotionState:
     def show_next(self) -> None:
         """Show one person alone, each time the next one."""
         shown = [person for person in self.people if person not in self.hidden]
-        place = self.people.index(shown[0]) + 1 if len(shown) == 1 else 0
-        self.hidden = set(self.people) - {self.people[place % len(self.people)]}
+        index = self.people.index(shown[0]) + 1 if len(shown) == 1 else 0
+        self.hidden = set(self.people) - {self.people[index % len(self.people)]}
 
     def switch(self, person: int) -> None:
         """Show somebody, or hide them."""

@@ -91,7 +91,6 @@ RIGHT_CARRIERS = {
 }
 # Those still to be mended, by a typed dataclass or by names: this list may only shrink.
 CARRIERS_TO_MEND = {
-    "_find: find_people(**how)",
     "_find_captured: CapturedRefinement(**rule)",
     "_window: person_windows(*one)",
     "body_maps: self.draw(**options)",

@@ -37,8 +37,8 @@ def _save_glb(body: Body, folder: Path) -> None:
 
 def _detailed(body: Body, name: str) -> Registered:
     if body.registered is None:
-        told = "rows hold ellipsoids alone; expected glb, npz or json, or a data set of --quality mesh"
-        raise InputError(f"--to: {name}: {told}")
+        fault = "rows hold ellipsoids alone; expected glb, npz or json, or a data set of --quality mesh"
+        raise InputError(f"--to: {name}: {fault}")
     return body.registered
 
 

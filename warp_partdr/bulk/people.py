@@ -245,10 +245,10 @@ class _Waiting:
         return np.concatenate([places for places, _ in taken]), [people for _, people in taken]
 
 
-def _fit_people(how: PeopleFitter, given: Sequence[CutPeople]) -> list[RowPart]:
-    people = CutPeople.joined([each.to(how.device) for each in given])
+def _fit_people(fitter: PeopleFitter, given: Sequence[CutPeople]) -> list[RowPart]:
+    people = CutPeople.joined([each.to(fitter.device) for each in given])
     parts: list[RowPart] = []
-    for own, found in attempt(how.bodies, people):
+    for own, found in attempt(fitter.bodies, people):
         if isinstance(found, Exception):
             some: Sequence[RowPart] = [error_part(0, one_line(found), passing=is_passing(found))]
         else:
@@ -257,10 +257,10 @@ def _fit_people(how: PeopleFitter, given: Sequence[CutPeople]) -> list[RowPart]:
     return parts
 
 
-def _cut_people(how: PeopleFitter, held: Sequence[Held]) -> Cut:
+def _cut_people(fitter: PeopleFitter, held: Sequence[Held]) -> Cut:
     """Rows of pictures and their people, and the people cut out, for a fit."""
-    unknown = [place for place, (_, seen) in enumerate(held) if isinstance(seen, SourcePicture) and seen.people is None]
+    unknown = [index for index, (_, seen) in enumerate(held) if isinstance(seen, SourcePicture) and seen.people is None]
     found: dict[int, Read] = {}
-    for own, some in attempt(how.find, [held[place][1] for place in unknown]):
+    for own, some in attempt(fitter.find, [held[index][1] for index in unknown]):
         found |= zip(unknown[own], [some] if isinstance(some, Exception) else some, strict=True)
-    return how.cutter.cut(held, found)
+    return fitter.cutter.cut(held, found)

@@ -119,9 +119,9 @@ class PictureFiles:
                 found = SourcePicture(scanned, tuple(map(_known, self.read_keypoints(keypoints, scanned))))
             return replace(found, parts=self._read_labels(name, found.size), warnings=photo_warnings(photo))
         except InputError as error:  # messages are the same wherever the folder is
-            told = str(error).replace(str(self.folder / (container or name)), container or name)
+            message = str(error).replace(str(self.folder / (container or name)), container or name)
             beside = str(self.folder / "_")[:-1]  # how names of files beside it begin
-            raise InputError(told.removeprefix(beside)) from error
+            raise InputError(message.removeprefix(beside)) from error
 
     def beside(self, name: str, ending: str) -> PhotoFile | None:
         """The file of an ending beside a photo; None without."""
@@ -153,8 +153,8 @@ class PictureFiles:
         """A photo of a tar file, or a file beside it; None if there is none."""
         row = self._rows.get(name)
         start, size = (-1, -1) if row is None else self.spans[row, ENDINGS.index(ending)].tolist()
-        told = f"{name}: {ending}" if ending else name
-        return None if start < 0 else read_member(os.path.join(self.folder, container), start, size, told)
+        shown_name = f"{name}: {ending}" if ending else name
+        return None if start < 0 else read_member(os.path.join(self.folder, container), start, size, shown_name)
 
     def _read_labels(self, name: str, size: tuple[int, int]) -> PartLabels | None:
         file = None if self.labels is None else self.beside(name, PARTS)

@@ -83,10 +83,10 @@ class Tally:
             name, error = (faults[column][0].as_py() for column in ("picture", "error"))
             self.first_error = self.first_error or (error if error.startswith(name) else f"{name}: {error}")
         for row, warnings in enumerate(table["warnings"].to_pylist()):
-            told = [warning for warning in warnings or () if warning.startswith(COUNTED)]
-            self.annotations += bool(told)
-            if told and not self.first_annotation:
-                self.first_annotation = f"{table['picture'][row].as_py()}: {told[0]}"
+            counted = [warning for warning in warnings or () if warning.startswith(COUNTED)]
+            self.annotations += bool(counted)
+            if counted and not self.first_annotation:
+                self.first_annotation = f"{table['picture'][row].as_py()}: {counted[0]}"
 
 
 @dataclass(frozen=True)
@@ -154,8 +154,8 @@ class Shards:
         found = sorted(self.folder.glob("part-*.parquet"))
         for path in found:
             if path.name not in mine:
-                told = f"{self.count} shards of {self.size} pictures"
-                raise InputError(f"{path}: of another data set; expected {told} there, or another folder for them")
+                expected = f"{self.count} shards of {self.size} pictures"
+                raise InputError(f"{path}: of another data set; expected {expected} there, or another folder for them")
         return {mine[path.name]: len(self._unread(path, mine[path.name])) for path in found}
 
     def done(self) -> set[int]:
@@ -196,9 +196,9 @@ class Shards:
             if os.name == "posix":  # elsewhere folders can't be opened
                 sync(self.folder)
         except OSError as error:
-            told = os.strerror(error.errno) if error.errno else cause(error)
+            reason = os.strerror(error.errno) if error.errno else cause(error)
             room = f"room for shard {index} of {self.count}: the same command goes on there"
-            raise InputError(f"{self.folder}: {told}; expected {room}") from error
+            raise InputError(f"{self.folder}: {reason}; expected {room}") from error
 
     def completed(self, index: int, table: pa.Table, read: Sequence[str]) -> pa.Table:
         """Rows of a shard of which some pictures were read: theirs, and those of the others in its file.

@@ -170,7 +170,7 @@ class Worst:
     @property
     def addresses(self) -> list[Address]:
         """Addresses of the people, the worst first."""
-        return [Address(*place) for place in self.places.tolist()]
+        return [Address(*shard_and_row) for shard_and_row in self.places.tolist()]
 
 
 @dataclass

@@ -56,10 +56,10 @@ class Rig:
         transforms = np.asarray(self.own.forward_skeleton(**values), dtype=np.float64)
         return np.asarray(self.own.forward_vertices(**values), dtype=np.float64), transforms[self.first :, :3, 3]
 
-    def slope(self, name: str, place: int) -> Body:
+    def slope(self, name: str, index: int) -> Body:
         """Change by a unit of a value, to first order."""
         step = np.zeros_like(self.rest()[name])
-        step[place] = _STEP
+        step[index] = _STEP
         (high, far), (low, near) = (self.shown(**{name: self.rest()[name] + sign * step}) for sign in (1, -1))
         return (high - low) / (2 * _STEP), (far - near) / (2 * _STEP)
 
@@ -131,8 +131,8 @@ def _smpl_names(names: list[str], parents: list[int]) -> list[str]:
     while parents[joint] >= 0:
         spine.insert(0, joint)
         joint = parents[joint]
-    for place, joint in enumerate(spine):  # spine1 is the abdomen's; the middle one is the landmark
-        names[joint] = f"spine{1 + place}"
+    for index, joint in enumerate(spine):  # spine1 is the abdomen's; the middle one is the landmark
+        names[joint] = f"spine{1 + index}"
     return names
 
 
@@ -140,7 +140,7 @@ def _parts(names: list[str], parents: list[int]) -> np.ndarray:
     """Part of each joint's skin, -1 for the pelvis'."""
     spine = [name for name in names if name.startswith("spine")]
     carried = {"pelvis": -1} | {
-        name: PART_NAMES.index("abdomen" if 2 * place < len(spine) else "chest") for place, name in enumerate(spine)
+        name: PART_NAMES.index("abdomen" if 2 * index < len(spine) else "chest") for index, name in enumerate(spine)
     }
     for name in names:
         side, _, joint = name.partition("_")

@@ -126,12 +126,12 @@ class PartMesh(Movable):
                 f"labels: {labels} a mesh, {count} of them; expected {self.num_labels} to {MAX_LABEL // count}"
             )
         faces, edges, shown = [], [], []
-        for place in range(count):
-            faces.append(self.faces + place * vertices)
+        for index in range(count):
+            faces.append(self.faces + index * vertices)
             moves = self.edges.new_tensor([vertices] * 2 + [len(self.faces)] * 2 + [vertices] * 2)
-            edges.append(torch.where(self.edges >= 0, self.edges + place * moves, self.edges))
+            edges.append(torch.where(self.edges >= 0, self.edges + index * moves, self.edges))
             shown.append(
-                torch.where(self.face_labels <= MAX_LABEL, self.face_labels + place * labels, self.face_labels)
+                torch.where(self.face_labels <= MAX_LABEL, self.face_labels + index * labels, self.face_labels)
             )
         return PartMesh(torch.cat(faces), torch.cat(shown).to(torch.uint8), torch.cat(edges), self.cull_backfaces)
 

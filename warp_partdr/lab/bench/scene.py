@@ -67,9 +67,12 @@ class BenchScene:
     def energies(self, gradient: Gradient) -> list[Energy]:
         """The energy of each body."""
         names = skeleton("coco17").landmarks
-        seen = Observation(names, self.points[0], torch.ones_like(self.points[0, :, 0]), self.targets[0], LABELS)
+        observation = Observation(names, self.points[0], torch.ones_like(self.points[0, :, 0]), self.targets[0], LABELS)
         first = Energy(
-            seen, size=self.size, prior=packaged_prior(str(self.points.device)), renderer=RendererEllipsoids(gradient)
+            observation,
+            size=self.size,
+            prior=packaged_prior(str(self.points.device)),
+            renderer=RendererEllipsoids(gradient),
         )
         rest = zip(self.points[1:], self.targets[1:], strict=True)
-        return [first, *(replace(first, observation=replace(seen, points=p, labels=t)) for p, t in rest)]
+        return [first, *(replace(first, observation=replace(observation, points=p, labels=t)) for p, t in rest)]

@@ -171,7 +171,7 @@ def _keypoint_distances(sample: SceneSample, bodies: SceneBodies) -> np.ndarray:
     shares = []
     for sight in sights:
         view, keypoints = sample.scene.views[sight.view], sight.keypoints
-        seen = view.camera.project(view.to_camera(marked[sight.person, sight.frame])[None])[0, :, :2].numpy()
-        off = np.linalg.norm(seen - keypoints.points, axis=1)[keypoints.confident]
+        projected = view.camera.project(view.to_camera(marked[sight.person, sight.frame])[None])[0, :, :2].numpy()
+        off = np.linalg.norm(projected - keypoints.points, axis=1)[keypoints.confident]
         shares.append(off / max(person_height(keypoints), 1.0))
     return np.concatenate(shares)

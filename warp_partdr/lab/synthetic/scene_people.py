@@ -237,7 +237,7 @@ def _see(
     lasts = _LASTS ** (_PER_SECOND / frame_rate)
     lasting: dict[tuple[int, int], np.ndarray] = {}  # noise of keypoints one frame ago
     for frame in range(len(bodies[0])):
-        for place, view in enumerate(views):
+        for view_index, view in enumerate(views):
             now = [each[frame] for each in bodies]
             vertices = torch.cat([view.to_camera(body.vertices) for body in now], dim=1)
             drawn = draw_mesh(vertices, both, view.camera, _SIZE)
@@ -257,16 +257,16 @@ def _see(
                 groups[(shown > 0) & ~mine & (groups == 0)] = 255
                 true = pixels[0].numpy()
                 seen = noisy_keypoints(true, hidden, COCO.landmarks, height, _SIZE, level=level, rng=rng)
-                off = lasting.get((person, place))
+                off = lasting.get((person, view_index))
                 there = seen[:, 2:] > 0
-                lasting[person, place] = np.where(there, seen[:, :2] - true, 0.0)
+                lasting[person, view_index] = np.where(there, seen[:, :2] - true, 0.0)
                 if off is not None:
-                    lasting[person, place] *= math.sqrt(1 - lasts**2)
-                    lasting[person, place] += lasts * off
-                placed = np.where(there, true + lasting[person, place], 0.0).astype(np.float32)
+                    lasting[person, view_index] *= math.sqrt(1 - lasts**2)
+                    lasting[person, view_index] += lasts * off
+                placed = np.where(there, true + lasting[person, view_index], 0.0).astype(np.float32)
                 keypoints = Keypoints2D(COCO.name, placed, seen[:, 2].astype(np.float32))
                 if keypoints.visible.any():
-                    sights.append(Sight(keypoints, PartLabels(LABELS, groups), person, frame, place))
+                    sights.append(Sight(keypoints, PartLabels(LABELS, groups), person, frame, view_index))
     truth = [torch.cat([model.landmarks(body, MPJPE_JOINTS) for body in each]).numpy() for each in bodies]
     every = [torch.cat([body.vertices for body in each]).numpy() for each in bodies]
     scene = Scene(tuple(views), tuple(sights), frame_rate)

@@ -149,8 +149,8 @@ def _lift(persons: list[Person], crops: list[Crop], points: torch.Tensor, joints
         log_scale=scale.log().repeat(turns),
         shift=shift.repeat(turns, 1),
     )
-    seen = Observation(KEYPOINTS, points.repeat(turns, 1, 1), points.new_ones(len(KEYPOINTS)), None, None)
-    energy, gather = Energy(seen, prior=prior), LandmarkGather(MPJPE_JOINTS, "cpu")
+    observation = Observation(KEYPOINTS, points.repeat(turns, 1, 1), points.new_ones(len(KEYPOINTS)), None, None)
+    energy, gather = Energy(observation, prior=prior), LandmarkGather(MPJPE_JOINTS, "cpu")
     target = _centred(joints).repeat(turns, 1, 1)
 
     def lifted(bodies: BodyParameters) -> dict[str, torch.Tensor]:

@@ -190,14 +190,14 @@ class Pyramid:
             return [cls(picture, device) for picture in pictures]
         found: dict[int, Pyramid] = {}
         for shape in dict.fromkeys(picture.shape for picture in pictures):
-            places = [place for place, picture in enumerate(pictures) if picture.shape == shape]
+            indices = [index for index, picture in enumerate(pictures) if picture.shape == shape]
             step = max(1, _UPLOAD // math.prod(shape))
-            for some in (places[start : start + step] for start in range(0, len(places), step)):
-                together = _Pictures(_uploaded([pictures[place] for place in some], device))
-                for row, place in enumerate(some):
-                    found[place] = cls.__new__(cls)
-                    found[place]._place(together, row, pictures[place])
-        return [found[place] for place in range(len(pictures))]
+            for some in (indices[start : start + step] for start in range(0, len(indices), step)):
+                together = _Pictures(_uploaded([pictures[index] for index in some], device))
+                for row, index in enumerate(some):
+                    found[index] = cls.__new__(cls)
+                    found[index]._place(together, row, pictures[index])
+        return [found[index] for index in range(len(pictures))]
 
     def _place(self, pictures: _Pictures, row: int, picture: np.ndarray) -> None:
         self.size = picture.shape[0], picture.shape[1]

@@ -162,8 +162,8 @@ def find_film_people(
             packed.append(_pack(list(found.values()), size))
             times.append(frame.time)
             guessed.append(frame.guessed)
-            for place, (number, person) in enumerate(found.items()):
-                rows.append(np.array([(*seen_values(person, frame.index, frame.time), number, place)], _ROW))
+            for index, (number, person) in enumerate(found.items()):
+                rows.append(np.array([(*seen_values(person, frame.index, frame.time), number, index)], _ROW))
             if watch is not None:
                 watch(frame, followed.pyramid, list(found.values()))
             if progress is not None:
@@ -177,8 +177,8 @@ def find_film_people(
     if not len(numbered):
         raise InputError(fault or f"{path}: nobody found in {len(times)} frames; expected people")
     rate = usual_rate(times, facts.rate)
-    told = time_warnings(str(path), times, guessed, rate)
-    return FilmPeople(size, rate, np.array(times), numbered, tuple(packed), fault, told, tuple(cuts))
+    warnings = time_warnings(str(path), times, guessed, rate)
+    return FilmPeople(size, rate, np.array(times), numbered, tuple(packed), fault, warnings, tuple(cuts))
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ def _by_size(rows: np.ndarray, shots: Sequence[range]) -> np.ndarray:
     kept = [track for track in tracks if lasting(track["frames"], shots)]
     sizes = [-areas(track["boxes"]).sum() for track in kept]
     order = np.argsort(sizes, kind="stable").tolist()
-    table = {int(kept[each]["tracks"][0]): place for place, each in enumerate(order)}
+    table = {int(kept[each]["tracks"][0]): rank for rank, each in enumerate(order)}
     known = rows[np.isin(rows["tracks"], list(table))].copy()
     known["tracks"] = [table[track] for track in known["tracks"].tolist()]
     return known

@@ -150,10 +150,10 @@ class OperatorGraph(nn.Module):
             self.register_buffer(name.replace(".", "_"), tensor.float().contiguous(memory_format=form))
         self._captured: dict[tuple[int, int], tuple[torch.Tensor, CapturedStep[dict[str, torch.Tensor]]]] = {}
         self._lock = threading.Lock()  # of the captured graphs' buffers
-        last = {number: place for place, node in enumerate(self.nodes) for number in node.inputs}
+        last = {number: index for index, node in enumerate(self.nodes) for number in node.inputs}
         self._done = [
-            [number for number in set(node.inputs) if last[number] == place and number not in self.outputs.values()]
-            for place, node in enumerate(self.nodes)
+            [number for number in set(node.inputs) if last[number] == index and number not in self.outputs.values()]
+            for index, node in enumerate(self.nodes)
         ]
 
     def most_captured(self, device: torch.device) -> int:

@@ -178,10 +178,10 @@ def _scores(detected: np.ndarray, first: FoundLandmarks, second: FoundLandmarks)
     return np.sqrt(detected) * np.minimum(first.presence, second.presence) * agreement
 
 
-def _distinct(seen: FoundLandmarks, scores: np.ndarray, min_score: float) -> np.ndarray:
+def _distinct(found: FoundLandmarks, scores: np.ndarray, min_score: float) -> np.ndarray:
     """Rows of people whose score is enough, each person once."""
     rows = np.flatnonzero(scores >= min_score)
-    some = seen.select(rows)
+    some = found.select(rows)
     quality = scores[rows] * some.confidence.mean(axis=1)
     kept = first_of_each(some.points, some.confidence, some.next_crops.sides, some.crops.pictures, quality)
     return rows[kept]

@@ -73,17 +73,17 @@ class FilmSights:
     size: tuple[int, int]
     packed: tuple[bytes, ...]
 
-    def keypoints_of(self, frame: int, place: int) -> Keypoints2D | None:
+    def keypoints_of(self, frame: int, index: int) -> Keypoints2D | None:
         """Keypoints of somebody in a frame; None: the packaged ones are to be taken."""
-        values = self.keypoints[self._rows[frame, place]]
+        values = self.keypoints[self._rows[frame, index]]
         network = self.networks.keypoints_from
         if network is None or not (values[:, 2] > 0).any():
             return None
         return Keypoints2D(network.skeleton, values[:, :2].copy(), values[:, 2].copy())
 
-    def parts_of(self, frame: int, place: int) -> PartLabels | None:
+    def parts_of(self, frame: int, index: int) -> PartLabels | None:
         """Labels of somebody in a frame, others' pixels ignored; None if there are none."""
-        groups = self.groups(self._rows[frame, place])
+        groups = self.groups(self._rows[frame, index])
         network = self.networks.parts_from
         return None if network is None or groups is None else PartLabels(network.labels, groups)
 
@@ -102,14 +102,14 @@ class FilmSights:
     @property
     def gaps(self) -> list[str]:
         """Sentences about networks that saw nothing of somebody in some frames."""
-        total, told = len(self.frames), []
+        total, warnings = len(self.frames), []
         blank = total - int((self.keypoints[..., 2] > 0).any(1).sum())
         if self.networks.keypoints_from is not None and blank:
-            told.append(f"no keypoints of the given network in {blank} of {total} sights; the packaged one's taken")
+            warnings.append(f"no keypoints of the given network in {blank} of {total} sights; the packaged one's taken")
         bare = total - sum(map(bool, self.packed))
         if self.networks.parts_from is not None and bare:
-            told.append(f"no labels of the given network in {bare} of {total} sights; keypoints alone taken")
-        return told
+            warnings.append(f"no labels of the given network in {bare} of {total} sights; keypoints alone taken")
+        return warnings
 
     def arrays(self) -> dict[str, np.ndarray]:
         """All but the networks, for files."""
@@ -239,13 +239,13 @@ class _Asked:
             size = kept_size(picture.size)
             small = [_smaller(person, size[1] / picture.size[1]) for person in people]
             parts = PlacedParts(network, small, instance_map(small, size), keeps_maps=False)
-        for place, person in enumerate(people):
+        for index, person in enumerate(people):
             pictures: dict[str, torch.Tensor] = {}
             if network is not None:
                 pictures["parts"] = cut_upright(picture, person, network.size, stretch=network.stretch)
             if (other := self.networks.keypoints_from) is not None:
                 pictures["keypoints"] = cut_upright(picture, person, other.size)
-            self.waiting.append(_Waiting((frame, place), person, parts, pictures))
+            self.waiting.append(_Waiting((frame, index), person, parts, pictures))
         while len(self.waiting) >= _TOGETHER[self.device.type]:
             self._ask(_TOGETHER[self.device.type])
 

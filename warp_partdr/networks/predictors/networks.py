@@ -89,8 +89,8 @@ def upright_crop(person: FoundPerson, size: tuple[int, int], *, stretch: float =
     pixels = (person.mask > _SHOWN).nonzero().cpu().numpy()
     shown = (pixels[:, ::-1] + 0.5) / person.mask.shape[::-1]
     keypoints = person.keypoints
-    sure = person.crop.from_picture(keypoints.points[None, keypoints.confident].astype(np.float64))[0]
-    places = np.concatenate([shown, sure])
+    confident = person.crop.from_picture(keypoints.points[None, keypoints.confident].astype(np.float64))[0]
+    places = np.concatenate([shown, confident])
     if not len(places):  # nobody was seen in another detector's box
         places = person.crop.from_picture(np.array(person.box, dtype=np.float64).reshape(1, 2, 2))[0]
     low, high = places.min(axis=0), places.max(axis=0)

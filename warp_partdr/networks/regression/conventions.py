@@ -42,10 +42,10 @@ def keypoints_at_landmarks(
         return None
     moved = list(observations)
     for row in rows:
-        seen = observations[row]
-        lens = None if seen.lens is None else seen.lens[None]
-        moves = _moves(seen.landmarks, seen.body_points, predicted.select(slice(row, row + 1)), lens)
-        moved[row] = replace(seen, points=seen.points - moves[0])
+        observation = observations[row]
+        lens = None if observation.lens is None else observation.lens[None]
+        moves = _moves(observation.landmarks, observation.body_points, predicted.select(slice(row, row + 1)), lens)
+        moved[row] = replace(observation, points=observation.points - moves[0])
     return moved
 
 

@@ -78,8 +78,8 @@ class LabelNetworkConfig:
         check_whole("attention_width", self.attention_width, 1, 1024)
         side = self.size >> len(self.channels)
         if self.places * side**2 > _MOST_FEATURES:
-            told = f"{self.places}, of {side} x {side} places"
-            raise ValueError(f"places: {told}; expected at most {_MOST_FEATURES} numbers in all")
+            fault = f"{self.places}, of {side} x {side} places"
+            raise ValueError(f"places: {fault}; expected at most {_MOST_FEATURES} numbers in all")
 
 
 def label_table(labels: LabelSet) -> torch.Tensor:
@@ -224,10 +224,10 @@ class LabelNetwork(nn.Module):
             seen = stage(seen)
             if index in self._shown:
                 maps.append(seen)
-        told = conditions[:, : self._conditions]
-        found = [seen, self.keypoints(torch.cat([keypoints.flatten(1), told], dim=1))]
+        known = conditions[:, : self._conditions]
+        found = [seen, self.keypoints(torch.cat([keypoints.flatten(1), known], dim=1))]
         if self.config.attention_layers:
-            found.append(self.attention(maps, keypoints, told))
+            found.append(self.attention(maps, keypoints, known))
         return torch.cat([each.to(seen) for each in found], dim=1)
 
     def bodies(self, features: torch.Tensor, keypoints: torch.Tensor) -> Predicted:

@@ -41,8 +41,8 @@ class LandmarkAttention(nn.Module):
             conditions: Conditions that ``network_conditions`` returns, shape (B, C). Each landmark is given these and
                 its keypoint.
         """
-        told = torch.cat([keypoints, conditions[:, None].expand(-1, keypoints.shape[1], -1)], dim=2)
-        tokens = self.shown(at_keypoints(maps, keypoints)) + self.told(told) + self.names
+        inputs = torch.cat([keypoints, conditions[:, None].expand(-1, keypoints.shape[1], -1)], dim=2)
+        tokens = self.shown(at_keypoints(maps, keypoints)) + self.told(inputs) + self.names
         features: torch.Tensor = self.said(self.layers(tokens)).flatten(1)
         return features
 

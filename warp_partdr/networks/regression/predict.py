@@ -40,43 +40,51 @@ REAL_SIZE = 1.015
 
 
 def network_inputs(
-    seen: Sequence[Observation] | StackedObservations, size: int
+    observations: Sequence[Observation] | StackedObservations, size: int
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Input of a label network for N people: shares (N, 22, size, size), keypoints (N, 24, 3) and conditions (N, 6)."""
-    if isinstance(seen, StackedObservations):
-        keypoints = format_keypoints(seen.landmarks, seen.visible, seen.points, seen.confidence)
-        lenses = keypoints.new_ones(len(seen), 3) if seen.lens is None else seen.lens
-        certainty = keypoints.new_full((len(seen),), _certainty(seen))
-        return _stacked_pictures(seen, size), keypoints, network_conditions(lenses, certainty)
+    if isinstance(observations, StackedObservations):
+        keypoints = format_keypoints(
+            observations.landmarks, observations.visible, observations.points, observations.confidence
+        )
+        lenses = keypoints.new_ones(len(observations), 3) if observations.lens is None else observations.lens
+        certainty = keypoints.new_full((len(observations),), _certainty(observations))
+        return _stacked_pictures(observations, size), keypoints, network_conditions(lenses, certainty)
     keypoints = stack_keypoints(
-        [each.landmarks for each in seen], [each.points for each in seen], [each.confidence for each in seen]
+        [each.landmarks for each in observations],
+        [each.points for each in observations],
+        [each.confidence for each in observations],
     )
     unknown = keypoints.new_ones(3)
-    lenses = torch.stack([unknown if each.lens is None else each.lens for each in seen])
-    certainty = torch.tensor([_certainty(each) for each in seen]).to(lenses.device)
-    statures = torch.tensor([each.stature or 0.0 for each in seen]).to(lenses.device)
-    return _network_pictures(seen, size), keypoints, network_conditions(lenses, certainty, statures)
+    lenses = torch.stack([unknown if each.lens is None else each.lens for each in observations])
+    certainty = torch.tensor([_certainty(each) for each in observations]).to(lenses.device)
+    statures = torch.tensor([each.stature or 0.0 for each in observations]).to(lenses.device)
+    return _network_pictures(observations, size), keypoints, network_conditions(lenses, certainty, statures)
 
 
-def _certainty(seen: Observation | StackedObservations) -> float:
-    if seen.lens is None:
+def _certainty(observation: Observation | StackedObservations) -> float:
+    if observation.lens is None:
         return 0.0
-    return USUAL_LENS if seen.lens_assumed else KNOWN_LENS
+    return USUAL_LENS if observation.lens_assumed else KNOWN_LENS
 
 
 def upright_inputs(
-    seen: Sequence[Observation] | StackedObservations, size: int, *, half: bool = False
+    observations: Sequence[Observation] | StackedObservations, size: int, *, half: bool = False
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Inputs of N people, turned upright, and by how much they lean, (N,); with ``half``, shares may be bfloat16."""
-    if not isinstance(seen, StackedObservations) or seen.labels is None or seen.label_set is None:
-        shares, keypoints, conditions = network_inputs(seen, size)
+    if (
+        not isinstance(observations, StackedObservations)
+        or observations.labels is None
+        or observations.label_set is None
+    ):
+        shares, keypoints, conditions = network_inputs(observations, size)
         angles = leans(keypoints)
         return *turn_inputs(shares, keypoints, conditions, -angles), angles
-    _, keypoints, conditions = network_inputs(replace(seen, labels=None, label_set=None), size)
+    _, keypoints, conditions = network_inputs(replace(observations, labels=None, label_set=None), size)
     angles = leans(keypoints)
-    labels = resize_nearest(seen.labels, size)[:, None].float()  # to be turned: a number a pixel, not 22
+    labels = resize_nearest(observations.labels, size)[:, None].float()  # to be turned: a number a pixel, not 22
     labels, keypoints, conditions = turn_inputs(labels, keypoints, conditions, -angles)
-    table = label_table(seen.label_set).to(labels.device)
+    table = label_table(observations.label_set).to(labels.device)
     if half:
         table = torch.nn.functional.pad(table, (0, EVEN_CHANNELS - table.shape[1])).bfloat16()
     return _shares_of_ids(labels[:, 0], table), keypoints, conditions, angles
@@ -87,11 +95,11 @@ def _shares_of_ids(labels: torch.Tensor, table: torch.Tensor) -> torch.Tensor:
     return label_shares(labels, table[None], which)
 
 
-def _stacked_pictures(seen: StackedObservations, size: int) -> torch.Tensor:
+def _stacked_pictures(observations: StackedObservations, size: int) -> torch.Tensor:
     """Shares of people with labels of one set, or of all without."""
-    if seen.labels is None or seen.label_set is None:
-        return _no_labels(seen.points.device).expand(len(seen), -1, size, size)
-    return _label_shares(seen.labels, seen.label_set, size)
+    if observations.labels is None or observations.label_set is None:
+        return _no_labels(observations.points.device).expand(len(observations), -1, size, size)
+    return _label_shares(observations.labels, observations.label_set, size)
 
 
 def _no_labels(device: torch.device) -> torch.Tensor:
@@ -105,32 +113,32 @@ def _label_shares(labels: torch.Tensor, label_set: LabelSet, size: int) -> torch
     return _shares_of_ids(resize_nearest(labels, size), label_table(label_set).to(labels.device))
 
 
-def _network_pictures(seen: Sequence[Observation], size: int) -> torch.Tensor:
+def _network_pictures(observations: Sequence[Observation], size: int) -> torch.Tensor:
     """Shares of all, those with labels of one set and size at a time: one by one, launches would take long."""
     shares: torch.Tensor | None = None
-    alike: dict[Hashable, list[int]] = {}
-    for row, each in enumerate(seen):
+    groups: dict[Hashable, list[int]] = {}
+    for row, each in enumerate(observations):
         labels = None if each.label_set is None else each.labels
         soft = each.maps is not None and each.known is not None
-        alike.setdefault(None if labels is None else (id(each.label_set), labels.shape, soft), []).append(row)
-    for key, rows in alike.items():
-        some = [seen[row] for row in rows]
+        groups.setdefault(None if labels is None else (id(each.label_set), labels.shape, soft), []).append(row)
+    for key, rows in groups.items():
+        some = [observations[row] for row in rows]
         if key is None:
-            found = _no_labels(seen[0].points.device)
+            found = _no_labels(observations[0].points.device)
         else:
             found = _shares_of(some, size)
-        if len(rows) == len(seen):
-            return found.expand(len(seen), -1, size, size)
+        if len(rows) == len(observations):
+            return found.expand(len(observations), -1, size, size)
         if shares is None:
-            shares = found.new_empty(len(seen), size, size, NUM_CHANNELS).permute(0, 3, 1, 2)
+            shares = found.new_empty(len(observations), size, size, NUM_CHANNELS).permute(0, 3, 1, 2)
         shares[torch.tensor(rows).to(shares.device)] = found
     assert shares is not None
     return shares
 
 
-def _shares_of(seen: Sequence[Observation], size: int) -> torch.Tensor:
+def _shares_of(observations: Sequence[Observation], size: int) -> torch.Tensor:
     """Shares of people with labels of one set and size, all with probabilities or none."""
-    first = seen[0]
+    first = observations[0]
     assert first.label_set is not None
 
     def together(pictures: Iterable[torch.Tensor | None]) -> torch.Tensor:
@@ -138,8 +146,10 @@ def _shares_of(seen: Sequence[Observation], size: int) -> torch.Tensor:
 
     if first.maps is not None and first.known is not None:
         table = label_table(first.label_set).to(first.points.device)
-        return map_shares(together(each.maps for each in seen), together(each.known for each in seen), table)
-    labels = torch.stack([each.labels for each in seen if each.labels is not None])
+        return map_shares(
+            together(each.maps for each in observations), together(each.known for each in observations), table
+        )
+    labels = torch.stack([each.labels for each in observations if each.labels is not None])
     return _label_shares(labels, first.label_set, size)
 
 

@@ -133,8 +133,8 @@ def _refine_in_torch(setting: Setting, people: People, start: BodyParameters, ki
     prior = PosePrior().to(start.shift.device, kind)
     found = []
     for person, body in enumerate(one_by_one(_cast(start, kind))):
-        seen = people.observation(person)
-        energy = setting.energy(replace(seen, points=seen.points.to(kind)), prior)
+        observation = people.observation(person)
+        energy = setting.energy(replace(observation, points=observation.points.to(kind)), prior)
         refined = Refinement(body, energy, iterations=setting.iterations, learning_rate=RATE).run()
         found.append(refined.parameters.tensors().values())
     return BodyParameters(*(torch.cat(column) for column in zip(*found, strict=True)))

@@ -328,7 +328,7 @@ def view_samples(
     times: Counter[str] = Counter()
     samples = []
     for row in rows.tolist():
-        told = _convention(views, row) if convention is None else convention
+        own_convention = _convention(views, row) if convention is None else convention
         person, moment = str(people[row]), f"{people[row]}/{frames[row]}"
         name = f"{moment}/{cameras[row]}"
         times[name] += 1
@@ -338,9 +338,9 @@ def view_samples(
             Sample(
                 source="people" if views.set is None else str(views.set[row]),
                 name=name,
-                keypoints=_keypoints(views, row, inside[row], told, keypoints),
+                keypoints=_keypoints(views, row, inside[row], own_convention, keypoints),
                 joints=_take(views.joints_camera[row], _landmarks(views.joint_names), MPJPE_JOINTS),
-                joint_marks=annotated(MPJPE_JOINTS, convention=told),
+                joint_marks=annotated(MPJPE_JOINTS, convention=own_convention),
                 picture=_picture(views, row),
                 camera=_camera(views, row),
                 stature=None if np.isnan(statures[row]) else float(statures[row]),
@@ -354,9 +354,9 @@ def _check_array(name: str, values: object, sizes: dict[str, int]) -> None:
     kinds, shape, least, most = _ARRAYS[name]
     expected = tuple(sizes[each] if isinstance(each, str) else each for each in shape)
     if not isinstance(values, np.ndarray) or values.dtype.kind not in kinds:
-        told = {_TEXT: "text", _FLAGS: "true or false", _NAMES: "text or whole numbers", _WHOLE: "whole numbers"}
+        kind_names = {_TEXT: "text", _FLAGS: "true or false", _NAMES: "text or whole numbers", _WHOLE: "whole numbers"}
         raise InputError(
-            f"{name}: {getattr(values, 'dtype', type(values).__name__)}; expected {told.get(kinds, 'numbers')}"
+            f"{name}: {getattr(values, 'dtype', type(values).__name__)}; expected {kind_names.get(kinds, 'numbers')}"
         )
     if values.shape != expected:
         raise InputError(f"{name}: shape {values.shape}; expected {expected}, ({', '.join(map(str, shape))})")
@@ -517,11 +517,11 @@ def _camera(views: Views, row: int) -> Perspective | None:
 
 def _statures(views: Views) -> np.ndarray:
     """Height of each row's person [m]: as given, or as the person's bones tell it in the mean; NaN: unknown."""
-    told = np.full(len(views), np.nan) if views.stature is None else views.stature.astype(np.float64)
+    statures = np.full(len(views), np.nan) if views.stature is None else views.stature.astype(np.float64)
     names, people = _landmarks(views.joint_names), views.people()
     bones = trunk_and_legs(views.joints_camera, names) / _STANDING_SHARE
     for person in dict.fromkeys(people.tolist()):
         own = people == person
         if np.isfinite(bones[own]).any():
-            told[own & np.isnan(told)] = np.nanmean(bones[own])
-    return told
+            statures[own & np.isnan(statures)] = np.nanmean(bones[own])
+    return statures

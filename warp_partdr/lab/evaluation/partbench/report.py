@@ -56,8 +56,8 @@ _STYLE = "body{font:15px sans-serif;margin:2em;max-width:1500px}pre{font-size:12
 
 def compare_methods(report: Report) -> Iterator[str]:
     """Differences between methods on the same people, with 95 % intervals: a sentence for each level and pair."""
-    for source, told in compare_pairs(report, ORDER):
-        yield f"{source.removeprefix(source_name(''))}: {told}"
+    for source, sentence in compare_pairs(report, ORDER):
+        yield f"{source.removeprefix(source_name(''))}: {sentence}"
 
 
 def write_report(
