@@ -36,11 +36,12 @@ class BoneLaunches:
     """Launches for B bodies; in float64 of matrices alone.
 
     Args:
-        parameters: Arguments of ``pose``; a body's numbers lie side by side.
+        parameters: Arguments of ``pose``. The numbers of a body lie side by side in memory.
         locked: Parts that keep their rest rotation, as bits.
-        camera: If there is a camera: its focal lengths (B,) or (B, 2), its centres (B, 2), and the tensor (B, 4) that
-            ``launch`` fills with f_x, f_y, c_x, c_y [px].
-        half_size: Of the crop that the camera's numbers are of, see ``kernels.turns`` [px]; 0: they are in pixels.
+        camera: Three tensors, if there is a camera: focal lengths (B,) or (B, 2), centres (B, 2), and the tensor (B, 4)
+            that ``launch`` fills with f_x, f_y, c_x, c_y [px].
+        half_size: Half of the crop's side, if the camera's numbers are relative to a crop (see ``kernels.turns``) [px].
+            If it is 0, they are in pixels.
     """
 
     def __init__(
@@ -82,11 +83,11 @@ class BoneLaunches:
         """Launches that fill gradients, after ``launch``.
 
         Args:
-            rotations: Of ``Posed``.
-            adjoints: Of the fields of ``Posed``.
-            gradients: Of the parameters.
-            adj_cameras: Of the filled camera, shape (B, 4), or in shares (B, M, 4).
-            camera_gradients: Of the camera's numbers.
+            rotations: Field ``rotations`` of ``Posed``, which ``launch`` filled.
+            adjoints: Adjoints of the fields of ``Posed``.
+            gradients: Gradients of the parameters. They are filled.
+            adj_cameras: Adjoint of the filled camera, shape (B, 4), or M shares of it, shape (B, M, 4).
+            camera_gradients: Gradients of the camera's numbers. They are filled.
         """
         orientation, translation, turns, lengths, thicknesses = gradients
         turned = (orientation, turns) if self._turns is None else self._empty_turned()

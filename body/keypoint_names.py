@@ -130,8 +130,8 @@ def skeleton_of_names(names: Sequence[Any], where: str) -> Skeleton | None:
     if animal is not None:
         raise InputError(f"{where}: keypoint {shown(animal)}; expected keypoints of people, not of animals")
     if len(rows) < _FEWEST or (2 * len(rows) < len(names) and len(rows) < _SURE):
-        told = f"{len(rows)} of {len(names)} keypoint names are landmarks of a person"
-        raise InputError(f"{where}: {told} ({_some(names)}); expected names such as left_shoulder")
+        fault = f"{len(rows)} of {len(names)} keypoint names are landmarks of a person"
+        raise InputError(f"{where}: {fault} ({_some(names)}); expected names such as left_shoulder")
     form = _known_format(rows)
     if form is None:
         rows |= {mirror_name(name): -1 for name in rows if mirror_name(name) not in rows}

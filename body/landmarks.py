@@ -170,7 +170,7 @@ def annotated(names: Sequence[str], known: Collection[str] | None = None, conven
 
     Args:
         names: Landmarks.
-        known: The landmarks that a model has; None: EllipBody's.
+        known: Landmarks that a model has. If it is None, they are EllipBody's.
         convention: "coco", where COCO's annotators mark them, or one of ``CONVENTIONS``.
     """
     known = LANDMARKS if known is None else known

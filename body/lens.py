@@ -22,9 +22,10 @@ def place_bodies(
 
     Args:
         parameters: B bodies.
-        posed: The same, the pelvis at the origin.
-        lens: Shape (3,); None: the camera is of weak perspective, and bodies stay.
-        size: [px].
+        posed: These bodies, posed with the pelvis at the origin.
+        lens: Focal length and principal point in the crop's coordinates, shape (3,), or (B, 3) with one for each body.
+            If it is None, the camera is of weak perspective, and bodies stay.
+        size: Side of the crop [px].
     """
     camera, pelvises = find_camera(parameters, lens, size)
     return posed if pelvises is None else posed.at(pelvises), camera

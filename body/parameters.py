@@ -191,12 +191,12 @@ class BodyLeaves(Movable):
     ``BodyParameters.leaves(log_sizes=True)`` makes them. A step of a logarithm is a share of the size: 0.01 is 1 %.
 
     Attributes:
-        orientation: As of ``BodyParameters``, like all but the sizes, shape (B, 6).
-        rotations: Shape (B, 20, 3).
+        orientation: Global orientation as in ``BodyParameters``, 6D, shape (B, 6).
+        rotations: Local rotations as axis-angle [rad], shape (B, 20, 3).
         log_lengths: Logarithms of lengths in metres, shape (B, 12).
         log_thicknesses: Logarithms of thicknesses in metres, shape (B, 15).
-        log_scale: Shape (B,).
-        shift: Shape (B, 2).
+        log_scale: Logarithm of the crop's half-sides for each metre, shape (B,).
+        shift: Position of the pelvis in the crop, shape (B, 2).
     """
 
     orientation: torch.Tensor

@@ -50,9 +50,9 @@ class PosePrior(torch.nn.Module):
         mean_pose: Mean rotation vectors [rad], shape (20, 3).
         mean_up: Mean up direction in the pelvis' frame, shape (3,).
         exemplars: Rotation vectors [rad] of poses that represent the motion capture, most frequent first, (N, 20, 3).
-        exemplar_ups: Their up directions in the pelvis' frame, shape (N, 3).
+        exemplar_ups: Upward direction of each exemplar in the pelvis' frame, shape (N, 3).
         lower_limits: Least rotation vector components that cost nothing [rad], shape (20, 3).
-        upper_limits: Greatest such components [rad], shape (20, 3).
+        upper_limits: Greatest rotation vector components that cost nothing [rad], shape (20, 3).
     """
 
     mean_pose: torch.Tensor

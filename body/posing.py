@@ -231,10 +231,10 @@ def _prepare_bones_adjoint(inputs: Tensors, outputs: Tensors, locked: int, missi
     """Launches that fill the gradients of ``pose``, from its arguments and the adjoints of what it returns.
 
     Args:
-        inputs: The arguments, then those adjoints that are not ``missing``: zero.
-        outputs: The gradients.
+        inputs: Arguments of ``pose``, followed by the adjoints that are not ``missing``.
+        outputs: Gradients of the arguments. They are filled.
         locked: Parts that keep their rest rotation, as bits.
-        missing: Of each field of ``Posed``.
+        missing: Flag for each field of ``Posed`` whose adjoint is not given, and is zero.
     """
     parameters, given, like = inputs[:5], iter(inputs[5:]), inputs[3]
     bones, shapes = BoneLaunches(parameters, locked), _posed_shapes(len(like))

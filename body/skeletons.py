@@ -47,7 +47,7 @@ class Skeleton:
     """Keypoint format: its joints, as landmarks, and the edges between them.
 
     Attributes:
-        name: Its name here, such as "coco17".
+        name: Name of the format in this package, such as "coco17".
         landmarks: Landmark of each of its J joints, in the format's order.
         marks: Point of the body (``LANDMARKS``) that each joint marks, in the same order.
         edges: Pairs of joint indices to draw.

@@ -25,8 +25,8 @@ def iou_loss(maps: torch.Tensor, target_maps: torch.Tensor) -> torch.Tensor:
     """1 - IoU, mean of all parts that are there or in the target: small parts count as much as large ones.
 
     Args:
-        maps: Part maps as the renderer gives them, shape (B, K, H, W); 1 where a part shows, else 0.
-        target_maps: The same of the target.
+        maps: Part maps as the renderer makes them, shape (B, K, H, W): 1 where a part shows, else 0.
+        target_maps: Part maps of the target, the same shape.
     """
     overlap = (maps * target_maps).sum((2, 3))
     union = (maps + target_maps - maps * target_maps).sum((2, 3))

@@ -47,11 +47,12 @@ def launch_in_slices(
     """Call ``launch`` for slices that together are the batch: one slice a thread on the CPU device, one in all on CUDA.
 
     Args:
-        launch: Launches the work of the bodies ``start`` to ``stop``. Whatever it writes belongs to these bodies alone.
-        batch: Number of bodies; 0 calls ``launch`` once, with an empty slice.
-        device: Where the work is launched.
-        modules: Modules of the kernels it launches, Python's or Warp's: they are loaded before there are threads that
-            would each build what is missing.
+        launch: Function that launches the work of the bodies ``start`` to ``stop``. All that it writes must belong to
+            these bodies alone.
+        batch: Number of bodies. If it is 0, ``launch`` is called once, with an empty slice.
+        device: Device on which the work is launched.
+        modules: Modules of the kernels, Python's or Warp's. They are loaded before there are threads, each of which
+            would build what is missing.
     """
     slices = split_batch(batch, on_cpu=device.is_cpu)
     if len(slices) > 1:
@@ -66,11 +67,12 @@ def launch_shared(
     """Launch a kernel whose rows threads of the CPU device share where they take so much work that threads pay.
 
     Args:
-        kernel: Takes the inputs, the row of its first thread, and the outputs, of which each row fills its own.
-        shape: Of its threads, rows first.
-        inputs: On the outputs' device.
-        outputs: At least one.
-        work: Numbers that a thread goes through.
+        kernel: Kernel that takes the inputs, the row of its first thread, and the outputs. Each row fills its own part
+            of them.
+        shape: Shape of its threads, rows first.
+        inputs: Inputs of the kernel, on the outputs' device.
+        outputs: Outputs of the kernel, at least one.
+        work: Count of numbers that a thread goes through.
     """
     device, (rows, *others) = outputs[0].device, shape
 

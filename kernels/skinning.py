@@ -152,11 +152,11 @@ def launch_blend_adjoint(
     """Fill ``gradients`` with respect to maps and rest from the ``adjoint`` of what ``launch_blend`` filled.
 
     Args:
-        weights: By vertices, and by joints.
-        maps: As all others, of ``launch_blend``.
-        rest: Vertices.
-        adjoint: Of the carried ones.
-        gradients: To be filled.
+        weights: Skin weights by vertices, and by joints.
+        maps: Maps of joints that ``launch_blend`` was given.
+        rest: Vertices at rest that ``launch_blend`` was given.
+        adjoint: Adjoint of the vertices that ``launch_blend`` filled.
+        gradients: Gradients of maps and rest. They are filled.
     """
     (rows, columns), (grad_maps, grad_rest) = weights, gradients
     wp.launch(blend_vertices_adjoint, adjoint.shape, [rows, maps, adjoint, grad_rest], device=adjoint.device)

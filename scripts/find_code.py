@@ -239,7 +239,8 @@ class Project:
 
         Args:
             definition: The definition's qualified name.
-            part: What tells files apart if several have such a definition: folders or the file's name, or both.
+            part: Part of a path that tells files apart if several have such a definition: folders or the file's name,
+                or both.
 
         Raises:
             ValueError: If no file has it, or several have.

@@ -102,7 +102,7 @@ class ShapeSpace:
 
     Attributes:
         mean: Vertices and then bone heads of shape 0 [m], shape (V + J, 3).
-        directions: What a unit of each shape value adds [m], shape (S, V + J, 3).
+        directions: Change of these by a unit of each shape value [m], shape (S, V + J, 3).
     """
 
     def __init__(self, people: np.ndarray, num_vertices: int) -> None:

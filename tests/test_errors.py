@@ -87,7 +87,7 @@ def test_no_observation_is_refused() -> None:
         predict_bodies([], warp_partdr.load_label_network())
 
 
-def test_messages() -> None:
+def test_messages_say_the_type_that_was_expected() -> None:
     check_type("value", None, int | None, "of somewhere")
     check_each("values", (1, 2), int, "of somewhere")
     with pytest.raises(TypeError, match=r"^value: str; expected int or None, of somewhere$"):
@@ -132,7 +132,7 @@ ARGUMENTS = {
 
 
 @pytest.mark.parametrize("name", ARGUMENTS)
-def test_integers_of_any_type_and_nothing_else(name: str) -> None:
+def test_integer_arguments_take_integers_of_any_library_and_nothing_else(name: str) -> None:
     call = ARGUMENTS[name]
     call(1)  # first, so that what is kept of it is not found for the others
     for value in (np.int64(1), np.uint8(1), torch.tensor(1)):
@@ -151,7 +151,7 @@ def test_what_comes_back_is_an_int() -> None:
     assert [type(value) for value in (stage.bodies, stage.iterations, stage.size)] == [int] * 3
 
 
-def test_ranges() -> None:
+def test_numbers_out_of_range_name_the_range() -> None:
     assert check_whole("count", 3, 3, 3) == 3
     for value in (2, 5, 10**400):
         with pytest.raises(ValueError, match=r"^count: .*; expected an integer from 3 to 4$"):

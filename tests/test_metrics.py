@@ -13,7 +13,7 @@ from warp_partdr import metrics
 HALF_TURN = np.diag([-1.0, 1.0, -1.0])
 
 
-def test_confusion_and_f1_by_hand(device):
+def test_confusion_and_f1_agree_with_counts_by_hand(device):
     target = torch.tensor([[0, 0, 1, 1], [2, 2, 255, 0]], dtype=torch.uint8, device=device)
     shown = torch.tensor([[0, 1, 1, 0], [2, 1, 2, 255]], dtype=torch.uint8, device=device)
     counts = metrics.confusion(shown, target, 3)
@@ -83,12 +83,12 @@ def test_bad_classes_and_shapes_name_the_argument(predicted, target, error):
 
 
 @pytest.mark.parametrize("count", [-1, 0, 2.5])
-def test_a_number_of_classes_is_one(count):
+def test_the_number_of_classes_must_be_a_positive_integer(count):
     with pytest.raises(ValueError, match=r"num_classes: .* expected an integer of 1 or more"):
         metrics.confusion(np.zeros((0, 4, 5), int), np.zeros((0, 4, 5), int), count)
 
 
-def test_mpjpe_by_hand(device):
+def test_mpjpe_is_the_mean_distance_of_joints(device):
     points = torch.zeros(2, 3, device=device)
     moved = torch.tensor([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]], device=device)
     assert float(metrics.mpjpe(moved, points)) == pytest.approx(2.5)
@@ -165,7 +165,7 @@ def test_units_do_not_matter_to_alignment(rng):
     assert millimetres == pytest.approx(1000 * float(metrics.pa_mpjpe(points, target)), rel=1e-4)
 
 
-def test_pve_by_hand(device):
+def test_pve_is_the_mean_distance_of_vertices_from_their_pelvis(device):
     target = torch.tensor([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]], device=device)
     moved = target + 10
     moved[0, 1, 1] += 0.5
@@ -203,7 +203,7 @@ def test_bootstrap_covers_the_mean_as_often_as_it_says():
     assert np.mean([high - low for low, high in intervals]) == pytest.approx(0.97 * 8.0, rel=0.05)
 
 
-def test_bootstrap_is_of_resampled_people(rng):
+def test_bootstrap_draws_people_with_replacement(rng):
     counts = rng.integers(0, 100, (7, 3, 3))
     drawn = np.random.default_rng(3).integers(0, 7, (metrics.RESAMPLES, 7))
     expected = np.quantile(metrics.part_f1(counts[drawn].sum(1)), [0.025, 0.975])

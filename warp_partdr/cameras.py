@@ -25,9 +25,9 @@ class WeakPerspective(Movable):
     """Weak-perspective cameras: u = s X + t_u, v = s Y + t_v.
 
     Attributes:
-        scale: s [px/m], shape (B,).
-        translation: (t_u, t_v), where the frame's origin is seen [px], shape (B, 2).
-        near: Depth at or before which nothing is drawn [m]; none by default.
+        scale: Scale s of each camera [px/m], shape (B,).
+        translation: Pixel (t_u, t_v) at which each camera sees the frame's origin [px], shape (B, 2).
+        near: Depth at or before which nothing is drawn [m]. By default, everything is drawn.
 
     Raises:
         ValueError: If a shape or dtype is wrong, the two differ in dtype or device, ``near`` is NaN, or a scale on the
@@ -76,7 +76,7 @@ class WeakPerspective(Movable):
         """Make cameras from HMR's (s, t_x, t_y) of a square crop: x = s (X + t_x) in [-1, 1] (Kanazawa et al., 2018).
 
         Args:
-            parameters: Shape (B, 3).
+            parameters: Parameters (s, t_x, t_y), shape (B, 3).
             image_size: Side of the crop [px].
 
         Returns:
@@ -120,9 +120,9 @@ class Perspective(Movable):
     """Perspective cameras: u = f_x X / Z + c_x, v = f_y Y / Z + c_y.
 
     Attributes:
-        focal: (f_x, f_y) [px], shape (B, 2).
+        focal: Focal lengths (f_x, f_y) [px], shape (B, 2).
         centre: Principal point (c_x, c_y) [px], shape (B, 2).
-        near: Depth at or before which nothing is drawn [m]; not below 1e-6, whatever it says.
+        near: Depth at or before which nothing is drawn [m]. Values below 1e-6 count as 1e-6.
 
     Raises:
         ValueError: If a shape or dtype is wrong, the two differ in dtype or device, ``near`` is NaN, or a focal length
@@ -154,10 +154,10 @@ class Perspective(Movable):
         """The camera of a picture, with square pixels, B = 1.
 
         Args:
-            image_size: (H, W) [px].
-            focal: Focal length [px]; or
+            image_size: Height and width (H, W) of the picture [px].
+            focal: Focal length [px]. Either this or ``fov`` must be given.
             fov: Horizontal angle of view [degrees].
-            principal: Principal point (u, v) [px]; by default the picture's middle.
+            principal: Principal point (u, v) [px]. By default, it is the picture's middle.
 
         Raises:
             ValueError: If not one of ``focal`` and ``fov`` is given, or a number is out of range.
@@ -277,10 +277,10 @@ class Crop:
     """An axis-aligned crop of a picture, resized by one factor: u_crop = (u - left) · zoom.
 
     Attributes:
-        left: First column of the crop in the full picture [px]; may be negative.
-        top: First row.
-        zoom: Pixels of the crop a pixel of the full picture.
-        size: (H, W) of the resized crop [px].
+        left: First column of the crop in the full picture [px]. It may be negative.
+        top: First row of the crop in the full picture [px]. It may be negative.
+        zoom: Number of pixels of the crop for each pixel of the full picture.
+        size: Height and width (H, W) of the resized crop [px].
 
     Raises:
         ValueError: If a number is not finite, or ``zoom`` is not positive.

@@ -107,9 +107,9 @@ def check_type(name: str, value: object, kind: type | UnionType, hint: str) -> N
 
     Args:
         name: The argument's name.
-        value: What the caller passed.
+        value: Value that the caller passed.
         kind: A class, or a union of classes and None.
-        hint: Where one comes from, such as "of read_parts".
+        hint: Hint at where such a value comes from, such as "of read_parts".
     """
     if not isinstance(value, kind):
         names = " or ".join(getattr(each, "__name__", str(each)) for each in get_args(kind) or (kind,))
@@ -132,7 +132,7 @@ def check_whole(name: str, value: SupportsIndex, low: int, high: float = math.in
 
     Args:
         name: The argument's name, for the message.
-        value: What the caller passed.
+        value: Value that the caller passed.
         low: Least that it may be.
         high: Most that it may be.
 

@@ -45,8 +45,8 @@ def confusion(predicted: Array, target: Array, num_classes: int, *, ignored_is_b
 
     Args:
         predicted: Class ids, integers of shape (..., H, W); 255 counts as background.
-        target: The same shape; 0 = background, 255 = ignore.
-        num_classes: C, background included.
+        target: True class ids, the same shape; 0 is background, and 255 is ignored.
+        num_classes: Number of classes C, including background.
         ignored_is_background: Count pixels whose target is 255 as background, as LSP's part accuracy does; by default
             they do not count, as in its F1.
 
@@ -116,9 +116,11 @@ def mpjpe(points: Array, target: Array, *, centre_on: Sequence[int] = (), valid:
 
     Args:
         points: Joints, shape (..., J, 3).
-        target: The true ones, the same shape.
-        centre_on: Joints whose mean, the pelvis, is brought to the origin in both; none leaves them where they are.
-        valid: Which joints count, shape (..., J), bool; the others may be NaN. Without any, the result is NaN.
+        target: True joints, the same shape.
+        centre_on: Joints whose mean, the pelvis, is moved to the origin in both. Without any, joints stay where they
+            are.
+        valid: Mask of the joints that count, shape (..., J), bool. The others may be NaN. If none counts, the result is
+            NaN.
 
     Raises:
         ValueError: If shapes differ, a joint that counts is NaN or infinite, or one of ``centre_on`` is not valid.
@@ -141,8 +143,8 @@ def pa_mpjpe(points: Array, target: Array, *, valid: Array | None = None) -> tor
 
     Args:
         points: Joints, shape (..., J, 3).
-        target: The true ones, the same shape.
-        valid: Which joints decide and count, shape (..., J), bool; the others may be NaN.
+        target: True joints, the same shape.
+        valid: Mask of the joints that are aligned and counted, shape (..., J), bool. The others may be NaN.
 
     Returns:
         Distances [as given], shape (...).
@@ -158,10 +160,10 @@ def pve(vertices: Array, target: Array, *, pelvis: Array, target_pelvis: Array) 
     """Mean distance of a mesh's vertices when the pelvises meet [as given], shape (...).
 
     Args:
-        vertices: Shape (..., V, 3).
-        target: The true ones in the same order, the same shape.
-        pelvis: Where the pelvis is, shape (..., 3).
-        target_pelvis: The true one, the same shape.
+        vertices: Vertices, shape (..., V, 3).
+        target: True vertices in the same order, the same shape.
+        pelvis: Position of the pelvis, shape (..., 3).
+        target_pelvis: Position of the true pelvis, the same shape.
 
     Raises:
         ValueError: If shapes differ or something is NaN or infinite.
@@ -225,9 +227,9 @@ def bootstrap_sum(
     Resamples in which the statistic is not defined (no class occurs) do not count.
 
     Args:
-        values: Of people that are independent, shape (N, ...).
-        statistic: Of sums (R, ...) to R numbers.
-        seed: Of the resampling.
+        values: Counts or sums of N independent people, shape (N, ...).
+        statistic: Function from the sums of R resamples, shape (R, ...), to R numbers.
+        seed: Seed of the resampling.
 
     Raises:
         ValueError: If there are no values, or one is NaN or infinite.

@@ -27,9 +27,9 @@ class Case:
     """Source of one case's arguments; Hypothesis shrinks them towards the first of every choice, which is right.
 
     Args:
-        draw: Of Hypothesis.
-        folder: For the case's files.
-        device: Of its tensors.
+        draw: Function of Hypothesis that draws values.
+        folder: Folder for the case's files.
+        device: Device of its tensors.
     """
 
     def __init__(self, draw: Callable[[st.SearchStrategy], Any], folder: Path, device: str) -> None:

@@ -52,7 +52,7 @@ class PlottedMotion(Plotted):
             for person in state.people
         }
         self._grid = self._add(self._lines(_ground(state.room.low, state.room.high)), color=_GRID, line_width=1)
-        pyramids = np.concatenate([self._pyramid(place) for place in range(len(state.saved.views))])
+        pyramids = np.concatenate([self._pyramid(index) for index in range(len(state.saved.views))])
         self._pyramids = self._add(self._lines(pyramids), color=_CAMERAS, line_width=1.5)
         self._status = self._add_status()
         self.look()
@@ -73,9 +73,9 @@ class PlottedMotion(Plotted):
         places = np.c_[np.full(count, 2), np.arange(2 * count).reshape(count, 2)]
         return self._pv.PolyData(ends.reshape(-1, 3), lines=places.ravel())
 
-    def _pyramid(self, place: int) -> np.ndarray:
+    def _pyramid(self, index: int) -> np.ndarray:
         """Lines from a camera to the corners of what it sees, and around them, shape (8, 2, 3)."""
-        view = self.state.saved.views[place]
+        view = self.state.saved.views[index]
         focal, centre = (each[0].double().numpy() for each in (view.view.camera.focal, view.view.camera.centre))
         height, width = view.size
         corners = (np.array([(0, 0), (width, 0), (width, height), (0, height)]) - centre) / focal
@@ -113,8 +113,8 @@ class PlottedMotion(Plotted):
         """Description of the state."""
         state = self.state
         there = f"{len(state.bodies())} of {len(state.people)} people"
-        place = f"frame {state.frame} of {state.count}   ·   {state.saved.times[state.frame]:.2f} s   ·   {there}"
-        return "\n".join([place, textwrap.fill(self.message or self.pictures.fault, _WIDEST)])
+        title = f"frame {state.frame} of {state.count}   ·   {state.saved.times[state.frame]:.2f} s   ·   {there}"
+        return "\n".join([title, textwrap.fill(self.message or self.pictures.fault, _WIDEST)])
 
 
 def _ground(low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -124,8 +124,8 @@ def _ground(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     end = begin + step * np.ceil((end - begin) / step)
     lines = []
     for along, across in ((0, 2), (2, 0)):
-        for place in np.arange(begin[across], end[across] + step / 2, step):
+        for position in np.arange(begin[across], end[across] + step / 2, step):
             ends = np.full((2, 3), low[1])
-            ends[:, across], ends[:, along] = place, (begin[along], end[along])
+            ends[:, across], ends[:, along] = position, (begin[along], end[along])
             lines.append(ends)
     return np.array(lines)

@@ -77,8 +77,8 @@ class MotionState:
     def show_next(self) -> None:
         """Show one person alone, each time the next one."""
         shown = [person for person in self.people if person not in self.hidden]
-        place = self.people.index(shown[0]) + 1 if len(shown) == 1 else 0
-        self.hidden = set(self.people) - {self.people[place % len(self.people)]}
+        index = self.people.index(shown[0]) + 1 if len(shown) == 1 else 0
+        self.hidden = set(self.people) - {self.people[index % len(self.people)]}
 
     def switch(self, person: int) -> None:
         """Show somebody, or hide them."""
@@ -109,9 +109,9 @@ class Room:
     """The space that people move in, as it is drawn: x right, y up, z toward the viewer, as the first view sees it.
 
     Attributes:
-        turn: Rotation of the world into it, shape (3, 3).
-        low: Its least x, y (the ground) and z [m], shape (3,).
-        high: Its largest, likewise.
+        turn: Rotation from the world to the room, shape (3, 3).
+        low: Least x, y (the ground) and z of the room [m], shape (3,).
+        high: Largest x, y and z of the room [m], shape (3,).
     """
 
     turn: np.ndarray
@@ -165,10 +165,10 @@ def find_film(view: FilmView, folder: Path, given: str, *, alone: bool) -> Path 
     """The film of a view, if it is still there.
 
     Args:
-        view: Of a scene.
-        folder: The scene's.
-        given: The user's word: a folder with the film or, of the only view, the film; "" for none.
-        alone: Whether it is the only view.
+        view: View of the scene.
+        folder: Folder of the scene.
+        given: Text that the user gave: a folder with the film or, for the only view, the film. "" is for none.
+        alone: True if it is the only view.
     """
     if given and alone and Path(given).is_file():
         return Path(given)

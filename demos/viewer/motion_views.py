@@ -55,30 +55,30 @@ class ViewPictures:
         if now == self._shown:
             return
         self._shown, draw = now, self._overlay.draw
-        for place, box in enumerate(self.boxes):
-            picture = self.picture(place)  # first: it finds that a film can't be read
-            title = self.titles[place] + ("" if self._readers[place] else "   without its film")
+        for index, box in enumerate(self.boxes):
+            picture = self.picture(index)  # first: it finds that a film can't be read
+            title = self.titles[index] + ("" if self._readers[index] else "   without its film")
             draw.rectangle((box.left, box.top - _TITLE, box.left + box.size[1], box.top - 1), fill=PAPER)
             draw.text((box.left, box.top - 6), title, INK, self._overlay.font, anchor="ls")
             self._overlay.paste(picture, (box.left, box.top))
         self._overlay.show()
 
-    def picture(self, place: int) -> np.ndarray:
+    def picture(self, index: int) -> np.ndarray:
         """A view as it is now, RGB, (H, W, 3) of its box, uint8."""
-        state, view, size = self.state, self.state.saved.views[place], self.boxes[place].size
+        state, view, size = self.state, self.state.saved.views[index], self.boxes[index].size
         seen = zoomed_view(view.view, size[1] / view.size[1], size)
         people = {person: state.colour(person) for person in state.people}
-        return draw_bodies(self._background(place), state.bodies(), state.saved.motions, seen, people)
+        return draw_bodies(self._background(index), state.bodies(), state.saved.motions, seen, people)
 
-    def _background(self, place: int) -> np.ndarray:
-        reader, number = self._readers[place], self.state.saved.views[place].number(self.state.frame)
+    def _background(self, index: int) -> np.ndarray:
+        reader, number = self._readers[index], self.state.saved.views[index].number(self.state.frame)
         if reader is not None and number is not None and self.over_film:
             try:
                 return reader.picture(number)
             except InputError as error:
-                self._readers[place] = None  # it is not tried at each frame
+                self._readers[index] = None  # it is not tried at each frame
                 self.fault = str(error)
-        return np.full((*self.boxes[place].size, 3), _PLAIN, np.uint8)
+        return np.full((*self.boxes[index].size, 3), _PLAIN, np.uint8)
 
 
 def arrange(sizes: Sequence[tuple[int, int]], room: tuple[int, int]) -> list[_Box]:
@@ -87,8 +87,8 @@ def arrange(sizes: Sequence[tuple[int, int]], room: tuple[int, int]) -> list[_Bo
     columns = max(range(1, len(sizes) + 1), key=lambda each: _width(len(sizes), each, tallest, room))
     widest = _width(len(sizes), columns, tallest, room)
     found = []
-    for place, (height, width) in enumerate(sizes):
-        row, column = divmod(place, columns)
+    for index, (height, width) in enumerate(sizes):
+        row, column = divmod(index, columns)
         left, top = column * (widest + _GAP), _TITLE + row * (round(widest * tallest) + _TITLE + _GAP)
         found.append(_Box(left, top, (max(round(widest * height / width), 1), widest)))
     return found
@@ -103,6 +103,6 @@ def _width(count: int, columns: int, tallest: float, room: tuple[int, int]) -> i
 
 def _shrunk(picture: np.ndarray, view: FilmView, size: tuple[int, int]) -> np.ndarray:
     if picture.shape[:2] != view.size:
-        told, wanted = ("x".join(map(str, each[1::-1])) for each in (picture.shape, view.size))
-        raise InputError(f"pictures of {told}; expected {wanted}, as were fitted")
+        found, wanted = ("x".join(map(str, each[1::-1])) for each in (picture.shape, view.size))
+        raise InputError(f"pictures of {found}; expected {wanted}, as were fitted")
     return resized(picture, size, view.lens)

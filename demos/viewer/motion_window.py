@@ -68,8 +68,8 @@ class MotionWindow(ControlledWindow):
             [
                 "speed",
                 *(
-                    Button(f"{speed:g}", f"F{place}", f"times the film's speed: {speed:g}", *self._speed(speed))
-                    for place, speed in enumerate(SPEEDS, start=1)
+                    Button(f"{speed:g}", f"F{index}", f"times the film's speed: {speed:g}", *self._speed(speed))
+                    for index, speed in enumerate(SPEEDS, start=1)
                 ),
                 "   show  ",
                 Button("background", "b", "the films behind the people", *_switch(scene.pictures, "over_film")),
@@ -86,11 +86,11 @@ class MotionWindow(ControlledWindow):
         return rows, {"Home": partial(state.go, 0), "End": partial(state.go, state.count - 1)}
 
     def _person(self, person: int) -> Button:
-        state, place = self.state, self.state.people.index(person)
+        state, index = self.state, self.state.people.index(person)
         colour = "#{:02x}{:02x}{:02x}".format(*state.colour(person).tolist())
         return Button(
             f"person {person}",
-            str(place) if place < 10 else "",
+            str(index) if index < 10 else "",
             f"show person {person}, or hide",
             partial(state.switch, person),
             lambda: person not in state.hidden,
@@ -129,7 +129,7 @@ class MotionWindow(ControlledWindow):
     def profile(self, count: int = 30) -> dict[str, float]:
         """Median time from a change to its drawn picture, by what is changed [ms]."""
         self.scene.screenshot()  # until there is a first picture, PyVista draws none
-        frames = [self.state.count * place // count for place in range(count)]
+        frames = [self.state.count * index // count for index in range(count)]
         return {
             "next frame": median_time([partial(self.press, "Right")] * min(count, self.state.count)),
             "slider": median_time([partial(self.slide, frame) for frame in (*frames[::2], *frames[1::2])]),

@@ -59,17 +59,17 @@ class Overlay:
         corners = np.array([(left, bottom, 0), (right, bottom, 0), (right, top, 0), (left, top, 0)], dtype=np.float32)
         quad = pv.PolyData(corners, faces=[4, 0, 1, 2, 3])
         quad.active_texture_coordinates = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=np.float32)
-        mapper, place, actor = vtkPolyDataMapper2D(), vtkCoordinate(), vtkTexturedActor2D()
-        place.SetCoordinateSystemToNormalizedViewport()
-        mapper.SetTransformCoordinate(place)
+        mapper, coordinate, actor = vtkPolyDataMapper2D(), vtkCoordinate(), vtkTexturedActor2D()
+        coordinate.SetCoordinateSystemToNormalizedViewport()
+        mapper.SetTransformCoordinate(coordinate)
         mapper.SetInputData(quad)
         actor.SetMapper(mapper)
         actor.SetTexture(self._texture.texture)
         renderer.AddViewProp(actor)
 
-    def paste(self, picture: np.ndarray, place: tuple[int, int]) -> None:
+    def paste(self, picture: np.ndarray, corner: tuple[int, int]) -> None:
         """Paint a picture, RGB, shape (height, width, 3), uint8, whose upper left is at a place."""
-        self._picture.paste(Image.fromarray(picture), place)
+        self._picture.paste(Image.fromarray(picture), corner)
 
     def show(self) -> None:
         """Show what is painted."""
@@ -77,6 +77,6 @@ class Overlay:
 
     def pixel(self, x: float, y: float) -> tuple[float, float]:
         """Column, and row from the top, of a place in the window [px, y up]."""
-        place = (np.array([x, y]) - self._renderer.GetOrigin()) / self._renderer.GetSize()
-        column, up = (place - self._low) / (self._high - self._low) * self._size
+        position = (np.array([x, y]) - self._renderer.GetOrigin()) / self._renderer.GetSize()
+        column, up = (position - self._low) / (self._high - self._low) * self._size
         return column, self._size[1] - up

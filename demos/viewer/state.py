@@ -66,13 +66,15 @@ class DemoState:
 
     def restart(self) -> None:
         """Go back to the start."""
-        seen, settings = self.target.observation, self.settings
+        observation, settings = self.target.observation, self.settings
         if settings.supervision == "keypoints":
-            seen = replace(seen, labels=None, label_set=None)
-        elif settings.supervision == "silhouette" and seen.labels is not None:
-            person = (seen.labels != BACKGROUND) & (seen.labels != IGNORE)
-            seen = replace(seen, labels=seen.labels.masked_fill(person, 1), label_set=label_set("full1"))
-        self.energy = Energy(seen, size=settings.size, prior=self.prior, renderer=settings.drawn_by)
+            observation = replace(observation, labels=None, label_set=None)
+        elif settings.supervision == "silhouette" and observation.labels is not None:
+            person = (observation.labels != BACKGROUND) & (observation.labels != IGNORE)
+            observation = replace(
+                observation, labels=observation.labels.masked_fill(person, 1), label_set=label_set("full1")
+            )
+        self.energy = Energy(observation, size=settings.size, prior=self.prior, renderer=settings.drawn_by)
         self._refinement = Refinement(
             self.start, self.energy, iterations=settings.steps, learning_rate=settings.learning_rate
         )

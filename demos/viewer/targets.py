@@ -115,8 +115,8 @@ def person_target(person: PersonInputs) -> Target:
     if person.photo is not None:
         height, width = crop.size
         box = (crop.left, crop.top, crop.left + width / crop.zoom, crop.top + height / crop.zoom)
-        photo, how = Image.fromarray(person.photo), Image.Transform.EXTENT
-        shown = np.asarray(photo.transform((width, height), how, box, Image.Resampling.BILINEAR, fillcolor=PAPER))
+        photo, method = Image.fromarray(person.photo), Image.Transform.EXTENT
+        shown = np.asarray(photo.transform((width, height), method, box, Image.Resampling.BILINEAR, fillcolor=PAPER))
     return Target(replace(observation, maps=None, known=None), photo=shown)
 
 

@@ -262,10 +262,10 @@ class Seen(NamedTuple):
     """B bodies of P ellipsoids as their cameras see them.
 
     Attributes:
-        silhouettes: From ``launch_see``, shape (B, P).
-        neighbours: From ``launch_find_neighbours``: sets of ellipsoids that may hide or be hidden, shape (B, P, N),
-            uint32, a bit each.
-        creases: Sets of those that may meet it, the same.
+        silhouettes: Silhouettes that ``launch_see`` fills, shape (B, P).
+        neighbours: Sets of ellipsoids that may hide each ellipsoid or be hidden by it, which ``launch_find_neighbours``
+            fills, shape (B, P, N), uint32, with a bit for each.
+        creases: Sets of ellipsoids that may meet each ellipsoid, shape (B, P, N), uint32.
     """
 
     silhouettes: wp.array

@@ -47,11 +47,11 @@ class ZBuffer:
     """Scratch of a z-buffer, for one launch at a time.
 
     Attributes:
-        keys: Nearest face at a pixel as ``depth_key``, shape (B, H, W). ``EMPTY_KEY`` between launches: who reads a key
-            puts it back, so that a picture costs only the pixels that show something.
-        touched: 1 where a face may lie in a tile, shape (B, tiles down, tiles across), uint8. 0 between launches,
-            likewise.
-        faults: As of ``ImageArrays``, shape (B,); 0 between launches, likewise.
+        keys: Nearest face at a pixel as ``depth_key``, shape (B, H, W). It is ``EMPTY_KEY`` between launches: each
+            reader of a key puts it back, so that a picture costs only the pixels that show something.
+        touched: Flag that is 1 where a face may lie in a tile, shape (B, tiles down, tiles across), uint8. It is 0
+            between launches.
+        faults: Faults as in ``ImageArrays``, shape (B,). They are 0 between launches.
     """
 
     keys: wp.array

@@ -44,7 +44,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faults_are_seen(monkeypatch, fault):
+def test_faults_and_hangs_are_found(monkeypatch, fault):
     monkeypatch.setitem(fuzz.TARGETS, "broken", FAULTS[fault])
     if fault == "hang":
         monkeypatch.setattr(fuzz, "PATIENCE", 0.05)

@@ -43,7 +43,7 @@ AP10K = (
         (None, "left;hand;left_hand;right_foot;tail;shoulder;knee;left_right_eye;heel;hat;spine2;left_hand_root;7;"),
     ],
 )
-def test_spellings(landmark: str | None, spellings: str) -> None:
+def test_landmarks_are_known_by_any_spelling_of_their_names(landmark: str | None, spellings: str) -> None:
     for name in spellings.split(";"):
         assert landmark_of_name(name) == landmark, name
 
@@ -91,7 +91,8 @@ def test_formats_that_share_their_landmarks_are_told_apart_by_order() -> None:
     assert mixed.marks == SKELETONS["crowdpose14"].marks  # what annotators mark, for of lists they are the likelier
 
 
-def test_points_that_some_data_sets_call_otherwise() -> None:
+def test_names_mean_what_their_data_set_calls_by_them() -> None:
+    """The same name may be another landmark beside other names: ``head`` is the crown in CrowdPose, and not in SMPL."""
     crowd = "left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_hip right_hip".split()
     legs = "left_knee right_knee left_ankle right_ankle".split()
     assert skeleton_of_names([*crowd, *legs, "head", "neck"], "f") is SKELETONS["crowdpose14"]
@@ -114,7 +115,7 @@ def test_points_that_some_data_sets_call_otherwise() -> None:
     assert form.places[form.landmarks.index("neck")] == 6
 
 
-def test_lists_of_no_known_format() -> None:
+def test_names_of_no_known_format_make_a_skeleton_with_both_sides() -> None:
     """Their skeletons have the other side of each landmark, too."""
     form = skeleton_of_names(["hat", "right_wrist", "nose"], "f")
     assert form is not None
@@ -131,7 +132,7 @@ def test_lists_of_no_known_format() -> None:
     assert odd.mirror.tolist() == [0, 2, 1, 4, 3]
 
 
-def test_lists_that_are_no_persons() -> None:
+def test_names_that_are_not_of_a_person_are_refused() -> None:
     with pytest.raises(InputError, match=r"^f: keypoint 'root_of_tail'; expected keypoints of people, not of animals"):
         skeleton_of_names(AP10K, "f")
     for name in ("L_F_Paw", "TailBase", "withers", "beak", "left front hoof"):

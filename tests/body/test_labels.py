@@ -19,7 +19,7 @@ EXPECTED_CLASSES = {"full1": 1, "lip20": 19, "cihp20": 19, "atr18": 17, "sapiens
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_table(name: str) -> None:
+def test_each_part_is_in_one_group_of_a_set(name: str) -> None:
     labels = LABEL_SETS[name]
     assert label_set(name) is labels
     assert labels.name == name
@@ -46,7 +46,7 @@ def test_left_and_right_mirror_each_other(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_part_image_round_trip(name: str, rng: np.random.Generator) -> None:
+def test_ids_of_a_part_image_come_back_as_its_groups(name: str, rng: np.random.Generator) -> None:
     labels = LABEL_SETS[name]
     parts = rng.integers(0, 21, size=(40, 50)).astype(np.uint8)
     if name != "full1":  # Its 255 is a person.
@@ -62,7 +62,7 @@ def test_part_image_round_trip(name: str, rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_source_ids(name: str) -> None:
+def test_each_id_becomes_the_group_that_it_means(name: str) -> None:
     labels = LABEL_SETS[name]
     for source, meaning in labels.ids.items():
         group = labels.to_groups(np.array([source]))[0]
@@ -90,7 +90,7 @@ def test_source_ids(name: str) -> None:
         ("ellipbody20", {1: "left_hip", 8: "head", 20: "right_hand"}),
     ],
 )
-def test_meanings(name: str, meanings: dict[int, str]) -> None:
+def test_ids_mean_what_their_data_sets_say(name: str, meanings: dict[int, str]) -> None:
     assert {source: LABEL_SETS[name].ids[source] for source in meanings} == meanings
 
 
@@ -103,7 +103,7 @@ def test_sapiens2_has_one_class_more() -> None:
     assert second.groups == first.groups
 
 
-def test_the_table_of_the_docs() -> None:
+def test_the_docs_list_each_set_with_its_ids() -> None:
     """Name, data set, classes, ids and what is ignored."""
     page = (Path(__file__).resolve().parents[2] / "docs" / "inputs.md").read_text()
     rows = [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in page.splitlines() if "| `" in line]
@@ -121,7 +121,7 @@ def test_cdcl_has_the_ids_of_the_shared_photos(shared: Path) -> None:
     assert LABEL_SETS["cdcl14"].class_names == {int(source): name for source, name in theirs.items()}
 
 
-def test_images_of_other_types() -> None:
+def test_masks_and_empty_images_are_converted_and_other_types_refused() -> None:
     full, lsp6 = LABEL_SETS["full1"], LABEL_SETS["lsp6"]
     assert full.to_groups(np.array([[True, False]])).tolist() == [[1, 0]]
     assert full.to_groups(np.zeros((0, 3), dtype=np.uint8)).shape == (0, 3)
@@ -157,7 +157,7 @@ def test_probabilities_become_group_maps() -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in {"full1", "pascal6"}])
-def test_regroup_to_lsp(name: str) -> None:
+def test_regrouping_to_lsp_keeps_each_part_in_its_group_except_necks(name: str) -> None:
     source, target = LABEL_SETS[name], LABEL_SETS["lsp6"]
     table = regroup(source, target)
     assert table[0] == 0
@@ -171,7 +171,7 @@ def test_regroup_to_lsp(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_regroup_to_itself_and_to_a_silhouette(name: str) -> None:
+def test_regrouping_to_itself_changes_nothing_and_to_a_silhouette_makes_all_one(name: str) -> None:
     labels = LABEL_SETS[name]
     groups = np.arange(labels.num_groups + 1)
     np.testing.assert_array_equal(regroup(labels, labels)[groups], groups)
@@ -179,7 +179,7 @@ def test_regroup_to_itself_and_to_a_silhouette(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["full1", "pascal6"])
-def test_regroup_of_a_set_that_straddles_groups(name: str) -> None:
+def test_a_group_that_straddles_several_cannot_be_regrouped(name: str) -> None:
     with pytest.raises(
         ValueError, match=rf"{name} to lsp6: group .* lies in left_arm, right_arm.*; expected one group"
     ):
@@ -201,7 +201,7 @@ OWN: dict[str, Any] = {
 }
 
 
-def test_a_set_of_ones_own(tmp_path: Path) -> None:
+def test_a_custom_label_set_is_read_from_a_file_or_a_table(tmp_path: Path) -> None:
     path = tmp_path / "own.json"
     path.write_text(json.dumps(OWN))
     for labels in (label_set(path), label_set(str(path)), label_set(OWN), label_set(label_set(OWN))):
@@ -241,7 +241,7 @@ def test_a_set_of_ones_own(tmp_path: Path) -> None:
         ({"at_joints": "yes"}, "at_joints: 'yes'; expected true or false"),
     ],
 )
-def test_wrong_sets_of_ones_own(change: dict[str, Any], message: str, tmp_path: Path) -> None:
+def test_a_faulty_custom_label_set_is_refused_in_a_line(change: dict[str, Any], message: str, tmp_path: Path) -> None:
     path = tmp_path / "own.json"
     path.write_text(json.dumps(OWN | change))
     with pytest.raises(InputError, match=message) as raised:
@@ -260,7 +260,7 @@ def test_ids_with_class_names_mean_a_known_set(tmp_path: Path) -> None:
         label_set(path)
 
 
-def test_no_such_set(tmp_path: Path) -> None:
+def test_an_unknown_label_set_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "bad.json").write_text("{")
     (tmp_path / "list.json").write_text("[]")
     for source, message in (
@@ -273,7 +273,7 @@ def test_no_such_set(tmp_path: Path) -> None:
             label_set(source)
 
 
-def test_ids_of_python_are_integers() -> None:
+def test_ids_may_be_any_integers_and_nothing_else() -> None:
     assert label_set(OWN | {"ids": {0: "background", np.int64(3): "head"}}).ids == {0: "background", 3: "head"}
     for make in (lambda ids: label_set(OWN | {"ids": ids}), lambda ids: LabelSet("mine", {"head": ("head",)}, ids)):
         with pytest.raises(ValueError, match="mine: id 1 is 'arm'"):

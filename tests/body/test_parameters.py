@@ -21,7 +21,7 @@ def slim_target(device: str) -> tuple[torch.Tensor, BodyParameters]:
     return labels, usual
 
 
-def test_logarithms_are_of_the_same_bodies(device):
+def test_leaves_with_logarithms_make_the_same_bodies(device):
     usual = BodyParameters.mean(3, device=device)
     bodies = usual.leaves(log_sizes=True).bodies()
     for name, tensor in usual.tensors().items():
@@ -61,7 +61,7 @@ def test_no_step_makes_a_logarithm_s_size_negative(device, rate):
         assert renderer.crop_loss(plain, labels).isnan().all()
 
 
-def test_frozen_ones_collect_nothing(device):
+def test_frozen_parameters_collect_no_gradient(device):
     leaves = BodyParameters.mean(1, device=device).leaves(("thicknesses", "shift"), log_sizes=True)
     wants = {name: tensor.requires_grad for name, tensor in leaves.tensors().items()}
     free = {"orientation", "rotations", "log_lengths", "log_scale"}
@@ -81,7 +81,7 @@ def test_leaves_are_copies(device):
 
 @pytest.mark.parametrize("value", [0.0, -0.1, float("nan"), float("inf")])
 @pytest.mark.parametrize("name", ["lengths", "thicknesses"])
-def test_logarithms_of_what_is_no_size_are_refused(device, name, value):
+def test_sizes_without_a_logarithm_are_refused(device, name, value):
     bodies = BodyParameters.mean(2, device=device)
     bodies.tensors()[name][1, 3] = value
     with pytest.raises(ValueError, match=f"^{name}: "):
@@ -90,7 +90,7 @@ def test_logarithms_of_what_is_no_size_are_refused(device, name, value):
 
 @pytest.mark.parametrize("frozen", ["lengths", ("length",), ("log_lengths",)])
 @pytest.mark.parametrize("log_sizes", [False, True])
-def test_frozen_ones_are_named_as_parameters(frozen, log_sizes):
+def test_frozen_takes_names_of_parameters_alone(frozen, log_sizes):
     with pytest.raises(ValueError, match=r"^frozen: .*expected some of"):
         BodyParameters.mean(1).leaves(frozen, log_sizes=log_sizes)
     assert set(BodyParameters.mean(1).leaves(tuple(ROW)).tensors()) == set(ROW)

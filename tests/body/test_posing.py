@@ -21,7 +21,7 @@ TREE = BodyTree(PARENTS, template().rest_directions, template().rest_axes, SHAPE
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_pose_is_the_walk(device, dtype):
+def test_posing_agrees_with_the_reference_walk_along_the_joints(device, dtype):
     parameters = random_parameters(0, 3, device, dtype)
     posed = pose(*parameters)
     tolerance = 1e-5 if dtype == torch.float32 else 1e-12
@@ -44,7 +44,7 @@ def test_pose_is_the_walk(device, dtype):
 
 
 @pytest.mark.parametrize("subdivisions", [0, 1])
-def test_adjoint_by_finite_differences(device, subdivisions):
+def test_adjoints_agree_with_finite_differences(device, subdivisions):
     parameters = [p.requires_grad_() for p in random_parameters(1, 2, device)]
 
     def everything(*parameters):
@@ -56,8 +56,8 @@ def test_adjoint_by_finite_differences(device, subdivisions):
 
 
 @pytest.mark.parametrize("form", ["axis-angle", "6D"])
-def test_rotations_in_other_forms(device, form):
-    """As their matrices, with the gradients that torch finds through them; twice differentiable."""
+def test_rotations_in_other_forms_pose_as_their_matrices_do(device, form):
+    """Their gradients are those that torch finds through the matrices, and they can be differentiated twice."""
     generator = torch.Generator().manual_seed(3)
     width = {"axis-angle": 3, "6D": 6}[form]
     make = {"axis-angle": rotation_from_axis_angle, "6D": rotation_from_6d}[form]
@@ -84,8 +84,8 @@ def test_rotations_in_other_forms(device, form):
     assert torch.autograd.grad(first.square().sum(), leaves[1])[0].abs().max() > 0
 
 
-def test_a_body_of_which_little_is_asked(device):
-    """Adjoints that nobody sends are zeros, also in a graph that was filled by others."""
+def test_results_that_are_not_used_have_zero_adjoints(device):
+    """This must also hold in a graph whose buffers another call has filled."""
     parameters = [p.requires_grad_() for p in random_parameters(4, 2, device, torch.float32)]
     for asked in ("joints", "axes", "joints", "axes", "joints"):
         posed = pose(*parameters)
@@ -140,7 +140,7 @@ def test_measure_names_every_length_and_thickness():
         assert np.isclose(values, value, atol=1e-6).any()
 
 
-def test_empty_batch(device):
+def test_an_empty_batch_is_posed(device):
     body = EllipBody.mean(0, device=device)
     assert body.pose().torch()["joints"].shape == (0, 21, 3)
     parameters = [p.requires_grad_() for p in random_parameters(0, 1, device)]

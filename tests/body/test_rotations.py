@@ -29,13 +29,13 @@ def is_rotation(matrix: torch.Tensor, tolerance: float = 1e-5) -> bool:
 
 
 @given(vectors)
-def test_axis_angle_is_scipys(vector):
+def test_axis_angle_agrees_with_scipy(vector):
     have = rotation_from_axis_angle(torch.tensor(vector, dtype=torch.float64))
     np.testing.assert_allclose(have.numpy(), Rotation.from_rotvec(vector).as_matrix(), atol=1e-9)
 
 
 @given(vectors)
-def test_axis_angle_round_trip(vector):
+def test_axis_angle_comes_back_as_the_same_rotation(vector):
     rotation = rotation_from_axis_angle(torch.tensor(vector, dtype=torch.float64))
     back = rotation_from_axis_angle(rotation_to_axis_angle(rotation))
     torch.testing.assert_close(back, rotation, atol=1e-7, rtol=0)
@@ -43,7 +43,7 @@ def test_axis_angle_round_trip(vector):
 
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-5, 1e-4, np.pi - 1e-5, np.pi, 2 * np.pi])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_axis_angle_at_the_extremes(angle, dtype):
+def test_axis_angle_is_exact_and_differentiable_at_extreme_angles(angle, dtype):
     vector = torch.tensor([0.6, 0.0, 0.8], dtype=dtype).mul(angle).requires_grad_()
     rotation = rotation_from_axis_angle(vector)
     assert is_rotation(rotation)
@@ -53,7 +53,7 @@ def test_axis_angle_at_the_extremes(angle, dtype):
     assert torch.isfinite(vector.grad).all()
 
 
-def test_axis_angle_gradient():
+def test_axis_angle_gradients_agree_with_finite_differences():
     for scale in (0.0, 1e-6, 1.0, 3.1):
         vector = torch.tensor([[0.3, -0.5, 0.8]], dtype=torch.float64).mul(scale).requires_grad_()
         assert torch.autograd.gradcheck(rotation_from_axis_angle, vector)
@@ -87,18 +87,18 @@ def test_6d_without_direction_is_a_rotation(columns):
     assert torch.isfinite(columns.grad).all()
 
 
-def test_6d_of_one_rotation_reads_no_number():
-    """A tensor without numbers, as while torch compiles, has a shape."""
+def test_6d_works_on_tensors_without_numbers():
+    """While torch compiles, a tensor has a shape and no numbers."""
     assert rotation_from_6d(torch.empty(6, device="meta")).shape == (3, 3)
 
 
-def test_6d_round_trip():
+def test_6d_comes_back_as_the_same_rotation():
     rotation = torch.from_numpy(Rotation.random(20, rng=0).as_matrix())
     torch.testing.assert_close(rotation_from_6d(rotation_to_6d(rotation)), rotation)
 
 
 @pytest.mark.parametrize("gap", [1e-2, 1e-3, 1e-4, 1e-5])
-def test_6d_of_nearly_collinear_columns(gap):
+def test_6d_of_nearly_collinear_columns_is_still_a_rotation(gap):
     """The second axis lies where the columns' small difference points, and is square to the first all the same."""
     axes = torch.from_numpy(Rotation.random(20, rng=0).as_matrix()).float()
     first, aside = axes[..., 0], axes[..., 1]
@@ -124,7 +124,7 @@ def test_turns_take_one_direction_to_another_even_the_opposite(device):
 
 
 @given(vectors)
-def test_quaternions_are_scipys(vector):
+def test_quaternions_agree_with_scipy(vector):
     turn = Rotation.from_rotvec(vector)
     found = rotation_to_quaternion(torch.from_numpy(turn.as_matrix())).numpy()
     expected = turn.as_quat(canonical=True)[[3, 0, 1, 2]]

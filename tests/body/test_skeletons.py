@@ -110,7 +110,7 @@ def test_landmarks_follow_their_part(rest: dict[str, np.ndarray], rng: np.random
     np.testing.assert_array_equal(after[1], before[1])
 
 
-def test_landmark_points_gather(rest: dict[str, np.ndarray]) -> None:
+def test_landmark_points_gather_any_landmarks_and_batch(rest: dict[str, np.ndarray]) -> None:
     parts, normalised, weights = landmark_points(SKELETONS["body25"].landmarks)
     assert parts.shape == weights.shape == normalised.shape[:2] == (25, 2)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0)
@@ -123,7 +123,7 @@ def test_landmark_points_gather(rest: dict[str, np.ndarray]) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_skeleton_tables(name: str) -> None:
+def test_skeleton_tables_are_complete_and_symmetric(name: str) -> None:
     this = SKELETONS[name]
     assert this.count == int("".join(filter(str.isdigit, name.replace("h36m", ""))))
     assert len(set(this.landmarks)) == len(this) == len(this.marks) == len(set(this.places))
@@ -167,7 +167,7 @@ def test_skeleton_tables(name: str) -> None:
         ("mpii16", {6: "mid_hip", 7: "neck", 8: "head", 9: "head_top", 15: "left_wrist"}, "rrrlll----rrrlll"),
     ],
 )
-def test_joint_order_and_sides(name: str, joints: dict[int, str], sides: str) -> None:
+def test_joints_have_the_order_and_sides_of_their_format(name: str, joints: dict[int, str], sides: str) -> None:
     this = SKELETONS[name]
     assert joints.items() <= dict(zip(this.places, this.landmarks, strict=True)).items()
     words = [set(landmark.split("_")) for landmark in SKELETONS[name].landmarks]
@@ -218,7 +218,7 @@ def own_skeleton(path: Path, data: Any) -> Path:
     return path
 
 
-def test_a_skeleton_of_ones_own(tmp_path: Path) -> None:
+def test_a_custom_skeleton_is_read_from_a_file(tmp_path: Path) -> None:
     points = ["coco_left_hip", None, "coco_right_hip", "left_knee", "right_knee", None, "neck", "coco_mid_hip"]
     form = skeleton(own_skeleton(tmp_path / "mine.json", {"landmarks": points}))
     assert (form.name, form.count, len(form)) == ("mine", 8, 6)
@@ -246,7 +246,7 @@ def test_a_skeleton_of_ones_own(tmp_path: Path) -> None:
         ({"landmarks": ["neck", "left_hip"]}, "left_hip without right_hip; expected both sides"),
     ],
 )
-def test_faulty_skeletons_of_ones_own(data: Any, message: str, tmp_path: Path) -> None:
+def test_a_faulty_custom_skeleton_is_refused_in_a_line(data: Any, message: str, tmp_path: Path) -> None:
     path = own_skeleton(tmp_path / "mine.json", data)
     with pytest.raises(InputError) as raised:
         skeleton(path)
@@ -255,7 +255,7 @@ def test_faulty_skeletons_of_ones_own(data: Any, message: str, tmp_path: Path) -
         skeleton(tmp_path / "none.json")
 
 
-def test_joints_of_data_sets_lie_off_the_landmarks_as_the_table_says(at: dict[str, np.ndarray]) -> None:
+def test_data_set_joints_lie_where_the_table_of_offsets_says(at: dict[str, np.ndarray]) -> None:
     for name, convention in (("h36m17", "h36m"), ("shelf14", "shelf")):
         form = SKELETONS[name]
         off = {mark for mark in form.marks if mark.startswith(f"{convention}_")}

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints
 
 from warp_partdr.bulk.rows import PeopleRows, RowPart, columns, describe_bodies, people_table
 from warp_partdr.inputs.cut_people import CutPeople, CutPerson
 from warp_partdr.inputs.evidence import weigh_evidence
-from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.observation import crop_evidence
 from warp_partdr.networks.regression.checkpoint import packaged_network
 from warp_partdr.solve.ellipsoids import batch_fits
@@ -25,7 +24,7 @@ from warp_partdr.solve.ellipsoids.options import FitOptions
 @pytest.fixture
 def batch(device: str) -> BatchFits:
     """Of the example and of someone whose keypoints are noise, by the network alone."""
-    keypoints = read_keypoints(EXAMPLE / "keypoints.json")[0]
+    keypoints = example_keypoints()
     places = np.random.default_rng(0).uniform(0, 400, keypoints.points.shape).astype(np.float32)
     people = []
     for each in (keypoints, replace(keypoints, points=places)):

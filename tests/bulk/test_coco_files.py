@@ -402,7 +402,7 @@ def test_pictures_may_be_listed_twice_but_no_id_is_of_two() -> None:
         coco(lambda data: data["images"].__setitem__(0, {"id": 10}))
 
 
-def test_what_may_be_missing_is_missed_by_nobody() -> None:
+def test_optional_entries_may_be_missing() -> None:
     def change(data: dict[str, Any]) -> None:
         entry = data["annotations"][0]
         for key in ("category_id", "id", "bbox", "segmentation"):
@@ -646,8 +646,8 @@ def test_the_format_of_keypoints_in_tar_files_may_be_said() -> None:
         assert source.skeleton == person.keypoints.skeleton == form
 
 
-def test_scores_names_and_sizes_of_files_of_other_programs() -> None:
-    """They count in data sets as they do in ``fit``."""
+def test_scores_names_and_sizes_of_other_programs_count() -> None:
+    """They count in data sets as they do in ``partdr fit``."""
     plain = coco().read("000.jpg").people[0].keypoints
 
     def rewrite(data: dict[str, Any]) -> None:
@@ -681,7 +681,7 @@ def test_annotations_of_no_category_have_the_names_that_categories_share() -> No
     assert "of none of the categories 'woman 0', 'woman 1', whose orders differ" in source.warnings[0]
 
 
-def test_whole_bodies_and_paths_of_windows() -> None:
+def test_whole_bodies_are_joined_and_paths_of_windows_found() -> None:
     def rewrite(data: dict[str, Any]) -> None:
         data["annotations"][0]["foot_kpts"] = [30, 40, 2] * 6
         Path("coco/sub").mkdir(exist_ok=True)

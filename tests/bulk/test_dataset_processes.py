@@ -58,7 +58,7 @@ def test_rows_are_those_of_threads(run: Run, monkeypatch: pytest.MonkeyPatch) ->
     assert pq.read_table("processes").equals(pq.read_table("threads"))
 
 
-def test_so_are_those_of_annotations(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_of_annotations_are_those_of_threads(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     write_coco(Path("coco"))
     line = f"dataset coco/people.json {HOW}"
     assert run(f"{line} --out threads")[0] == 0
@@ -67,8 +67,8 @@ def test_so_are_those_of_annotations(run: Run, monkeypatch: pytest.MonkeyPatch) 
     assert pq.read_table("processes").equals(pq.read_table("threads"))
 
 
-def test_a_gpu_has_them_where_people_are_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And where memory to share is enough: a container has 64 MB by default."""
+def test_processes_read_for_a_gpu_where_people_are_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There must be enough shared memory, too: a container has 64 MB by default."""
     write_tar(Path("known.tar"), members("000"))
     write_tar(Path("unknown.tar"), members("000", keypoints=False, parts=False))
     known, unknown = open_source(Path("known.tar"), labels="cdcl14"), open_source(Path("unknown.tar"))

@@ -228,8 +228,8 @@ def test_of_members_of_one_name_the_last_counts() -> None:
     assert source.left_out == "1 file left out: 1 .png (a later one of that name is in the tar file)"
 
 
-def test_long_and_strange_names_of_members(run: Run) -> None:
-    """In headers of their own (PAX, GNU), with bytes that are not UTF-8, and with a new line."""
+def test_long_and_strange_names_of_members_become_rows(run: Run) -> None:
+    """They stand in headers of their own (PAX, GNU), with bytes that are not UTF-8, or with a new line."""
     long = "/".join(["folder " + "x" * 60] * 4) + "/a.b.png"
     with tarfile.open("a.tar", "w", format=tarfile.PAX_FORMAT) as tar:
         add(tar, long, png(10))
@@ -285,7 +285,7 @@ def test_archives_are_one_line(run: Run) -> None:
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
-def test_lists_of_all_systems(end: str, encoding: str) -> None:
+def test_lists_of_files_are_read_from_all_systems(end: str, encoding: str) -> None:
     names = ["b.heic", "a\x85b.png", "écran\u2028.png", "c.unknown", "no ending"]
     Path("list.txt").write_bytes(end.join([*names, "", ""]).encode(encoding))
     assert files_of("list.txt").names == tuple(names)

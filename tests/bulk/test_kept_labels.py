@@ -24,7 +24,7 @@ def with_sizes(*sizes: int) -> FitOptions:
     return replace(stages_of_quality("fast"), stages=tuple(Stage("labels", 1, 2, 0.01, size) for size in sizes))
 
 
-def test_they_are_as_large_as_all_look_at_them() -> None:
+def test_labels_are_kept_as_large_as_any_stage_looks_at_them() -> None:
     network = packaged_network("cpu")
     assert kept_label_size(with_sizes(), network, meshes=False) == 128  # that of the network
     assert kept_label_size(with_sizes(128, 128), network, meshes=False) == 128
@@ -35,7 +35,7 @@ def test_they_are_as_large_as_all_look_at_them() -> None:
 
 
 @pytest.mark.parametrize("quality", ["network", "fast"])
-def test_fits_are_the_same(quality: BulkQuality, device: str) -> None:
+def test_fits_to_small_kept_labels_are_the_same(quality: BulkQuality, device: str) -> None:
     options, network = stages_of_quality(quality), packaged_network(device)
     evidence = [weigh_evidence(each.keypoints, each.parts, each.others)[0] for each in PEOPLE]
     found = []

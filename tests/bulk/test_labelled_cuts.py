@@ -51,7 +51,7 @@ def told(cut: Cut) -> dict[int, str]:
 
 
 @pytest.mark.parametrize("size", [640, 128])
-def test_those_cut_out_together_are_as_alone(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_people_cut_out_together_are_as_alone(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     cutter, held = Cutter(label_size=size), pictures()
     alone: list[object] = []
     weigh = cutting.weigh_evidence

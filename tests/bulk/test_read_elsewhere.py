@@ -35,7 +35,7 @@ def shown(package: str) -> dict[str, Any]:
     return names
 
 
-def test_pyarrow() -> None:
+def test_pyarrow_reads_the_shards_as_the_docs_show() -> None:
     names = shown("pyarrow.parquet")
     assert names["names"] == list(JOINT_NAMES)
     assert names["joints"].shape == (3, 21, 3)
@@ -50,11 +50,11 @@ def test_no_column_is_of_lists_that_older_readers_can_not_read() -> None:
     assert [str(kind).partition("<")[0] for kind in kinds] == ["list", "list", "list"]
 
 
-def test_pandas() -> None:
+def test_pandas_reads_the_shards_as_the_docs_show() -> None:
     assert shown("pandas")["good"]["picture"].tolist() == ["0.png", "1.png"]
 
 
-def test_hugging_face() -> None:
+def test_hugging_face_datasets_read_the_shards_as_the_docs_show() -> None:
     people = shown("datasets")["people"]
     assert len(people) == 4
     assert people[3]["joints"].reshape(21, 3)[0, 2] == pytest.approx(5.0, abs=1e-5)

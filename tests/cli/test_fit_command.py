@@ -191,7 +191,7 @@ def test_good_input_gives_all_files(case: str, run: Run, files: Path) -> None:
         assert np.ptp(np.array(joints["pixels"])[:, 1]) > 70
 
 
-def test_a_known_camera(run: Run, files: Path) -> None:
+def test_a_body_stands_before_a_known_camera(run: Run, files: Path) -> None:
     """The body stands before it, in metres; a detailed body, also one registered later, stands there, too."""
     assert run(f"fit {GOOD} --focal 300 --principal 50,60")[0] == 0
     described = json.loads(Path("out/body.json").read_text())
@@ -207,7 +207,7 @@ def test_a_known_camera(run: Run, files: Path) -> None:
     assert abs(first["parts"]["foreground_f1"] - again["parts"]["foreground_f1"]) < 0.06
 
 
-def test_labels_of_all_20_parts(run: Run, files: Path) -> None:
+def test_labels_of_all_20_parts_are_fitted(run: Run, files: Path) -> None:
     cdcl, names = label_set("cdcl14"), label_set("ellipbody20").group_names
     table = [0, *(1 + names.index(members[0]) for members in cdcl.groups.values())]
     np.save("p.npy", np.array(table, dtype=np.uint8)[cdcl.to_groups(ids())])
@@ -225,7 +225,7 @@ def test_what_contradicts_itself_is_told(run: Run, files: Path) -> None:
     assert told in json.loads(Path("out", "report.json").read_text())["warnings"]
 
 
-def test_keypoints_by_name_of_one_photo_out_of_many(run: Run, files: Path) -> None:
+def test_a_photo_takes_its_keypoints_by_name_out_of_many(run: Run, files: Path) -> None:
     """Anything odd in their file is told once, and stands in the report."""
     person = read_keypoints("k.json")[0]
     names = [*person.format.landmarks[::-1], "hat"]

@@ -126,7 +126,9 @@ def test_bad_input_is_one_line_and_leaves_nothing(
 
 
 @pytest.mark.parametrize("stage", ["before", "while writing"])
-def test_a_folder_that_cannot_be_written_to(stage: str, run: Run, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_written_to_is_one_line_and_loses_nothing(
+    stage: str, run: Run, files: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (files / "out").mkdir()
     (files / "out" / "overlay.png").write_text("old")
     before = tree(files)

@@ -12,6 +12,7 @@ import torch
 import trimesh
 from helpers import commands
 from helpers.commands import Run
+from helpers.example import example_photo
 from helpers.files import EXAMPLE
 from helpers.films import write_film
 from helpers.skins import read_glb
@@ -25,7 +26,7 @@ QUICK = "--device cpu --set mesh.iterations=3 --set window=4 --set overlap=1 --s
 
 
 def photo(side: int) -> Image.Image:
-    image = Image.open(EXAMPLE / "photo.png").convert("RGB")
+    image = Image.fromarray(example_photo())
     return image.resize((image.width * side // image.height // 2 * 2, side))
 
 

@@ -12,13 +12,12 @@ import torch
 from helpers import commands
 from helpers.checkpoints import class_names, knowing_vitpose, tiny_detector, tiny_segformer
 from helpers.commands import EVERY_FILE, Run
+from helpers.example import example_keypoints, example_photo
 from helpers.files import EXAMPLE
 from helpers.films import write_film
 
 from warp_partdr.body.template import JOINT_NAMES
 from warp_partdr.inputs.films import read_frames
-from warp_partdr.inputs.keypoint_files import read_keypoints
-from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.networks.detection.people import find_people
 from warp_partdr.networks.predictors.networks import upright_crop
 from warp_partdr.pipelines.photo import PACKAGED
@@ -35,8 +34,8 @@ files, run = commands.files, commands.run  # fixtures
 def networks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with a SegFormer and a ViTPose that sees the example's keypoints, as near as its cells are."""
     folder = tmp_path_factory.mktemp("networks")
-    truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
-    person = find_people(read_photo(EXAMPLE / "photo.png"))[0]
+    truth = example_keypoints()
+    person = find_people(example_photo())[0]
     places = upright_crop(person, (256, 192)).from_picture(truth.points[None].astype(float))[0]
     cells = np.floor(places * [12, 16]).astype(int).clip(1, [10, 14])
     knowing_vitpose(folder / "vitpose", [(row, column) for column, row in cells.tolist()])
@@ -44,7 +43,7 @@ def networks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_both_networks_from_folders(run: Run, files: Path, networks: Path) -> None:
+def test_both_networks_are_loaded_from_folders(run: Run, files: Path, networks: Path) -> None:
     shutil.copy(EXAMPLE / "photo.png", "whole.png")
     line = f"fit whole.png --parts-from {networks}/segformer --keypoints-from {networks}/vitpose --out out --device cpu"
     code, said, _ = run(line)
@@ -60,12 +59,12 @@ def test_both_networks_from_folders(run: Run, files: Path, networks: Path) -> No
     assert told["format"] == "coco17"
     assert told["sources"]["keypoints"] == f"{networks}/vitpose"
     assert told["sources"]["parts"] in (f"{networks}/segformer", PACKAGED)  # a random network may see nothing
-    truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
+    truth = example_keypoints()
     seen = np.array(told["keypoints"])
     assert np.median(np.linalg.norm(seen[:, :2] - truth.points, axis=1)) < 20  # cells are 39 pixels wide
 
 
-def test_boxes_from_a_folder(run: Run, files: Path, networks: Path) -> None:
+def test_boxes_come_from_a_detector_in_a_folder(run: Run, files: Path, networks: Path) -> None:
     """A detector that sees nobody leaves nobody to fit; one that sees the person leads to as good a fit."""
     shutil.copy(EXAMPLE / "photo.png", "whole.png")
     tiny_detector("yolos", Path("yolos"), {0: "person"})
@@ -87,7 +86,7 @@ FILM = "--device cpu --set mesh.iterations=3"
 @pytest.fixture
 def film(files: Path) -> Path:
     """The example's person, who stands still for four frames."""
-    photo = read_photo(EXAMPLE / "photo.png")
+    photo = example_photo()
     height, width = (side - side % 2 for side in photo.shape[:2])
     return write_film(Path("stand.mp4"), [photo[:height, :width]] * 4)
 
@@ -107,8 +106,8 @@ def test_both_networks_see_a_film(run: Run, film: Path, networks: Path) -> None:
     assert (view["parts"], view["keypoints"]) == (f"{networks}/segformer", f"{networks}/vitpose")
     assert not list(Path().glob(".partdr-*"))
     # Knees and ankles seen 60 px too high: they end there.
-    truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
-    person_found = find_people(read_photo(EXAMPLE / "photo.png"))[0]
+    truth = example_keypoints()
+    person_found = find_people(example_photo())[0]
     raised = truth.points[None].astype(float)
     raised[0, 13:] -= [0, 60]
     places = upright_crop(person_found, (256, 192)).from_picture(raised)[0]

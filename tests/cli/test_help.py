@@ -59,7 +59,7 @@ def test_help_teaches(run: Run) -> None:
     assert max(map(len, lines)) <= 100
 
 
-def test_version(run: Run) -> None:
+def test_the_version_is_printed(run: Run) -> None:
     assert run("--version") == (0, f"partdr {__version__}\n", "")
 
 

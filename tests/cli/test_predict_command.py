@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from helpers import commands
 from helpers.commands import Run
+from helpers.example import example_photo
 from helpers.files import EXAMPLE
 from helpers.films import write_film
 from PIL import Image
@@ -28,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("files")
 
 
 def photo(side: int = 512) -> Image.Image:
-    image = Image.open(EXAMPLE / "photo.png").convert("RGB")
+    image = Image.fromarray(example_photo())
     return image.resize((image.width * side // image.height // 2 * 2, side))
 
 

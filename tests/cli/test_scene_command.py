@@ -12,7 +12,8 @@ import pytest
 import torch
 from helpers import commands
 from helpers.commands import Run
-from helpers.files import EXAMPLE, save_with_focal
+from helpers.example import example_photo
+from helpers.files import save_with_focal
 from helpers.films import write_film
 from PIL import Image
 
@@ -34,7 +35,7 @@ SIDE, FOCAL, AWAY, BESIDE = 256, 300.0, 3.0, 0.5  # [px], [px], [m], [m] from on
 def films(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> int:
     """A cardboard person AWAY from two cameras side by side; the width of the films [px]."""
     monkeypatch.chdir(tmp_path)
-    picture = Image.open(EXAMPLE / "photo.png").convert("RGB")
+    picture = Image.fromarray(example_photo())
     picture = picture.resize((picture.width * SIDE // picture.height, SIDE))
     shift = round(FOCAL * BESIDE / AWAY)
     wide = np.pad(np.asarray(picture), [(0, 0), (shift, shift), (0, 0)], mode="edge")
@@ -109,7 +110,7 @@ def test_cameras_of_another_unit_size_and_order_are_told(run: Run, films: int) -
 
 def test_films_of_other_rates_are_matched_by_time(run: Run, films: int) -> None:
     """The person goes to the right; by their numbers, frames would show the person where nobody can be."""
-    picture = Image.open(EXAMPLE / "photo.png").convert("RGB")
+    picture = Image.fromarray(example_photo())
     picture = picture.resize((picture.width * SIDE // picture.height, SIDE))
     shift, speed = round(FOCAL * BESIDE / AWAY), 120  # [px], [px/s]
     wide = np.pad(np.asarray(picture), [(0, 0), (shift + speed, shift + speed), (0, 0)], mode="edge")
@@ -211,7 +212,7 @@ def test_photos_are_films_of_one_moment(run: Run, unplaced: SceneSample) -> None
         ),
     ],
 )
-def test_faults(run: Run, films: int, line: str, words: list[str]) -> None:
+def test_faults_are_refused_before_anything_is_written(run: Run, films: int, line: str, words: list[str]) -> None:
     rig = json.loads(Path("rig.json").read_text())["cameras"]
     Path("one.json").write_text(json.dumps({"cameras": {"left": rig["left"]}}))
     Path("text.mp4").write_text("no film")

@@ -54,7 +54,7 @@ def test_no_reader_waits_for_a_pipe(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("reader", [film_facts, FilmFrames])
-def test_films_are_files(reader: Callable[[Path], Any], tmp_path: Path) -> None:
+def test_only_a_file_is_opened_as_a_film(reader: Callable[[Path], Any], tmp_path: Path) -> None:
     pytest.importorskip("av", reason="needs PyAV, the extra film")
     os.mkfifo(tmp_path / "x.mp4")
     with pytest.raises(InputError, match=r"x\.mp4: a pipe, no regular file; expected a film"):
@@ -63,7 +63,7 @@ def test_films_are_files(reader: Callable[[Path], Any], tmp_path: Path) -> None:
         reader(Path("http://127.0.0.1:9/x.mp4"))  # which libav would open
 
 
-def test_devices_and_nothing_are_none(tmp_path: Path) -> None:
+def test_only_regular_files_and_folders_are_opened(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="a device, no regular file") as caught:
         check_regular("/dev/null")
     assert caught.value.errno is None  # tomorrow it will be one, too

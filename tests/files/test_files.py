@@ -55,7 +55,7 @@ def one_line(caught: pytest.ExceptionInfo[InputError]) -> str:
         ("{", "not JSON"),
     ],
 )
-def test_json(reader: str, text: str, says: str, tmp_path: Path) -> None:
+def test_json_that_is_too_deep_or_ambiguous_is_refused(reader: str, text: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "file.json"
     path.write_text(text)
     with pytest.raises(InputError, match=says) as caught:
@@ -63,7 +63,7 @@ def test_json(reader: str, text: str, says: str, tmp_path: Path) -> None:
     assert one_line(caught).startswith(str(path))
 
 
-def test_json_that_is_fine(tmp_path: Path) -> None:
+def test_usual_json_is_read_with_or_without_a_byte_order_mark(tmp_path: Path) -> None:
     path = tmp_path / "file.json"
     path.write_text('{"a": {"b": 1}, "b": [{"a": 1}, {"a": 2}]}')
     assert read_json(path, "numbers") == {"a": {"b": 1}, "b": [{"a": 1}, {"a": 2}]}
@@ -81,7 +81,7 @@ def test_json_that_is_fine(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"), [(DEEP, "nested too deeply"), ('{"size": 1, "size": 2}', "key 'size' twice in one object")]
 )
-def test_metadata_of_networks(text: str, says: str, tmp_path: Path) -> None:
+def test_network_metadata_at_fault_is_refused(text: str, says: str, tmp_path: Path) -> None:
     from safetensors import safe_open
 
     path = tmp_path / "network.safetensors"
@@ -107,7 +107,7 @@ def test_metadata_of_networks(text: str, says: str, tmp_path: Path) -> None:
         ({"regressor": {"width": 10**9}}, "width: 1000000000; expected"),
     ],
 )
-def test_sizes_of_networks_that_would_fill_the_memory(sizes: dict[str, Any], says: str, tmp_path: Path) -> None:
+def test_network_sizes_that_would_fill_the_memory_are_refused(sizes: dict[str, Any], says: str, tmp_path: Path) -> None:
     path = tmp_path / "network.safetensors"
     metadata = {"format": "warp-partdr label network 2", "config": json.dumps(sizes)}
     save_file({"weights": np.zeros(1, dtype=np.float32)}, path, metadata)
@@ -125,7 +125,9 @@ def test_sizes_of_networks_that_would_fill_the_memory(sizes: dict[str, Any], say
         ({"model_type": "resnet", "hidden_sizes": [65536] * 4}, "weights; expected at most 268,435,456"),
     ],
 )
-def test_backbones_that_would_fill_the_memory(architecture: dict[str, Any], says: str, tmp_path: Path) -> None:
+def test_backbones_that_would_fill_the_memory_are_refused(
+    architecture: dict[str, Any], says: str, tmp_path: Path
+) -> None:
     pytest.importorskip("transformers")
     path = tmp_path / "network.safetensors"
     metadata = {"format": "warp-partdr ellipbodynet 1", "config": json.dumps({"architecture": architecture})}
@@ -156,7 +158,7 @@ def bomb() -> str:
         ),
     ],
 )
-def test_yaml_that_would_take_minutes(text: str, says: str, tmp_path: Path) -> None:
+def test_yaml_that_would_take_minutes_is_refused(text: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "file.yml"
     path.write_text(text)
     with pytest.raises(InputError, match=says) as caught:
@@ -164,7 +166,7 @@ def test_yaml_that_would_take_minutes(text: str, says: str, tmp_path: Path) -> N
     one_line(caught)
 
 
-def test_yaml_that_is_fine(tmp_path: Path) -> None:
+def test_usual_yaml_is_read_without_conversions_of_times_and_base_60(tmp_path: Path) -> None:
     path = tmp_path / "file.yml"
     path.write_text(
         "%YAML:1.0\n---\na: { b: [ [ 1, 2. ], [ -3.0e-01, .Inf ] ] }\ntime: 12:30\nlong: " + ":".join("1" * 9)
@@ -176,7 +178,7 @@ def test_yaml_that_is_fine(tmp_path: Path) -> None:
     assert len(read_opencv(path)["a"]) == 399_999
 
 
-def test_configs(tmp_path: Path) -> None:
+def test_a_config_that_is_nested_too_deeply_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "deep.toml"
     path.write_text(f"steps = {DEEP}")
     with pytest.raises(InputError, match=r"deep\.toml: .*; expected TOML") as caught:
@@ -254,7 +256,7 @@ def test_every_reader_looks_at_the_header(tmp_path: Path, headers_alone: None) -
             read()
 
 
-def test_other_arrays_may_be_anything(tmp_path: Path) -> None:
+def test_arrays_that_are_not_asked_for_may_be_anything(tmp_path: Path) -> None:
     path = tmp_path / "some.npz"
     np.savez(path, wanted=np.arange(3))
     lying((10**9, 3), "other", path)

@@ -8,12 +8,13 @@ from typing import Any
 
 from PIL import Image
 
+from helpers.example import example_photo
 from helpers.files import EXAMPLE
 
 
 def photo(side: int = 256) -> Image.Image:
-    with Image.open(EXAMPLE / "photo.png") as image:
-        return image.convert("RGB").resize((image.width * side // image.height, side))
+    image = Image.fromarray(example_photo())
+    return image.resize((image.width * side // image.height, side))
 
 
 def write_folder(folder: Path) -> None:
@@ -35,8 +36,7 @@ def write_coco(folder: Path, count: int = 5, side: int = 128, **changes: Any) ->
     folder.mkdir(parents=True, exist_ok=True)
     given = json.loads((EXAMPLE / "keypoints.json").read_text())["keypoints"]
     images, annotations = [], []
-    with Image.open(EXAMPLE / "photo.png") as full:
-        zoom = side / full.height
+    zoom = side / len(example_photo())
     for index in range(count):
         picture = Image.new("RGB", (photo(side).width + count, side), (120, 120, 120))
         picture.paste(photo(side), (index, 0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image
 
-from helpers.files import EXAMPLE
+from helpers.example import example_mask, example_photo
 
 _BOX = (95, 20, 300, 500)  # of the person in the example's photo [px]
 
@@ -13,9 +13,8 @@ _BOX = (95, 20, 300, 500)  # of the person in the example's photo [px]
 def cut_out(height: int) -> tuple[Image.Image, Image.Image]:
     """The person and their mask, so high [px]."""
     size = round(height * (_BOX[2] - _BOX[0]) / (_BOX[3] - _BOX[1])), height
-    with Image.open(EXAMPLE / "photo.png") as photo, Image.open(EXAMPLE / "parts.png") as parts:
-        mask = Image.fromarray(((np.asarray(parts) > 0) * 255).astype(np.uint8))
-        return photo.convert("RGB").crop(_BOX).resize(size), mask.crop(_BOX).resize(size)
+    photo, mask = (Image.fromarray(each) for each in (example_photo(), 255 * example_mask().astype(np.uint8)))
+    return photo.crop(_BOX).resize(size), mask.crop(_BOX).resize(size)
 
 
 def crowd(count: int, height: int = 225) -> tuple[np.ndarray, np.ndarray]:

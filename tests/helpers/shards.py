@@ -10,6 +10,7 @@ from pathlib import Path
 from PIL import Image
 
 from helpers.datasets import photo
+from helpers.example import example_photo
 from helpers.files import EXAMPLE
 
 SIDE = 160
@@ -20,8 +21,7 @@ def members(key: str, keypoints: bool = True, parts: bool = True, ending: str = 
     buffer = BytesIO()
     photo(SIDE).save(buffer, {"jpg": "jpeg"}.get(ending, ending))
     files = {f"{key}.{ending}": buffer.getvalue()}
-    with Image.open(EXAMPLE / "photo.png") as full:
-        zoom, size = SIDE / full.height, photo(SIDE).size
+    zoom, size = SIDE / len(example_photo()), photo(SIDE).size
     if keypoints:
         given = json.loads((EXAMPLE / "keypoints.json").read_text())
         given["keypoints"] = [[x * zoom, y * zoom, c] for x, y, c in given["keypoints"]]

@@ -34,13 +34,13 @@ def check_pictures(folder, names):
         (own_loss, 40, "before.png after.png loss.png"),
     ],
 )
-def test_descents(tmp_path, demo, iterations, names):
+def test_descents_of_demos_halve_the_loss_and_leave_their_pictures(tmp_path, demo, iterations, names):
     losses = demo.main(tmp_path, size=96, iterations=iterations)
     assert losses[-1] < 0.5 * losses[0]
     check_pictures(tmp_path, names.split())
 
 
-def test_fit_photo(tmp_path):
+def test_the_demo_of_a_photo_lowers_its_loss_and_leaves_its_pictures(tmp_path):
     result = fit_photo.main(tmp_path, quality="fast")
     assert result.history[-1][-1] < result.history[-1][0]
     check_pictures(tmp_path, ["overlay.png", "parts.png", "loss.png", "turntable.png", "keypoints_or_labels.png"])
@@ -56,7 +56,7 @@ def test_own_loss_is_the_iou():
     assert float(own_loss.iou_loss(wanted, wanted)) == 0
 
 
-def test_train_from_labels(tmp_path):
+def test_the_demo_of_training_learns_from_labels_alone(tmp_path):
     losses, (before, after) = train_from_labels.main(tmp_path, size=32, batch=12, steps=120)
     assert np.mean(losses[-10:]) < 0.75 * np.mean(losses[:10])
     assert after < 0.75 * before  # of angles that it was never told

@@ -40,7 +40,7 @@ def test_pages_have_links_and_examples():
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_links_and_json(page):
+def test_links_of_pages_lead_somewhere_and_json_is_valid(page):
     for link in links(page):
         if "://" in link:
             continue
@@ -53,7 +53,7 @@ def test_links_and_json(page):
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=lambda page: page.stem)
-def test_python_runs(page, tmp_path, monkeypatch):
+def test_python_blocks_of_pages_run(page, tmp_path, monkeypatch):
     (tmp_path / "warp_partdr").symlink_to(ROOT / "warp_partdr")  # pages name the example's files from the root
     monkeypatch.chdir(tmp_path)
     code = "\n".join(blocks(page, "python"))

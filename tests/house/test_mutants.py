@@ -246,7 +246,7 @@ def project(tmp_path, monkeypatch):
         ("unused", "1", "2", "test_add", "error", "not imported"),
     ],
 )
-def test_what_becomes_of_a_mutant(project, definition, find, replace, test, kind, said):
+def test_a_mutant_is_killed_survives_or_is_an_error(project, definition, find, replace, test, kind, said):
     mutant = Mutant(find, replace, (f"tests/test_sums.py::{test}",), "", definition)
     files = Project(project)
     path = project / mutant.path(files)

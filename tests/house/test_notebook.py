@@ -18,7 +18,7 @@ def read() -> Any:
     return nbformat.read(NOTEBOOK, as_version=4)
 
 
-def test_it_is_kept_without_outputs():
+def test_the_notebook_is_kept_without_outputs():
     notebook = read()
     nbformat.validate(notebook)
     assert NOTEBOOK.stat().st_size < 50_000
@@ -29,8 +29,8 @@ def test_it_is_kept_without_outputs():
 
 
 @pytest.mark.slow
-def test_it_runs_anywhere(monkeypatch, tmp_path):
-    """Nothing of it lies beside it, and it leaves nothing behind."""
+def test_the_notebook_runs_anywhere(monkeypatch, tmp_path):
+    """It needs no files beside it, and leaves none behind."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     notebook = read()
     nbclient.NotebookClient(notebook, timeout=HANG, resources={"metadata": {"path": str(tmp_path)}}).execute()

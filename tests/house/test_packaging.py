@@ -79,7 +79,7 @@ def test_the_source_files_are_in_the_wheel_and_nothing_else(wheel: zipfile.ZipFi
     assert {"warp_partdr/assets/example/photo.png", "warp_partdr/py.typed"} < _source_files()
 
 
-def test_metadata(wheel: zipfile.ZipFile) -> None:
+def test_the_wheels_metadata_is_complete(wheel: zipfile.ZipFile) -> None:
     (folder,) = {name.partition("/")[0] for name in wheel.namelist() if ".dist-info/" in name}
     metadata = Parser().parsestr(wheel.read(f"{folder}/METADATA").decode())
     assert metadata["Version"] == warp_partdr.__version__

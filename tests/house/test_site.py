@@ -31,7 +31,7 @@ def entries(nav: object) -> list[str]:
     return [entry for part in parts for entry in entries(part)]
 
 
-def test_the_navigation_has_all(pages: Path) -> None:
+def test_the_navigation_has_each_page(pages: Path) -> None:
     nav = entries(yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"])
     assert len(set(nav)) == len(nav)
     expected = {f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")}

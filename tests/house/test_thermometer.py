@@ -40,7 +40,7 @@ def house(thermometer: dict[str, Any], tmp_path: Path) -> Any:
     return thermometer["House"](tmp_path)
 
 
-def test_figures_of_a_small_house(house: Any) -> None:
+def test_figures_of_a_small_house_are_counted(house: Any) -> None:
     assert house.figures() == {
         "product, lines": "11",
         "laboratory, lines": "5",
@@ -82,5 +82,5 @@ def test_a_circle_of_rooms_is_told(house: Any) -> None:
         ("if a:\n    f(*rest)", True),
     ],
 )
-def test_clever_lines(thermometer: dict[str, Any], code: str, clever: bool) -> None:
+def test_clever_lines_are_recognised(thermometer: dict[str, Any], code: str, clever: bool) -> None:
     assert thermometer["count_clever"](ast.parse(code)) == clever

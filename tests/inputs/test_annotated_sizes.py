@@ -55,7 +55,7 @@ def test_what_was_annotated_as_stored_is_turned_as_the_photo_is(tmp_path: Path, 
 
 
 @pytest.mark.parametrize(("orientation", "size"), [(2, (24, 40)), (3, (24, 40)), (4, (24, 40)), (6, (30, 30))])
-def test_what_sizes_do_not_tell_is_a_warning(orientation: int, size: tuple[int, int]) -> None:
+def test_a_turn_that_no_size_reveals_is_a_warning(orientation: int, size: tuple[int, int]) -> None:
     change = match_sizes(size, size, orientation, "p")
     assert not change.changes
     assert change.warning is not None
@@ -132,7 +132,7 @@ def test_rounding_of_sides_is_no_other_shape(annotated: tuple[int, int], picture
         ((24, 40), (40, 30), 6),
     ],
 )
-def test_what_nothing_explains_is_refused(
+def test_sizes_that_no_turn_and_no_scale_explain_are_refused(
     annotated: tuple[int, int], picture: tuple[int, int], orientation: int
 ) -> None:
     told = f"{annotated[1]} x {annotated[0]} px, picture {picture[1]} x {picture[0]}"
@@ -156,7 +156,7 @@ def test_a_size_may_be_missing_and_of_any_spelling() -> None:
         PictureChange((40, 30), (40, 30)).mask(np.zeros((3, 3), dtype=bool))
 
 
-def test_other_orientations_are_none(tmp_path: Path) -> None:
+def test_exif_orientations_that_are_not_defined_count_as_upright(tmp_path: Path) -> None:
     pixels = np.zeros((*STORED, 3), dtype=np.uint8)
     for orientation in (None, 0, 9):
         assert read_orientation(save(tmp_path / "photo.jpg", pixels, orientation)) == 1

@@ -27,7 +27,7 @@ def camera(distortion: tuple[float, ...]) -> CalibratedCamera:
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_points_go_there_and_back(lens: str) -> None:
+def test_undistorted_points_are_distorted_back(lens: str) -> None:
     taken = np.stack(np.meshgrid(np.linspace(0, 1280, 33), np.linspace(0, 720, 19)), axis=-1)
     one = camera(LENSES[lens])
     straight = one.undistort_points(taken)
@@ -40,7 +40,7 @@ def test_points_go_there_and_back(lens: str) -> None:
         assert np.abs(straight - taken).max() > 10
 
 
-def test_the_formula_by_hand() -> None:
+def test_each_coefficient_distorts_as_its_formula_says() -> None:
     # x, y = 0.3, -0.4: r^2 = 0.25; each coefficient alone.
     one = CalibratedCamera((100.0, 100.0), (0.0, 0.0))
     place = np.array([30.0, -40.0])
@@ -60,7 +60,7 @@ def test_the_formula_by_hand() -> None:
 
 @pytest.mark.skipif(find_spec("cv2") is None, reason="cv2 is not installed")
 @pytest.mark.parametrize("lens", LENSES)
-def test_as_opencv(lens: str) -> None:
+def test_distorted_points_are_where_opencv_projects_them(lens: str) -> None:
     import cv2
 
     one = camera(LENSES[lens])
@@ -72,7 +72,7 @@ def test_as_opencv(lens: str) -> None:
     np.testing.assert_allclose(one.distort_points(straight), seen[:, 0], rtol=0, atol=1e-4)
 
 
-def test_what_the_lens_can_t_show() -> None:
+def test_points_beyond_the_lens_are_nan_and_their_keypoints_missing() -> None:
     # r (1 - 0.3 r^2) is largest at r = 1.054, where it is 0.703: 703 px from the middle.
     one = CalibratedCamera((1000.0, 1000.0), (0.0, 0.0), (-0.3,))
     found = one.undistort_points(np.array([[0.0, 700.0], [0.0, 710.0]]))
@@ -118,7 +118,7 @@ def test_without_distortion_nothing_moves() -> None:
     assert lens.intrinsics[0].tolist() == [300, 300, 160, 120]
 
 
-def test_cameras_that_can_t_be() -> None:
+def test_impossible_cameras_are_refused() -> None:
     with pytest.raises(InputError, match=r"distortion: .*expected up to 8 numbers"):
         CalibratedCamera((1.0, 1.0), (0.0, 0.0), (0.0,) * 9)
     with pytest.raises(InputError, match="rotation: not orthonormal"):
@@ -145,12 +145,14 @@ def test_cameras_that_can_t_be() -> None:
         ((700.0, 700.0), (400.0, -1201.0), "principal: .*expected pixels, -1600 to 2400 and -1200 to 1800"),
     ],
 )
-def test_lenses_that_no_camera_has(focal: tuple[float, float], principal: tuple[float, float], message: str) -> None:
+def test_lenses_that_no_camera_has_are_refused(
+    focal: tuple[float, float], principal: tuple[float, float], message: str
+) -> None:
     with pytest.raises(InputError, match=message):
         CalibratedCamera(focal, principal, size=(600, 800))
 
 
-def test_lenses_that_no_camera_of_any_size_has() -> None:
+def test_lenses_that_no_camera_of_any_size_has_are_refused() -> None:
     for focal, principal, message in (
         ((0.7, 0.7), (0.5, 0.5), "focal: .*expected pixels, 1 to 1e"),
         ((2e6, 2e6), (400.0, 300.0), "focal: .*expected pixels, 1 to 1e"),

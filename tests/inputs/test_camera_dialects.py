@@ -54,7 +54,7 @@ def easymocap(folder: Path, *, turn: str = "R", size: bool = True) -> Path:
 
 
 @pytest.mark.parametrize("turn", ["R", "Rot"])
-def test_easymocap(tmp_path: Path, turn: str) -> None:
+def test_cameras_of_easymocap_are_read(tmp_path: Path, turn: str) -> None:
     folder = easymocap(tmp_path / "rig", turn=turn)
     (folder / "notes.json").write_text('{"frames": 3}')  # another file beside them
     for path in (folder, folder / "intri.yml", folder / "extri.yml"):
@@ -68,14 +68,14 @@ def test_easymocap(tmp_path: Path, turn: str) -> None:
     assert read_cameras(easymocap(tmp_path / "other", size=False))["7"].size is None
 
 
-def test_names_of_easymocap_without_quotes(tmp_path: Path) -> None:
+def test_camera_names_of_easymocap_need_no_quotes(tmp_path: Path) -> None:
     folder = easymocap(tmp_path / "rig")
     for path in folder.iterdir():
         path.write_text(path.read_text().replace("- 7", "- 07").replace("_7:", "_07:"))
     assert list(read_cameras(folder)) == ["07", "left"]
 
 
-def test_halves_of_easymocap(tmp_path: Path) -> None:
+def test_one_of_two_files_of_easymocap_is_refused(tmp_path: Path) -> None:
     folder = easymocap(tmp_path / "rig")
     (folder / "extri.yml").unlink()
     with pytest.raises(InputError, match=r"T_7: missing; expected a folder of EasyMocap's intri\.yml and extri\.yml"):
@@ -124,7 +124,7 @@ rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 """
 
 
-def test_caliscope(tmp_path: Path) -> None:
+def test_cameras_of_caliscope_are_read_and_those_left_out_are_named(tmp_path: Path) -> None:
     (tmp_path / "camera_array.toml").write_text(CALISCOPE)
     (tmp_path / "charuco.toml").write_text("columns = 4\n")  # Caliscope's folders hold more
     said: list[str] = []
@@ -142,7 +142,7 @@ def test_caliscope(tmp_path: Path) -> None:
     np.testing.assert_allclose(second.rotation, turned(), atol=1e-12)
 
 
-def test_nobody_placed_a_camera(tmp_path: Path) -> None:
+def test_a_file_whose_cameras_have_no_place_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "camera_array.toml"
     path.write_text("\n[cameras.4]" + CALISCOPE.partition("[cameras.4]")[2].partition("[cameras.5]")[0])
     with pytest.raises(InputError, match="no camera in it"):
@@ -187,7 +187,7 @@ rotation = [0.0, 0.0, 0.0]
 """
 
 
-def test_old_files_of_caliscope(tmp_path: Path) -> None:
+def test_cameras_of_old_caliscope_files_are_read(tmp_path: Path) -> None:
     """Other tables stand beside the cameras, of which one is not calibrated, and one has no place."""
     path = tmp_path / "config.toml"
     path.write_text(OLD_CALISCOPE)
@@ -233,7 +233,7 @@ def test_files_without_cameras_are_left_out(tmp_path: Path) -> None:
         (("mtxL", "mtxR"), ("distL", "distR"), ["left", "right"]),
     ],
 )
-def test_names_of_stereo_calibrations(
+def test_stereo_calibrations_are_known_by_any_usual_names(
     tmp_path: Path, matrices: tuple[str, str], lenses: tuple[str, str], names: list[str]
 ) -> None:
     text = "%YAML:1.0\n---\nimageSize: [640, 480]\n"
@@ -268,7 +268,7 @@ def mc_calib(path: Path, **second: object) -> Path:
     return path
 
 
-def test_mc_calib(tmp_path: Path) -> None:
+def test_cameras_of_mc_calib_are_read(tmp_path: Path) -> None:
     """Poses are where cameras stand: camera to reference."""
     path = mc_calib(tmp_path / "calibrated_cameras_data.yml")
     (tmp_path / "reprojection_error_data.yml").write_text("%YAML:1.0\n---\nnb_camera_group: 1\n")
@@ -351,7 +351,7 @@ QUALISYS = """<?xml version='1.0' encoding='ASCII'?>
 """
 
 
-def test_qualisys(tmp_path: Path) -> None:
+def test_cameras_of_qualisys_are_read(tmp_path: Path) -> None:
     path = tmp_path / "Calib.qca.txt"
     path.write_text(QUALISYS)
     (tmp_path / "notes.txt").write_text("not a camera")
@@ -385,7 +385,7 @@ def test_qualisys(tmp_path: Path) -> None:
         ("camera", "box", "no camera in it"),
     ],
 )
-def test_faults_of_qualisys_files(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_faulty_qualisys_files_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = tmp_path / "Calib.qca.txt"
     path.write_text(QUALISYS.replace(old, new) if old == "camera" else QUALISYS.replace(old, new, 1))
     with pytest.raises(InputError, match=message) as error:
@@ -426,8 +426,8 @@ cam2:
 """
 
 
-def test_kalibr(tmp_path: Path) -> None:
-    """Each camera stands beside the one before."""
+def test_cameras_of_kalibr_are_read(tmp_path: Path) -> None:
+    """Kalibr states the place of each camera relative to the one before."""
     path = tmp_path / "camchain.yaml"
     path.write_text(KALIBR)
     cameras = read_cameras(path)
@@ -447,7 +447,7 @@ def test_kalibr(tmp_path: Path) -> None:
             read_cameras(path)
 
 
-def test_a_list_of_cameras(tmp_path: Path) -> None:
+def test_a_list_of_cameras_as_cmu_panoptics_is_read(tmp_path: Path) -> None:
     """CMU Panoptic's."""
     camera = {"type": "hd", "resolution": [1920, 1080], "K": [[1400, 0, 960], [0, 1400, 540], [0, 0, 1]]}
     camera |= {"distCoef": [-0.28, 0.18, 0, 0, 0.04], "R": turned().tolist(), "t": [[-50.0], [100.0], [280.0]]}

@@ -119,7 +119,7 @@ def write(path: Path, text: str) -> Path:
     return path
 
 
-def test_pose2sim_s_cameras(tmp_path: Path) -> None:
+def test_cameras_of_pose2sim_are_read(tmp_path: Path) -> None:
     cameras = read_cameras(write(tmp_path / "Calib.toml", POSE2SIM))
     assert list(cameras) == ["int_cam01_img", "second"]
     first = cameras["int_cam01_img"]
@@ -137,7 +137,7 @@ def test_pose2sim_s_cameras(tmp_path: Path) -> None:
     assert across == down == pytest.approx((1671.5 * 1668.2) ** 0.5)
 
 
-def test_stereo_calibrations_of_opencv(tmp_path: Path) -> None:
+def test_stereo_calibrations_of_opencv_are_read_from_one_file_or_two(tmp_path: Path) -> None:
     folder = tmp_path / "stereo"
     folder.mkdir()
     write(folder / "intrinsics.yml", INTRINSICS)
@@ -154,7 +154,7 @@ def test_stereo_calibrations_of_opencv(tmp_path: Path) -> None:
         read_cameras(write(tmp_path / "half.yml", INTRINSICS))
 
 
-def test_a_camera_a_file(tmp_path: Path) -> None:
+def test_a_folder_with_a_file_for_each_camera_is_read(tmp_path: Path) -> None:
     alone = read_cameras(write(tmp_path / "left.yml", ONE))["left"]
     assert (alone.size, alone.focal, alone.principal) == ((480, 640), (600.0, 600.0), (320.0, 240.0))
     assert alone.distortion == (-0.2, 0.1, 0.0, 0.0, 0.03)
@@ -176,7 +176,7 @@ def test_a_camera_a_file(tmp_path: Path) -> None:
     assert cameras["right"].size is None
 
 
-def test_cameras_by_name_in_one_file(tmp_path: Path) -> None:
+def test_cameras_are_read_by_name_from_one_file(tmp_path: Path) -> None:
     inner = np.array([[600.0, 0.0, 319.5], [0.0, 600.0, 239.5], [0.0, 0.0, 1.0]])
     node = {"camera_matrix": matrix(inner), "distortion_coefficients": matrix(np.zeros((1, 5))), "R": matrix(np.eye(3))}
     node |= {"T": matrix(np.array([[0.0], [0.0], [2.0]])), "image_width": 640, "image_height": 480}
@@ -186,7 +186,7 @@ def test_cameras_by_name_in_one_file(tmp_path: Path) -> None:
     assert cameras["a"].translation.tolist() == [0, 0, 2]
 
 
-def test_the_project_s_own_form(tmp_path: Path) -> None:
+def test_the_project_s_own_camera_file_is_read_and_its_faults_are_named(tmp_path: Path) -> None:
     left = {"size": [1920, 1080], "focal": [1500, 1500], "principal": [960, 540], "translation": [0, 0, 3]}
     left |= {"distortion": [0.1, 0, 0, 0], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
     path = tmp_path / "rig.json"
@@ -230,7 +230,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, old: str, new: str, message: str
     assert "Calib.toml" in str(error.value)
 
 
-def test_no_cameras(tmp_path: Path) -> None:
+def test_files_without_a_usable_camera_are_refused(tmp_path: Path) -> None:
     for name, text, message in (
         ("a.txt", "", r"a.txt: .txt; expected calibrated cameras"),
         ("a.yml", "%YAML:1.0\n---\nframes: 3\n", "no camera in it, but frames"),
@@ -248,7 +248,7 @@ def test_no_cameras(tmp_path: Path) -> None:
         read_cameras(empty)
 
 
-def test_yaml_of_opencv(tmp_path: Path) -> None:
+def test_yaml_of_opencv_is_read(tmp_path: Path) -> None:
     text = """%YAML:1.0
 ---
 name: 'it''s'

@@ -90,7 +90,7 @@ def test_numbers_that_may_be_of_takes_are_told(films: str, cameras: str, expecte
         ("trial1_left trial1_right", "1 2", "1 2"),  # a number that all films have is no camera's
     ],
 )
-def test_only_the_order_is_left(films: str, cameras: str, expected: str) -> None:
+def test_names_that_say_nothing_leave_the_order_to_decide(films: str, cameras: str, expected: str) -> None:
     found = assign_cameras([f"{film}.mp4" for film in films.split()], cameras.split())
     assert [cameras.split()[place] for place in found.cameras] == expected.split()
     assert found.by_order
@@ -124,5 +124,5 @@ def test_folders_that_contradict_are_refused() -> None:
         assign_cameras(["right/x.mp4", "other/y.mp4"], ["left", "right"])
 
 
-def test_people_s_order_of_names() -> None:
+def test_names_are_sorted_by_the_numbers_in_them() -> None:
     assert sorted(["b", "cam10", "cam9", "cam", "10", "2"], key=natural_key) == ["2", "10", "b", "cam", "cam9", "cam10"]

@@ -10,7 +10,7 @@ from warp_partdr.inputs.connected_pixels import connected
 
 
 @given(seed=st.integers(0, 10**6), density=st.floats(0.05, 0.95))
-def test_connected_pixels(seed: int, density: float) -> None:
+def test_connected_pixels_are_those_that_spreading_seeds_reach(seed: int, density: float) -> None:
     rng = np.random.default_rng(seed)
     mask, seeds = rng.random((9, 13)) < density, rng.random((9, 13)) < 0.03
     reached = seeds & mask

@@ -7,24 +7,21 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_parts
 
-from warp_partdr.body.labels import label_set
 from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.cameras import Perspective
 from warp_partdr.inputs.cut_people import CutPeople, CutPerson, stack_alike
 from warp_partdr.inputs.evidence import weigh_evidence
-from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import crop_evidence
 from warp_partdr.inputs.observations import Observations
-from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.networks.regression.predict import network_inputs
 from warp_partdr.solve.ellipsoids.batch import Batch
 from warp_partdr.solve.ellipsoids.energy import Energy
 
-KEYPOINTS = read_keypoints(EXAMPLE / "keypoints.json")[0]
-PARTS = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
+KEYPOINTS = example_keypoints()
+PARTS = example_parts()
 
 
 def without(*missing: int) -> Keypoints2D:
@@ -60,7 +57,7 @@ def assert_same(one: object, other: object) -> None:
             assert values[0] == values[1], field.name
 
 
-def test_they_come_back_one_by_one(people: list[CutPerson]) -> None:
+def test_joined_people_come_back_one_by_one(people: list[CutPerson]) -> None:
     stacked = CutPeople.joined([CutPeople.of(people[:1]), CutPeople.of(people[1:])])
     assert stacked.kind == people[0].kind
     for given, found in zip(people, stacked, strict=True):
@@ -82,7 +79,7 @@ def test_network_and_refinement_read_the_same(people: list[CutPerson], device: s
         assert_same(replace(of_one, seen=own.seen), own)
 
 
-def test_those_who_differ_are_stacked_apart(device: str) -> None:
+def test_people_whose_observations_differ_in_kind_are_stacked_apart(device: str) -> None:
     kinds = [(True, None), (False, None), (True, 50.0), (True, None)]
     people = [cut(KEYPOINTS, device, *kind) for kind in kinds]
     assert [places for places, _ in stack_alike(people)] == [[0, 3], [1], [2]]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_parts
 from PIL import Image
 
 from warp_partdr.body.labels import BACKGROUND, IGNORE, LabelSet, label_set
@@ -50,7 +50,7 @@ Person = tuple[Keypoints2D, PartLabels]
 
 @cache
 def example() -> Person:
-    return read_keypoints(EXAMPLE / "keypoints.json")[0], read_parts(EXAMPLE / "parts.png", CDCL)
+    return example_keypoints(), example_parts()
 
 
 def photo(shared: Path, name: str) -> Person:
@@ -174,7 +174,7 @@ def test_limbs_are_as_thick_as_people_s() -> None:
 # --- Sides -----------------------------------------------------------------------------------------------------------
 
 
-def test_agreement_along_the_bones() -> None:
+def test_sides_are_compared_along_the_bones() -> None:
     keypoints, parts = example()
     for limb, found in compare_sides(parts.groups, keypoints, CDCL).items():
         assert found.own > 150, limb
@@ -191,7 +191,7 @@ def test_samples_along_a_bone_are_those_of_the_pixels_that_it_runs_over() -> Non
     assert count_sides(shown, inside, np.array([1]), np.array([2])).tolist() == [[2, 1, 1]]
 
 
-def test_disagreement_is_of_many_samples_and_of_pixels_far_away() -> None:
+def test_disagreement_needs_many_samples_or_pixels_far_away() -> None:
     few, many = np.array([[[0, 0, 30], [0, 0, 17]]]), np.array([[[24, 0, 0], [0, 0, 24]]])
     assert disagreement_of(few, np.array([100]), np.array([0])).tolist() == [0.0]
     assert disagreement_of(many, np.array([100]), np.array([0])).tolist() == [0.5]
@@ -217,7 +217,7 @@ def test_a_set_without_sides_has_none_to_compare() -> None:
     ("kinds", "limb"),
     [((), ""), (("upper_arm", "forearm", "hand"), " of arms"), (("upper_leg", "lower_leg", "foot"), " of legs")],
 )
-def test_two_readings_of_exchanged_sides(kinds: tuple[str, ...], limb: str) -> None:
+def test_exchanged_sides_are_read_in_two_ways(kinds: tuple[str, ...], limb: str) -> None:
     keypoints, parts = example()
     graded = keypoints.confidence * np.linspace(0.8, 1.0, len(keypoints.confidence), dtype=np.float32)
     keypoints = replace(keypoints, confidence=graded)
@@ -281,7 +281,7 @@ def test_a_blob_far_from_its_bones_is_ignored_and_the_part_itself_is_not() -> No
     np.testing.assert_array_equal(cleaned, parts.groups)
 
 
-def test_no_blob_of_a_part_whose_keypoints_are_missing_or_in_doubt() -> None:
+def test_a_part_whose_keypoints_are_missing_or_in_doubt_has_no_blob() -> None:
     keypoints, parts = example()
     groups, mask = with_blob()
     for joint in ("left_hip", "right_shoulder"):
@@ -334,8 +334,8 @@ def test_an_implausible_end_is_told() -> None:
         ([[100, 50], [110, 300], [90, 200], [150, 110]], None),
     ],
 )
-def test_keypoints_that_tell_no_pose(points: list[list[float]], told: str | None) -> None:
-    """With labels, without and in batches."""
+def test_keypoints_that_tell_no_pose_are_a_warning(points: list[list[float]], told: str | None) -> None:
+    """The warning is the same with labels, without labels, and in batches."""
     known, parts = example()
     places, confidence = np.zeros((17, 2), np.float32), np.zeros(17, np.float32)
     places[: len(points)], confidence[: len(points)] = points, 1

@@ -43,7 +43,7 @@ def test_frames_come_in_order_with_their_times(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ending", ["mp4", "avi", "mkv"])
-def test_frames_in_any_order(tmp_path: Path, ending: str) -> None:
+def test_frames_are_read_in_any_order(tmp_path: Path, ending: str) -> None:
     """A reader that seeks gives the frames that come in order, and has few of them in memory."""
     count = 150
     pictures = [np.full((32, 64, 3), 20 + index, np.uint8) for index in range(count)]
@@ -245,8 +245,8 @@ def test_a_film_that_was_cut_off_is_told_in_other_containers(
     assert films.FilmFrames(path).fault
 
 
-def test_an_avi_with_frames_decoded_in_another_order(tmp_path: Path) -> None:
-    """It states when frames are decoded alone."""
+def test_an_avi_whose_frames_are_decoded_in_another_order_is_read_in_order(tmp_path: Path) -> None:
+    """An AVI file states the times at which frames are decoded, and no times at which they are shown."""
     path = write_film(tmp_path / "order.avi", stripes(20), rate=10, between=2)
     frames = list(read_frames(path))
     np.testing.assert_allclose([frame.time for frame in frames], np.arange(20) / 10)
@@ -257,7 +257,7 @@ def test_an_avi_with_frames_decoded_in_another_order(tmp_path: Path) -> None:
         np.testing.assert_array_equal(reader.read(index), frames[index].picture)
 
 
-def test_films_that_were_joined_go_on(tmp_path: Path) -> None:
+def test_times_go_on_in_a_film_that_was_joined_from_two(tmp_path: Path) -> None:
     """Two files one after the other, as they often are: times begin anew, and frames keep their order."""
     path = write_film(tmp_path / "film.mts", stripes(12), rate=25)
     path.write_bytes(2 * path.read_bytes())
@@ -269,7 +269,7 @@ def test_films_that_were_joined_go_on(tmp_path: Path) -> None:
         np.testing.assert_array_equal(reader.read(index), frames[index].picture)
 
 
-def test_a_unit_of_time_is_no_rate(tmp_path: Path) -> None:
+def test_a_unit_of_time_is_not_taken_for_the_rate(tmp_path: Path) -> None:
     path = write_film(tmp_path / "screen.mkv", stripes(9), rate=1000, times=[0, 33, 67, 100, 133, 167, 200, 233, 700])
     assert film_facts(path).rate == pytest.approx(30, rel=0.01)
     np.testing.assert_allclose([frame.time for frame in read_frames(path)][-2:], [0.233, 0.7])
@@ -279,14 +279,14 @@ def test_a_unit_of_time_is_no_rate(tmp_path: Path) -> None:
     assert (frame.time, frame.guessed) == (0.0, False)
 
 
-def test_a_turned_film_of_a_variable_rate(tmp_path: Path) -> None:
+def test_a_turned_film_of_a_variable_rate_is_upright_and_keeps_its_times(tmp_path: Path) -> None:
     path = write_film(tmp_path / "phone.mp4", shades(4), rate=30, times=[0, 1, 4, 5], turned=90)
     frames = list(read_frames(path))
     np.testing.assert_allclose([frame.time for frame in frames], np.array([0, 1, 4, 5]) / 30, atol=1e-6)
     assert {frame.picture.shape for frame in frames} == {(64, 32, 3)}
 
 
-def test_a_film_without_frames(tmp_path: Path) -> None:
+def test_a_film_without_frames_is_refused(tmp_path: Path) -> None:
     path = write_film(tmp_path / "film.mkv", shades(3))
     data = path.read_bytes()
     path.write_bytes(data[: data.index(b"\x1f\x43\xb6\x75")])  # Matroska's first cluster

@@ -32,7 +32,7 @@ def risen(stated: list[float | None]) -> tuple[list[float], list[int]]:
         ([], [], []),
     ],
 )
-def test_times_rise(stated: list[float | None], times: list[float], guessed: list[int]) -> None:
+def test_stated_times_become_rising_times(stated: list[float | None], times: list[float], guessed: list[int]) -> None:
     found, guesses = risen(stated)
     assert found == pytest.approx(times)
     assert guesses == guessed
@@ -52,11 +52,13 @@ def test_times_rise(stated: list[float | None], times: list[float], guessed: lis
         (np.zeros(0), 0.0, 30.0),
     ],
 )
-def test_the_usual_rate(times: np.ndarray, stated: float, rate: float) -> None:
+def test_the_usual_rate_is_that_of_the_times_where_the_file_is_wrong(
+    times: np.ndarray, stated: float, rate: float
+) -> None:
     assert usual_rate(times, stated) == pytest.approx(rate, rel=1e-6)
 
 
-def test_even_times() -> None:
+def test_times_are_even_where_each_is_near_its_place() -> None:
     even = np.arange(200) / 30
     assert is_even(even, 30)
     assert is_even(even + 7, 30)
@@ -68,7 +70,7 @@ def test_even_times() -> None:
     assert not is_even(np.arange(10) / 1000 + 0.0005 * (np.arange(10) > 4), 1000)  # a half of a step
 
 
-def test_what_is_told_of_times() -> None:
+def test_missing_frames_and_guessed_times_are_warnings() -> None:
     even, sure = np.arange(20) / 20, [False] * 20
     assert time_warnings("a.mp4", even, sure, 20) == ()
     gone = np.delete(even, [5, 6, 12])

@@ -80,13 +80,13 @@ def test_every_format_reads_back(name: str, width: int, shape: str, tmp_path: Pa
         ("Halpe 136", "halpe136"),
     ],
 )
-def test_spellings_of_formats(text: str, name: str) -> None:
+def test_formats_are_known_by_any_spelling(text: str, name: str) -> None:
     values = rows(SKELETONS[name].count)
     assert parse_keypoints({"format": text, "keypoints": values})[0].skeleton == name
     assert parse_keypoints(values, text)[0].skeleton == name
 
 
-def test_openpose_json() -> None:
+def test_people_of_openpose_are_read() -> None:
     first, second = rows(25), [[x + 100, y, 0.9] for x, y, _ in rows(25)]
     second[3] = [0, 0, 0]
     data = {"version": 1.3, "people": [{"person_id": [-1], "pose_keypoints_2d": flat(p)} for p in (first, second)]}
@@ -96,7 +96,7 @@ def test_openpose_json() -> None:
     assert np.flatnonzero(~people[1].visible).tolist() == [3]
 
 
-def test_coco_json() -> None:
+def test_annotations_of_coco_are_read() -> None:
     values = [[10 + k, 20 + 2 * k, k % 3] for k in range(17)]
     annotation = {"image_id": 5, "category_id": 1, "num_keypoints": 11, "keypoints": flat(values)}
     for data in (annotation, [annotation], {"images": [], "annotations": [annotation, annotation]}):
@@ -107,7 +107,7 @@ def test_coco_json() -> None:
         parse_keypoints([annotation, annotation | {"image_id": 6}])
 
 
-def test_mmpose_json() -> None:
+def test_instances_of_mmpose_are_read() -> None:
     instance = {"keypoints": rows(17, 2), "keypoint_scores": [0.25] * 16 + [1.2]}
     for data in ([instance, instance], {"instances": [instance, instance]}):
         people = parse_keypoints(data)
@@ -115,7 +115,7 @@ def test_mmpose_json() -> None:
         assert people[0].confidence[[0, 16]].tolist() == [0.25, 1.0]
 
 
-def test_nobody_in_openposes_files() -> None:
+def test_people_of_openpose_without_keypoints_are_left_out() -> None:
     """Empty and all missing people are left out, not an error of the others."""
     empty: list[dict[str, Any]] = [
         {"pose_keypoints_2d": []},
@@ -130,8 +130,8 @@ def test_nobody_in_openposes_files() -> None:
         parse_keypoints({"people": empty[:1]}, name="f")
 
 
-def test_scores_above_one() -> None:
-    """Those of models that classify coordinates are divided by the file's largest; one wrong number is told."""
+def test_scores_above_one_are_divided_by_the_largest() -> None:
+    """Networks that classify coordinates have such scores; one wrong number is told instead."""
     scores = [4.0 + 0.2 * k for k in range(16)] + [8.0]
     shapes: list[Any] = [
         [{"keypoints": rows(17, 2), "keypoint_scores": scores}],
@@ -161,15 +161,15 @@ def test_scores_above_one() -> None:
     assert parse_keypoints([flags])[0].warnings == ()
 
 
-def test_openpose_with_18_points() -> None:
-    """COCO's model, and files of its first versions, which call them otherwise."""
+def test_openposes_18_points_are_read() -> None:
+    """COCO's model has them, in files whose first versions call the list otherwise."""
     for key in ("pose_keypoints_2d", "pose_keypoints"):
         (person,) = parse_keypoints({"people": [{key: flat(rows(18))}]})
         assert person.skeleton == "coco18"
         assert person.points[1].tolist() == [13, 25]  # the neck
 
 
-def test_mmpose_files() -> None:
+def test_files_of_mmpose_are_read_in_all_their_shapes() -> None:
     """Of a picture, and of a film of one frame or several; the data set's name tells the format."""
     instance = {"keypoints": rows(17, 2), "keypoint_scores": [0.5] * 17, "bbox": [[0, 0, 9, 9]], "bbox_score": 0.9}
     frame = {"frame_id": 3, "instances": [instance, instance]}
@@ -190,7 +190,7 @@ def test_mmpose_files() -> None:
         parse_keypoints([{"frame_id": 3, "instances": 3}], name="f")
 
 
-def test_wholebody_without_its_points_that_are_no_landmarks() -> None:
+def test_points_of_wholebody_that_are_no_landmarks_are_left_out() -> None:
     values: list[Any] = rows(133)
     values[30] = [-1, "cheek", None]
     (person,) = parse_keypoints({"keypoints": values})
@@ -211,7 +211,7 @@ def ultralytics(count: int = 17, **changes: Any) -> dict[str, Any]:
     return {"name": "person", "class": 0, "confidence": 0.9, "box": box, "keypoints": points}
 
 
-def test_ultralytics_json() -> None:
+def test_people_of_ultralytics_are_read() -> None:
     person = ultralytics()
     for name, value in (("x", 0.0), ("y", 0.0), ("visible", 0.41)):
         person["keypoints"][name][3] = value
@@ -233,8 +233,8 @@ def test_ultralytics_json() -> None:
         parse_keypoints([ultralytics(x=[0.01 * k for k in range(17)], y=[0.5] * 17)])
 
 
-def test_an_own_skeleton(tmp_path: Path) -> None:
-    """Its points by name; they may lack all bones that tell a height."""
+def test_keypoints_are_read_by_a_custom_skeleton(tmp_path: Path) -> None:
+    """The skeleton may lack all bones that tell a height."""
     names = ["nose", None, "left_wrist", "right_wrist", "left_ear", "right_ear"]
     own = write(tmp_path / "mine.json", {"landmarks": names})
     values = rows(6)
@@ -250,7 +250,7 @@ def test_an_own_skeleton(tmp_path: Path) -> None:
         read_keypoints(tmp_path / "k.json", tmp_path / "k.json")
 
 
-def test_a_folder_of_keypoint_files(tmp_path: Path) -> None:
+def test_a_photo_finds_its_file_in_a_folder_of_keypoints(tmp_path: Path) -> None:
     photo = Path("pictures/a.b.jpg")
     assert keypoint_file(tmp_path / "k.json", photo) == tmp_path / "k.json"
     with pytest.raises(InputError, match=r": 0 \*_keypoints\.json there; expected one, or a photo"):
@@ -267,7 +267,7 @@ def test_a_folder_of_keypoint_files(tmp_path: Path) -> None:
         keypoint_file(tmp_path, None)
 
 
-def test_lists_of_several_people() -> None:
+def test_lists_of_several_people_are_read() -> None:
     assert len(parse_keypoints([rows(17), rows(17)])) == 2
     assert len(parse_keypoints([flat(rows(17)), flat(rows(17)), flat(rows(17))])) == 3
     assert len(parse_keypoints({"format": "h36m17", "keypoints": [rows(17), rows(17)]})) == 2
@@ -275,7 +275,7 @@ def test_lists_of_several_people() -> None:
     assert len(people) == 1  # Who has no visible keypoint is left out.
 
 
-def test_missing_keypoints() -> None:
+def test_missing_keypoints_are_known_in_each_notation() -> None:
     values: list[Any] = rows(17)
     values[1:6] = [[NAN, NAN, 0], [5, 5, 0], [None, None, None], [NAN, NAN, NAN], None]
     (keypoints,) = parse_keypoints(values)
@@ -339,7 +339,7 @@ def changed(joint: int, row: Any) -> list[Any]:
         ([[k / 17, 0.5, 1] for k in range(17)], "all keypoints between 0 and 1; expected pixels, not shares"),
     ],
 )
-def test_bad_keypoint_files(data: Any, message: str, tmp_path: Path) -> None:
+def test_bad_keypoints_are_refused_in_a_line(data: Any, message: str, tmp_path: Path) -> None:
     path = write(tmp_path / "bad.json", data)
     with pytest.raises(InputError) as raised:
         read_keypoints(path)
@@ -349,7 +349,7 @@ def test_bad_keypoint_files(data: Any, message: str, tmp_path: Path) -> None:
     assert "\n" not in error
 
 
-def test_unreadable_keypoint_files(tmp_path: Path) -> None:
+def test_unreadable_keypoint_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"none\.json: No such file or directory; expected keypoints in JSON"):
         read_keypoints(tmp_path / "none.json")
     with pytest.raises(InputError, match=r"Is a directory; expected keypoints in JSON"):

@@ -76,8 +76,8 @@ def test_too_few_bones_tell_no_order(seen: np.ndarray) -> None:
     assert order_warning(form, np.zeros((25, 2)), np.ones(25)) is None
 
 
-def test_files_tell_it(seen: np.ndarray) -> None:
-    """By their number and by the format that they state, but not by their points' names."""
+def test_a_file_in_another_order_is_told(seen: np.ndarray) -> None:
+    """The number of points and the stated format count, and not the names of points."""
     points = keypoints(seen, "body25b")[0].tolist()
     told = "keypoints: they look like body25b, not body25; expected --format body25b if they are"
     for data, given in ((points, None), ({"format": "body25", "keypoints": points}, None), (points, "body25")):

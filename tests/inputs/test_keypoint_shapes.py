@@ -71,7 +71,7 @@ def test_cocos_names_tell_the_order() -> None:
         assert_all_at_their_places(person)
 
 
-def test_points_of_other_data_sets_by_their_names() -> None:
+def test_points_of_other_data_sets_are_known_by_their_names() -> None:
     posetrack = ["nose", "head_bottom", "head_top", *COCO[3:]]
     (person,) = parse_keypoints(coco(posetrack, {"keypoints": flat(posetrack, 0, {"head_bottom": "neck"})}))
     assert (person.skeleton, at(person, "neck"), at(person, "head_top")) == ("posetrack17", [100, 68], [100, 15])
@@ -86,7 +86,7 @@ def test_points_of_other_data_sets_by_their_names() -> None:
     assert_all_at_their_places(person)
 
 
-def test_animals_are_nobody() -> None:
+def test_keypoints_of_animals_are_refused_or_left_out() -> None:
     horse = {"id": 2, "name": "horse", "supercategory": "animal", "keypoints": list(COCO)}
     data = coco(COCO, {"keypoints": flat(COCO)}, {"keypoints": flat(COCO, 90), "category_id": 2})
     data["categories"].append(horse)
@@ -106,7 +106,7 @@ def test_animals_are_nobody() -> None:
             parse_keypoints(coco(paws, {"keypoints": flat(paws)}, name="x"), given, name="f")
 
 
-def test_categories() -> None:
+def test_categories_say_which_points_they_have_and_who_is_refused() -> None:
     given = [
         {"id": 1, "name": "player", "keypoints": ["nose", "hat", "left_eye", "right_eye"]},
         {"id": 2, "name": "ball"},
@@ -149,7 +149,7 @@ def test_a_format_goes_before_names() -> None:
     assert person.warnings == ()
 
 
-def test_names_beside_the_keypoints() -> None:
+def test_names_beside_the_keypoints_tell_their_order() -> None:
     order = COCO[::-1]
     rows = [[*places()[name], 0.9] for name in order]
     numbered = {str(n): name for n, name in enumerate(order)}
@@ -170,7 +170,7 @@ def test_names_beside_the_keypoints() -> None:
     assert_all_at_their_places(parse_keypoints(unnamed)[0])
 
 
-def test_points_that_are_named_one_by_one() -> None:
+def test_points_that_are_named_one_by_one_are_read() -> None:
     order = COCO[::-1][:12]
     by_name = {name.upper(): [*places()[name], 0.5] for name in order}
     objects = [{"name": name, "x": places()[name][0], "y": places()[name][1], "score": 0.5} for name in order]
@@ -225,7 +225,7 @@ SHAPES = ["alphapose", "list by path", "open", "cmu", "lists by picture", "frame
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_people_of_one_photo_out_of_many(shape: str, tmp_path: Path) -> None:
+def test_the_photo_chooses_its_people_out_of_many_pictures(shape: str, tmp_path: Path) -> None:
     file = write(tmp_path / "k.json", many(shape))
     for photo in ("street.png", "somewhere/b/Street.PNG", "street.jpg", Path("b/street.png")):
         people = read_keypoints(file, photo=photo)
@@ -239,7 +239,7 @@ def test_people_of_one_photo_out_of_many(shape: str, tmp_path: Path) -> None:
         read_keypoints(file, photo="d.png")
 
 
-def test_photos_without_people_and_of_one_name(tmp_path: Path) -> None:
+def test_a_photo_without_people_or_with_an_ambiguous_name_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"^f: empty\.png: nobody in it; expected keypoints of at least one person"):
         parse_keypoints(many("coco"), name="f", photo=Path("empty.png"))
     twice = {"x/1.png": [{"keypoints": flat(COCO)}], "y/1.png": [{"keypoints": flat(COCO, 50)}]}
@@ -270,7 +270,7 @@ def test_photos_without_people_and_of_one_name(tmp_path: Path) -> None:
         ("x.png", ["7"], []),
     ],
 )
-def test_names_of_pictures(photo: str, names: list[str], found: list[str]) -> None:
+def test_pictures_match_by_name_folder_or_number(photo: str, names: list[str], found: list[str]) -> None:
     assert matching_names(Path(photo), names) == found
 
 
@@ -289,7 +289,7 @@ def labelme(*people: float, **changes: Any) -> dict[str, Any]:
     return {"version": "5.4.1", "shapes": [box, *shapes], "imagePath": "..\\p\\me.png", **changes}
 
 
-def test_labelme() -> None:
+def test_shapes_of_labelme_are_read_and_their_faults_named() -> None:
     first, second = parse_keypoints(labelme(0, 60), photo=Path("me.png"))
     for person, move in ((first, 0), (second, 60)):
         assert person.warnings == ()
@@ -334,7 +334,7 @@ def studio(move: float, picture: str, **changes: Any) -> dict[str, Any]:
     return {"id": 4, "data": {"image": picture}, "annotations": [{"result": [box, *results]}], "predictions": []}
 
 
-def test_label_studio(tmp_path: Path) -> None:
+def test_tasks_of_label_studio_are_read_and_their_faults_named(tmp_path: Path) -> None:
     tasks = [studio(0, "/data/upload/3/0a1b2c3d-me.png"), studio(50, "/data/local-files/?d=set/you.png")]
     (tmp_path / "set").mkdir()
     for photo, move in (("me.png", 0), ("set/you.png", 50)):
@@ -374,8 +374,8 @@ def test_label_studio(tmp_path: Path) -> None:
         assert str(raised.value).startswith(message)
 
 
-def test_sizes_that_files_state(tmp_path: Path) -> None:
-    """Keypoints follow the picture that is read: smaller than annotated, or turned by its EXIF data."""
+def test_keypoints_are_scaled_by_the_size_that_their_file_states(tmp_path: Path) -> None:
+    """They follow the picture that is read: smaller than annotated, or turned by its EXIF data."""
     photo, turned = tmp_path / "me.png", tmp_path / "turned.jpg"
     Image.new("RGB", (200, 150)).save(photo)
     data = labelme(0, imageWidth=400, imageHeight=300)
@@ -519,7 +519,7 @@ def test_categories_that_agree_name_the_points_of_annotations_without_one(number
 @pytest.mark.parametrize(
     "key", "joint_names joints_name kpt_names keypoint_labels body_parts names labels markers".split()
 )
-def test_names_at_the_top_of_a_file(key: str) -> None:
+def test_names_at_the_top_of_a_file_tell_the_order(key: str) -> None:
     names = COCO[::-1]
     listed = {key: list(names), "others": ["left_hip", "right_hip"]}
     for data in ({**listed, "people": [{"keypoints": flat(names)}]}, {**listed, "keypoints": flat(names)}):
@@ -528,7 +528,7 @@ def test_names_at_the_top_of_a_file(key: str) -> None:
     assert_all_at_their_places(parse_keypoints(data)[0])
 
 
-def test_names_in_mmposes_data_about_a_data_set() -> None:
+def test_names_in_mmposes_metadata_tell_the_order() -> None:
     names = COCO[::-1]
     tables = {str(n): name for n, name in enumerate(names)}
     for said in (
@@ -538,7 +538,7 @@ def test_names_in_mmposes_data_about_a_data_set() -> None:
         assert_all_at_their_places(parse_keypoints({**said, "instances": [{"keypoints": flat(names)}]})[0])
 
 
-def test_ochumans_visibilities() -> None:
+def test_visibilities_of_ochuman_become_confidences() -> None:
     rows = [[*places()[name], (1, 2, 3, 0)[n % 4]] for n, name in enumerate(COCO)]
     (person,) = parse_keypoints({"keypoints": rows})
     assert person.confidence[:4].tolist() == [1.0, 0.5, 0.5, 0.0]

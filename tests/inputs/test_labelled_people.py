@@ -8,18 +8,17 @@ from functools import cache
 import numpy as np
 import pytest
 from helpers.cuts import assert_cut_as_alone
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_parts
 
 from warp_partdr.body.labels import IGNORE, label_set
 from warp_partdr.body.skeletons import SKELETONS, skeleton
 from warp_partdr.cameras import Perspective
 from warp_partdr.inputs import agreement, labelled_people, selection
 from warp_partdr.inputs.evidence import WINDOW_SIDE, weigh_evidence
-from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, person_height
 from warp_partdr.inputs.labelled_people import LabelledPerson, cut_labels
 from warp_partdr.inputs.observation import LABEL_SIZE, CutOut
-from warp_partdr.inputs.part_labels import PartLabels, read_parts
+from warp_partdr.inputs.part_labels import PartLabels
 
 LABELS = ("cdcl14", "pascal6", "full1")
 
@@ -27,14 +26,14 @@ LABELS = ("cdcl14", "pascal6", "full1")
 @cache
 def example(labels: str = "cdcl14") -> tuple[Keypoints2D, PartLabels]:
     """The example's person in the groups of a label set."""
-    parts = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
+    parts = example_parts()
     own, known = label_set(labels), parts.label_set
     table = np.zeros(256, dtype=np.uint8)
     table[IGNORE] = IGNORE
     table[1 : known.num_groups + 1] = [
         own.part_groups[np.flatnonzero(known.part_groups == group)[0]] for group in range(1, known.num_groups + 1)
     ]
-    return read_keypoints(EXAMPLE / "keypoints.json")[0], PartLabels(own, table[parts.groups])
+    return example_keypoints(), PartLabels(own, table[parts.groups])
 
 
 def as_format(keypoints: Keypoints2D, form: str) -> Keypoints2D:
@@ -145,7 +144,7 @@ def test_people_of_one_picture_share_it_and_its_camera() -> None:
     assert all(cut is not None and (cut[1].labels == IGNORE).any() for cut in found)
 
 
-def test_those_who_need_a_closer_look_are_left() -> None:
+def test_people_who_need_a_closer_look_are_left_to_it() -> None:
     keypoints, parts = example()
     there = LabelledPerson(keypoints, parts)
     assert cut_labels([]) == []
@@ -192,7 +191,7 @@ def test_those_who_need_a_closer_look_are_left() -> None:
 
 
 @pytest.mark.parametrize("form", SKELETONS)
-def test_all_formats(form: str) -> None:
+def test_people_of_each_format_are_cut_out(form: str) -> None:
     keypoints, parts = example()
     (cut,) = assert_as_alone([LabelledPerson(as_format(keypoints, form), parts)])
     assert cut is not None

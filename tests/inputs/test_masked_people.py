@@ -9,27 +9,25 @@ import numpy as np
 import pytest
 import torch
 from helpers.cuts import assert_cut_as_alone
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_parts
 
-from warp_partdr.body.labels import BACKGROUND, label_set
+from warp_partdr.body.labels import BACKGROUND
 from warp_partdr.body.skeletons import SKELETONS, skeleton
 from warp_partdr.cameras import Perspective
 from warp_partdr.errors import InputError
 from warp_partdr.inputs import masked_people
 from warp_partdr.inputs.evidence import WINDOW_SIDE
-from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.masked_people import MaskedPerson, cut_masks
 from warp_partdr.inputs.observation import CutOut
-from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.pipelines.photo import person_evidence
 
 
 @cache
 def example() -> tuple[Keypoints2D, np.ndarray]:
     """Keypoints, and whom each pixel shows: the person and nobody else."""
-    parts = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
-    return read_keypoints(EXAMPLE / "keypoints.json")[0], (parts.groups != BACKGROUND).astype(np.int32)
+    parts = example_parts()
+    return example_keypoints(), (parts.groups != BACKGROUND).astype(np.int32)
 
 
 def as_format(keypoints: Keypoints2D, form: str) -> Keypoints2D:
@@ -114,7 +112,7 @@ def test_people_of_one_picture_share_it_and_its_camera(device):
     assert [evidence.window.size for evidence, _, _ in found] == [mask.shape] * 2
 
 
-def test_nobody_and_those_of_no_use(device):
+def test_nobody_is_cut_out_of_nothing_and_unusable_keypoints_are_refused(device):
     assert cut_masks([], device) == []
     keypoints, mask = example()
     there = MaskedPerson(keypoints, torch.from_numpy(mask), 1)
@@ -129,6 +127,6 @@ def test_nobody_and_those_of_no_use(device):
 
 
 @pytest.mark.parametrize("form", SKELETONS)
-def test_all_formats(form: str) -> None:
+def test_people_of_each_format_are_cut_out(form: str) -> None:
     keypoints, mask = example()
     assert_as_alone([MaskedPerson(as_format(keypoints, form), torch.from_numpy(mask), 1)], "cpu")

@@ -45,7 +45,7 @@ def assert_same(one: Observation, other: Observation) -> None:
         assert torch.equal(getattr(one, name), getattr(other, name)), name
 
 
-def test_each_is_what_it_was_alone(people):
+def test_each_stacked_observation_is_what_it_was_alone(people):
     seen = people
     stacked = Observations.of(seen, COCO)
     assert len(stacked) == 5
@@ -58,7 +58,7 @@ def test_each_is_what_it_was_alone(people):
         assert_same(some[row], seen[1 + row])
 
 
-def test_joined_parts_are_as_all_at_once(people):
+def test_joined_parts_are_the_same_as_all_at_once(people):
     seen = people
     whole = Observations.of(seen, COCO)
     parts = [Observations.of(seen[some], COCO) for some in (slice(0, 2), slice(2, 3), slice(3, 5))]

@@ -61,7 +61,9 @@ def save_palette(path: Path, picture: np.ndarray) -> None:
         ("fortran.npy", lambda path, picture: np.save(path, np.asfortranarray(picture))),
     ],
 )
-def test_label_files(name: str, save: Callable[[Path, np.ndarray], None], tmp_path: Path) -> None:
+def test_labels_are_read_from_files_of_any_usual_type(
+    name: str, save: Callable[[Path, np.ndarray], None], tmp_path: Path
+) -> None:
     save(tmp_path / name, label_picture())
     parts = read_parts(tmp_path / name, CDCL)
     expected = label_picture()
@@ -72,7 +74,7 @@ def test_label_files(name: str, save: Callable[[Path, np.ndarray], None], tmp_pa
 
 
 @pytest.mark.parametrize("mode", ["1", "L"])
-def test_silhouettes(mode: str, tmp_path: Path) -> None:
+def test_silhouettes_are_read_as_one_group(mode: str, tmp_path: Path) -> None:
     mask = label_picture() % 255 > 0
     Image.fromarray((mask * 255).astype(np.uint8)).convert(mode).save(tmp_path / "mask.png")
     np.testing.assert_array_equal(read_parts(tmp_path / "mask.png", label_set("full1")).groups, mask)
@@ -80,7 +82,9 @@ def test_silhouettes(mode: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("layout", [(0, 1, 2), (1, 2, 0)])
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
-def test_probability_maps(layout: tuple[int, int, int], dtype: type, tmp_path: Path, rng: np.random.Generator) -> None:
+def test_probability_maps_are_read_in_either_layout(
+    layout: tuple[int, int, int], dtype: type, tmp_path: Path, rng: np.random.Generator
+) -> None:
     logits = rng.normal(size=(20, 12, 16)) * 3
     probabilities = (np.exp(logits) / np.exp(logits).sum(axis=0)).astype(dtype)
     np.save(tmp_path / "soft.npy", probabilities.transpose(layout))
@@ -163,7 +167,7 @@ def soft(channels: int = 15, scale: float = 1.0) -> np.ndarray:
         (np.array([[None, {}]]), "holds pickled Python objects, which could run code"),
     ],
 )
-def test_bad_label_arrays(array: np.ndarray, message: str, tmp_path: Path) -> None:
+def test_bad_label_arrays_are_refused_in_a_line(array: np.ndarray, message: str, tmp_path: Path) -> None:
     path = tmp_path / "bad.npy"
     np.save(path, array, allow_pickle=True)
     with pytest.raises(InputError) as raised:
@@ -175,7 +179,7 @@ def test_bad_label_arrays(array: np.ndarray, message: str, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("suffix", [".png", ".npy"])
-def test_unreadable_label_files(suffix: str, tmp_path: Path, rng: np.random.Generator) -> None:
+def test_unreadable_label_files_are_refused(suffix: str, tmp_path: Path, rng: np.random.Generator) -> None:
     path, picture = tmp_path / f"parts{suffix}", rng.integers(0, 15, (64, 64)).astype(np.uint8)
     Image.fromarray(picture).save(path) if suffix == ".png" else np.save(path, picture)
     for content, reason in (
@@ -189,8 +193,8 @@ def test_unreadable_label_files(suffix: str, tmp_path: Path, rng: np.random.Gene
 
 
 @pytest.mark.parametrize("dtype", [bool, np.uint8, np.int64])
-def test_masks_by_instance(dtype: type, tmp_path: Path) -> None:
-    """Told from probabilities by their type alone; 0 to 1 or 0 to 255, as many write masks."""
+def test_masks_by_instance_are_read_for_each_person(dtype: type, tmp_path: Path) -> None:
+    """Their type alone tells them from probabilities; they may be 0 and 1, or 0 and 255."""
     masks = np.zeros((3, 6, 5), dtype=dtype)
     masks[0, 1:4, 1] = masks[1, 3:, 1:3] = 1 if dtype is bool else 255
     np.save(tmp_path / "masks.npy", masks)
@@ -206,7 +210,7 @@ def test_masks_by_instance(dtype: type, tmp_path: Path) -> None:
         PartLabels(parts.label_set, parts.groups, instances=parts.instances[..., 1:])
 
 
-def test_part_ids_of_each_person(tmp_path: Path) -> None:
+def test_part_ids_of_each_person_are_joined_to_one_picture(tmp_path: Path) -> None:
     people = np.zeros((2, 3, 4), dtype=np.uint8)
     people[0, 0], people[0, 1], people[1, 1:] = 1, 255, 2
     np.save(tmp_path / "people.npy", people)
@@ -215,7 +219,7 @@ def test_part_ids_of_each_person(tmp_path: Path) -> None:
     np.testing.assert_array_equal(parts.instances, people)
 
 
-def test_other_label_files(tmp_path: Path) -> None:
+def test_label_files_of_other_kinds_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"parts\.jpg: \.jpg; expected \.png or \.npy part labels"):
         read_parts(tmp_path / "parts.jpg", CDCL)
     for mode in ("RGB", "RGBA", "LA"):
@@ -224,7 +228,7 @@ def test_other_label_files(tmp_path: Path) -> None:
             read_parts(tmp_path / "colours.png", CDCL)
 
 
-def test_photo_and_sizes(tmp_path: Path) -> None:
+def test_a_photo_is_read_upright_and_must_have_the_labels_size(tmp_path: Path) -> None:
     image = Image.new("RGB", (6, 4), (1, 2, 3))
     exif = image.getexif()
     exif[0x0112] = 6  # Held upright, stored lying.
@@ -275,8 +279,8 @@ def test_photos_of_any_mode_are_the_same_picture(tmp_path):
 
 
 @pytest.mark.parametrize("size", [(400, 300), (300, 400), (200, 150)])
-def test_the_focal_length_of_a_photo(tmp_path, size):
-    """Also of one that was turned or made smaller since."""
+def test_the_focal_length_of_a_photo_comes_from_its_exif_data(tmp_path, size):
+    """It also does for a photo that was turned or made smaller since it was taken."""
     save_with_focal(Image.new("RGB", size), tmp_path / "photo.jpg", focal=28, was=(400, 300))
     diagonal = np.hypot(*size)
     assert read_focal(tmp_path / "photo.jpg") == pytest.approx(28 / np.hypot(36, 24) * diagonal)
@@ -293,7 +297,7 @@ def test_the_focal_length_of_a_photo(tmp_path, size):
         ((300, 300), 28, "300x300, but 400x300 in its EXIF data; expected a photo that was not cut"),
     ],
 )
-def test_a_photo_without_its_focal_length(tmp_path, size, focal, says):
+def test_a_photo_without_a_usable_focal_length_says_so(tmp_path, size, focal, says):
     save_with_focal(Image.new("RGB", size), tmp_path / "photo.jpg", focal, was=(400, 300))
     with pytest.raises(InputError, match=says):
         read_focal(tmp_path / "photo.jpg")

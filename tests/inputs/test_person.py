@@ -107,7 +107,7 @@ def test_masks_tell_whose_a_pixel_is_without_others_bones() -> None:
     assert (alone.groups == 1).sum() < (seen.groups == 1).sum()
 
 
-def test_choose_person() -> None:
+def test_the_largest_sure_person_on_labels_is_chosen_unless_one_is_named() -> None:
     small, large = standing(30, 10, 60), standing(100, 10, 150)
     faint = Keypoints2D("coco17", large.points + 200, large.confidence / 10)
     people = [small, large, faint]
@@ -170,7 +170,7 @@ def test_select_person_keeps_loose_limbs_and_what_the_border_leaves() -> None:
         np.testing.assert_array_equal(select_person(labels, keypoints), labels)
 
 
-def test_select_person_where_people_touch() -> None:
+def test_others_bones_part_people_who_touch() -> None:
     me, other = standing(100), standing(146)
     size = (230, 300)
     mine, theirs = paint(me, size), paint(other, size)
@@ -186,14 +186,14 @@ def test_select_person_where_people_touch() -> None:
     assert (told[:, :108][mine[:, :108] > 0] != IGNORE).all()
 
 
-def test_select_person_with_missing_keypoints() -> None:
+def test_missing_keypoints_lose_no_pixels_of_a_lone_person() -> None:
     me = standing(100)
     mine = paint(me, (230, 200))
     for missing in ([13, 15], [9], list(range(5)), [7, 9, 8, 10], [0, 1, 2, 3, 4, 13, 14, 15, 16]):
         np.testing.assert_array_equal(select_person(mine, without(me, missing)), mine)
 
 
-def test_select_person_without_labels_on_the_bones() -> None:
+def test_a_person_without_labels_on_the_bones_is_refused() -> None:
     groups = np.zeros((230, 400), dtype=np.uint8)
     groups[100:140, 300:340] = 1
     for keypoints in (standing(100), standing(5000), standing(-5000)):
@@ -202,7 +202,7 @@ def test_select_person_without_labels_on_the_bones() -> None:
 
 
 @pytest.mark.parametrize("name", PHOTOS)
-def test_select_person_on_the_shared_photos(name: str, shared: Path) -> None:
+def test_pixels_of_the_main_person_are_selected_on_the_shared_photos(name: str, shared: Path) -> None:
     folder = shared / "data/people"
     (keypoints,) = read_keypoints(folder / f"{name}.keypoints.json")
     assert keypoints.skeleton == "blazepose33"

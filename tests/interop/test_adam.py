@@ -12,7 +12,7 @@ from warp_partdr.interop.adam import Adam
 
 
 @pytest.mark.parametrize("betas", [(0.9, 0.999), (0.7, 0.95)])
-def test_it_is_torch_s_to_the_bit(device, betas):
+def test_steps_equal_torchs_adam_to_the_bit(device, betas):
     rates, shares = (0.1, 0.03), (1.0, 0.7, 0.2)
     ours, theirs = ([torch.linspace(-1, 2, n, device=device).requires_grad_() for n in (4, 7, 3)] for _ in range(2))
     adam = Adam([(ours[:2], rates[0]), (ours[2:], rates[1]), ([], 1.0)], betas=betas)
@@ -30,8 +30,8 @@ def test_it_is_torch_s_to_the_bit(device, betas):
         assert all(tensor.grad is None for tensor in ours)
 
 
-def test_it_restarts(device):
-    """A share that is a tensor, as in a captured graph, does the same."""
+def test_a_restarted_optimizer_takes_the_same_steps(device):
+    """A share that is a tensor, as in a captured graph, gives the same steps as a number."""
     ends = []
     moved = torch.ones(3, device=device).requires_grad_()
     adam = Adam([([moved], 0.1)])

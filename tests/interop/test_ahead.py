@@ -17,7 +17,7 @@ def test_items_keep_their_order() -> None:
     assert list(made_ahead([None, 0, False])) == [None, 0, False]
 
 
-def test_they_are_made_elsewhere_and_few_wait() -> None:
+def test_items_are_made_on_another_thread_and_few_wait() -> None:
     made: list[int] = []
     threads: set[int] = set()
 

@@ -61,7 +61,7 @@ def assert_second_derivative(function, *inputs):
 
 
 @pytest.mark.parametrize("wanted", [*NAMES, "all"])
-def test_double_backward_by_finite_differences(device, wanted):
+def test_second_derivatives_agree_with_finite_differences(device, wanted):
     parameters = random_parameters(3, 2, device)
     for name, parameter in zip(NAMES, parameters, strict=True):
         parameter.requires_grad_(wanted in (name, "all"))
@@ -88,7 +88,7 @@ def test_gradient_penalty_moves_what_stands_behind_the_body(device):
     torch.testing.assert_close(have, (high - low) / (2 * step), rtol=1e-6, atol=0.0)
 
 
-def test_third_derivative(device):
+def test_the_third_derivative_agrees_with_finite_differences(device):
     orient, translation, rotations, lengths, thicknesses = random_parameters(7, 1, device)
 
     def slope_squared(lengths):
@@ -99,14 +99,14 @@ def test_third_derivative(device):
     assert_second_derivative(slope_squared, lengths)
 
 
-def test_no_body_at_all(device):
+def test_an_empty_batch_is_differentiated_twice(device):
     parameters = [tensor[:0].requires_grad_() for tensor in random_parameters(0, 1, device)]
     first = gradients(cubes, parameters, create_graph=True)
     torch.stack([slope.sum() for slope in first]).sum().backward()
     assert parameters[3].grad.shape == (0, 12)
 
 
-def test_other_functions_of_poses(device):
+def test_rotations_priors_cameras_and_metrics_are_differentiated_twice(device):
     turns = torch.randn(1, 20, 3, dtype=torch.float64).to(device) * 0.3
     six, up = (torch.randn(*shape, dtype=torch.float64).to(device) for shape in ((2, 6), (1, 3)))
     points = torch.randn(2, 5, 3, dtype=torch.float64).to(device) + torch.tensor([0.0, 0.0, 5.0]).to(device)
@@ -124,7 +124,7 @@ def test_other_functions_of_poses(device):
     assert_second_derivative(lambda x: pa_mpjpe(x, points.roll(1, 1)).sum(), points)
 
 
-def test_detailed_model(device):
+def test_a_detailed_model_is_differentiated_twice(device):
     model = anny(torch.device(device), torch.float64)
     orient, translation, rotations, lengths, thicknesses = random_parameters(8, 1, device)
     shape = torch.randn(1, model.num_shapes, dtype=torch.float64).to(device) * 0.3
@@ -141,7 +141,7 @@ def test_detailed_model(device):
 # --- torch.func ---------------------------------------------------------------------------------------------------
 
 
-def test_torch_func_on_the_body(device):
+def test_torch_func_agrees_with_autograd_on_the_body(device):
     parameters = random_parameters(9, 2, device)
     leaves = [tensor.clone().requires_grad_() for tensor in parameters]
     want = gradients(cubes, leaves)

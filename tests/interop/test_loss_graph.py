@@ -123,7 +123,7 @@ def test_the_picture_is_that_of_the_call(device, renderer):
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
-def test_a_target_that_changes_in_place(renderer):
+def test_a_target_that_changes_in_place_changes_the_loss(renderer):
     scene = Scene.make(7, "cpu")
     pixels = scene.target.numpy()  # whose writes torch does not count
     before = answer(scene, renderer)
@@ -136,7 +136,7 @@ def test_a_target_that_changes_in_place(renderer):
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
-def test_without_a_gradient(device, renderer):
+def test_losses_without_a_gradient_are_the_same(device, renderer):
     scene = Scene.make(0, device)
     want = answer(scene, renderer)
     for _ in range(3):
@@ -194,7 +194,7 @@ def test_the_least_recently_used_graphs_go_first(device):
         set_graph_memory(-1)
 
 
-def test_what_is_asked_for_once_is_not_captured(device):
+def test_a_single_call_is_not_captured(device):
     scene = Scene.make(0, device)
     answer(scene, "coverage")
     assert not loss_graphs()

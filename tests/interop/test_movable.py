@@ -110,7 +110,7 @@ def assert_same(have, want, cuda=None):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_to_another_device(device, name):
+def test_objects_move_to_a_device_and_back(device, name):
     given = objects("cpu")[name]
     there = given.to(device)
     assert_same(there, given, cuda=device == "cuda")
@@ -124,7 +124,7 @@ def test_to_another_device(device, name):
     [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))],
     ids=["copy", "deep", "pickle"],
 )
-def test_copies(device, name, copied):
+def test_copies_are_equal(device, name, copied):
     given = objects(device)[name]
     assert_same(copied(given), given)
 
@@ -147,7 +147,7 @@ def test_what_is_there_already_is_shared(device):
     assert EllipBody.mean(1, device=device).to(here).device == wp.device_from_torch(here)
 
 
-def test_gradients_go_along(device):
+def test_gradients_flow_through_a_move(device):
     lengths = BodyParameters.mean(1).lengths.requires_grad_()
     moved = Ellipsoids(lengths, lengths, lengths).to(device)
     moved.centres.sum().backward()
@@ -165,6 +165,6 @@ def test_pictures_that_are_drawn_later_can_be_copied(device):
         assert torch.equal(copied(picture).depth, picture.depth)
 
 
-def test_num_labels_go_along(device):
+def test_a_moved_mesh_keeps_its_number_of_labels(device):
     mesh = partial(ellipbody_mesh, 0)
     assert (mesh().to(device).num_labels, mesh().to(device).num_vertices) == (20, 240)

@@ -49,7 +49,7 @@ def test_rounded_rotations_pass() -> None:
 
 
 @pytest.mark.parametrize("name", NO_ROTATIONS)
-def test_what_is_none(name: str) -> None:
+def test_matrices_that_are_no_rotations_are_found_by_index(name: str) -> None:
     matrices = turns(4, 5)
     matrices[2, 3] = NO_ROTATIONS[name]
     for mirrored in (False, True):
@@ -61,7 +61,7 @@ def test_what_is_none(name: str) -> None:
 
 @pytest.mark.parametrize("which", ["global_orient", "rotations"])
 @pytest.mark.parametrize("name", [*NO_ROTATIONS, "mirrored"])
-def test_pose(which: str, name: str, device: str) -> None:
+def test_posing_refuses_matrices_that_are_no_rotations(which: str, name: str, device: str) -> None:
     arguments = body_parameters(0, device, batch=2)
     pose(**arguments)
     arguments[which][1] = {**NO_ROTATIONS, "mirrored": MIRROR}[name].to(device)
@@ -82,7 +82,7 @@ def scene(device: str) -> tuple[Ellipsoids, WeakPerspective]:
 
 
 @pytest.mark.parametrize("name", NO_ROTATIONS)
-def test_axes_of_ellipsoids(name: str, device: str) -> None:
+def test_drawing_refuses_axes_that_are_not_orthonormal(name: str, device: str) -> None:
     ellipsoids, camera = scene(device)
     ellipsoids.axes[0, 1] = NO_ROTATIONS[name].to(device)
     target = torch.zeros(1, 24, 24, dtype=torch.uint8, device=device)
@@ -112,7 +112,7 @@ def test_mirrored_axes_are_the_same_ellipsoid(gradient: Any, device: str) -> Non
 
 @pytest.mark.parametrize("which", ["global_orient", "rotations"])
 @pytest.mark.parametrize("name", [*NO_ROTATIONS, "mirrored"])
-def test_body_files(which: str, name: str, tmp_path: Path) -> None:
+def test_body_files_with_matrices_that_are_no_rotations_are_refused(which: str, name: str, tmp_path: Path) -> None:
     path = tmp_path / "body.npz"
     arrays = {key: value[0].numpy() for key, value in body_parameters(0).items()}
     arrays |= {"format": "warp-partdr body 1", "camera_scale": 100.0, "camera_translation": np.zeros(2)}
@@ -125,7 +125,7 @@ def test_body_files(which: str, name: str, tmp_path: Path) -> None:
         load_body(path)
 
 
-def test_registration() -> None:
+def test_registration_refuses_matrices_that_are_no_rotations() -> None:
     posed = BodyParameters.mean(1).posed()
     for name in ("rotations", "axes"):
         tensors = {key: value.clone() for key, value in vars(posed).items()}

@@ -110,7 +110,7 @@ def test_fits_and_pictures_of_two_threads_are_those_of_one():
         assert all(torch.equal(have, want_fit) for have in fits)
 
 
-def test_scratch_of_a_side_stream_is_torchs(cuda):
+def test_scratch_memory_of_a_side_stream_comes_from_torch(cuda):
     """Warp's own memory comes back on the default stream, for which torch's side streams don't wait."""
     where, side = torch.device("cuda", torch.cuda.current_device()), torch.cuda.Stream()
     size = 1 << 24

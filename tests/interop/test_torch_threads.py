@@ -24,7 +24,7 @@ def _three_threads() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
-def test_nested_and_after_an_error() -> None:
+def test_one_thread_ends_with_its_outermost_block_even_after_an_error() -> None:
     with one_torch_thread():
         with one_torch_thread():
             assert torch.get_num_threads() == 1
@@ -35,7 +35,7 @@ def test_nested_and_after_an_error() -> None:
     assert torch.get_num_threads() == COUNT
 
 
-def test_all_threads_within_one() -> None:
+def test_all_threads_come_back_within_a_block_of_one() -> None:
     with one_torch_thread():
         with all_torch_threads():
             assert torch.get_num_threads() == COUNT
@@ -59,7 +59,7 @@ def test_a_user_s_one_thread_stays_one() -> None:
 
 
 @pytest.mark.parametrize("first_out", [0, 1])
-def test_two_threads_at_once(first_out: int) -> None:
+def test_two_python_threads_at_once_restore_the_count(first_out: int) -> None:
     entered, leave = [threading.Event(), threading.Event()], [threading.Event(), threading.Event()]
     counts: dict[int, tuple[int, int]] = {}
 

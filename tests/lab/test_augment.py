@@ -85,7 +85,7 @@ def test_crop_of_a_larger_picture_is_reduced():
     assert (crop[34:] == 0).all()
 
 
-def test_confidence_and_missing_group():
+def test_mirroring_keeps_confidences_and_ignores_groups_without_a_mirror_image():
     points = np.array([[0.1, 0.2, 0.9], [0.5, 0.2, 0.3]], dtype=np.float32)
     moved = Similarity(mirrored=True).points(points, ("left_knee", "right_knee"))
     np.testing.assert_allclose(moved, [[-0.5, 0.2, 0.3], [-0.1, 0.2, 0.9]])
@@ -94,7 +94,7 @@ def test_confidence_and_missing_group():
 
 
 @pytest.mark.parametrize("name", LABEL_SETS)
-def test_mirrored_groups(name):
+def test_mirrored_groups_have_the_mirrored_parts(name):
     labels = LABEL_SETS[name]
     table = mirror_groups(labels)
     for group, parts in enumerate(labels.groups.values(), start=1):

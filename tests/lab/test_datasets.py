@@ -90,7 +90,7 @@ def test_joints_that_are_not_known_are_nan_and_openposes_keypoints_stand_in(tmp_
     assert second.keypoints.visible.tolist() == [k != 3 for k in range(25)]
 
 
-def test_keypoints_from_a_detectors_files(tmp_path, rng):
+def test_keypoints_come_from_a_detectors_files_where_arrays_have_none(tmp_path, rng):
     """SPIN's validation files have no 2D keypoints; of several people, the one in the box is meant."""
     arrays = spin_arrays(rng)
     del arrays["part"]
@@ -146,7 +146,7 @@ def test_wrong_arrays_are_named(tmp_path, rng, change, error):
     refused(error, read_human36m, save(tmp_path, **arrays))
 
 
-def test_files_that_are_missing_damaged_or_too_large(tmp_path, rng, monkeypatch):
+def test_files_that_are_missing_damaged_or_too_large_are_refused(tmp_path, rng, monkeypatch):
     damaged = save(tmp_path, imgname=np.zeros(1000))
     damaged.write_bytes(damaged.read_bytes()[:300])
     np.save(tmp_path / "one.npy", np.zeros(3))
@@ -223,7 +223,7 @@ def test_lsp_reads_joints_without_scipy(lsp, order):
     assert first.keypoints.points == pytest.approx(joints[:2, :, 1000].T, rel=1e-6)
 
 
-def test_lsp_from_an_annotation_file(lsp):
+def test_lsp_is_read_from_an_annotation_file_of_spin(lsp):
     """As SPIN's lsp_dataset.py writes it."""
     folder, parts, joints = lsp
     part = np.zeros((1, 24, 3))
@@ -297,7 +297,7 @@ def test_folder_reads_pictures_keypoints_and_labels(tmp_path):
     assert first.picture == tmp_path / "a.jpg"
 
 
-def test_folder_without_labels_and_of_real_photos(tmp_path, shared):
+def test_a_folder_is_read_with_or_without_labels(tmp_path, shared):
     person(tmp_path, "a")
     (sample,) = read_folder(tmp_path)
     assert (sample.parts, sample.target) == (None, None)

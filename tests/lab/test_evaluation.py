@@ -90,7 +90,7 @@ def person(rng: np.random.Generator, *, offset: float = 0.0) -> tuple[Sample, Bo
     return sample, Body(moved, drawn)
 
 
-def test_score_by_hand(rng):
+def test_scores_of_a_fit_agree_with_numbers_by_hand(rng):
     sample, body = person(rng, offset=0.14)
     vertices = np.zeros((4, 3))
     vertices[0, 1] = 0.02

@@ -23,7 +23,7 @@ def group(device, tmp_path):
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
 @pytest.mark.parametrize("layout", ["images", "channels last", "vectors"])
-def test_is_torchs_for_one_process(device, group, dtype, layout):
+def test_joint_normalisation_equals_torchs_for_one_process(device, group, dtype, layout):
     torch.manual_seed(0)
     shape = (6, 5) if layout == "vectors" else (6, 5, 4, 3)
     values = torch.randn(shape, device=device) * 3 + 2
@@ -50,7 +50,7 @@ def test_is_torchs_for_one_process(device, group, dtype, layout):
     torch.testing.assert_close(joint.state_dict(), plain.state_dict(), rtol=1e-5, atol=1e-5)
 
 
-def test_takes_the_place_of_each_normalisation(device):
+def test_each_normalisation_of_a_model_becomes_joint(device):
     model = nn.Sequential(nn.Linear(3, 4), nn.ModuleDict({"norm": nn.BatchNorm1d(4)})).to(device)
     before = {name: value.clone() for name, value in model.state_dict().items()}
     normalise_jointly(model)

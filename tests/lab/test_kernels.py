@@ -76,7 +76,7 @@ def figures(device: str) -> dict[str, Any]:
     return run_kernels(replace(PLAN, device=device))
 
 
-def test_bandwidth_and_images() -> None:
+def test_rows_state_images_a_second_and_the_share_of_bandwidth() -> None:
     row = make_row(TARGETS, ("a", "b", 8, 256), "graph", Timing((1e-3, 2e-3, 3e-3)), moved=3_000_000)
     assert row["images_per_second"] == pytest.approx(4000)
     assert copy_share(row, 6e9) == pytest.approx(0.25)  # 1.5 GB/s of 6

@@ -222,7 +222,7 @@ def test_differences_of_scenes_are_told() -> None:
     assert "depth between people +0.0 (+0.0 to +0.0) mm, stature +0.0 (+0.0 to +0.0) mm, part F1 +" in found
 
 
-def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_scores_scenes_and_asks_for_motion_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scenes, "held_out_windows", lambda folder, seconds: [standing(4)])
     monkeypatch.setitem(SCENE_METHODS, "scene", SceneMethod(partial(fit_all_together, options=QUICK)))
     arguments = ["partbench", "--people", "1", "--level", "clip", "--method", "scene", "--jobs", "1"]
@@ -236,7 +236,7 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "order_right" not in row
 
 
-def test_motion_capture_that_is_not_there(tmp_path: Path) -> None:
+def test_a_folder_without_motion_capture_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"--mocap: .*no cmu_expmap.npz in it; expected a folder"):
         partbench_scenes([0], ["clip"], tmp_path)
     with pytest.raises(InputError, match="people: 0; expected 1 to 200"):

@@ -265,7 +265,7 @@ def test_ours_point_along_the_area_s_derivative(monkeypatch: pytest.MonkeyPatch)
     assert not remarks
 
 
-def test_compared_gradients() -> None:
+def test_gradients_are_compared_by_direction_and_length() -> None:
     true = torch.tensor([[[1.0, 0.0]], [[0.0, 2.0]]])
     cosine, length = peer_gradients.compare_moves(torch.tensor([[[2.0, 0.0]], [[2.0, 0.0]]]), true)
     assert (cosine, length) == (pytest.approx(0.5), pytest.approx(1.5))

@@ -42,7 +42,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     return clock
 
 
-def test_medians_and_spread_of_a_fake_clock(clock: SimpleNamespace) -> None:
+def test_timings_state_median_spread_and_fastest(clock: SimpleNamespace) -> None:
     durations = iter([99.0, 3.0, 1.0, 2.0, 5.0, 4.0, 7.0])  # the first does not count
 
     def call() -> None:
@@ -105,7 +105,7 @@ def test_each_kernel_is_timed(device: str, counting: tuple[wp.array, Callable[[]
     assert all(len(timing.seconds) >= 3 for _, timing in timed)
 
 
-def test_beginnings_and_pieces_of_a_run(counting: tuple[wp.array, Callable[[], None]], device: str) -> None:
+def test_a_run_is_cut_into_beginnings_and_pieces(counting: tuple[wp.array, Callable[[], None]], device: str) -> None:
     """Beginnings start anew and end after the last kernel asked for; each piece does its part."""
     value, run = counting
     run()
@@ -137,7 +137,7 @@ def test_a_graph_is_timed(device: str) -> None:
     ("seconds", "says"),
     [(0.0, "0 µs"), (-1e-9, "0 µs"), (1.234e-5, "12.3 µs"), (9.999e-4, "1e+03 µs"), (0.01, "10 ms"), (2.5, "2.5 s")],
 )
-def test_format_time(seconds: float, says: str) -> None:
+def test_times_are_written_with_three_digits_and_a_unit(seconds: float, says: str) -> None:
     assert format_time(seconds) == says
 
 
@@ -145,7 +145,7 @@ def test_copies_have_a_bandwidth(device: str) -> None:
     assert 1e8 < copy_bandwidth(device, 0.0) < 1e14
 
 
-def test_machine_and_versions(device: str) -> None:
+def test_a_report_names_machine_and_versions(device: str) -> None:
     where = about(device)
     assert {"date", "machine", "warp-partdr", "warp", "torch", "python"} <= where.keys()
     assert ("gpu" in where) == (device != "cpu")

@@ -178,7 +178,7 @@ def test_report_has_every_setting(report: TradeoffReport) -> None:
     assert 0 <= moved[COVERAGE, FLOAT64] < 5
 
 
-def test_chart_of_nothing() -> None:
+def test_the_chart_of_no_results_is_drawn() -> None:
     draw_tradeoff_chart(TradeoffReport("cpu", {"warp": "1"})).savefig(file := BytesIO())
     assert np.asarray(Image.open(file)).min() < 255
 

@@ -316,7 +316,7 @@ def test_a_phase_freezes_leaves_out_and_has_its_own_rate(tmp_path, device):
         run_training(config(tmp_path / "wrong", phases=[{"frozen": ["head"]}]), device="cpu")
 
 
-def test_bfloat16_and_float32_in_one_process(tmp_path, device):
+def test_bfloat16_and_float32_train_in_one_process(tmp_path, device):
     for precision in ("no", "bf16"):
         model = {"dropout": 0.0}  # on CUDA, what falls out hangs on the type
         values = {"precision": precision, "steps": 2, "log_every": 1, "model": model}
@@ -341,7 +341,7 @@ def test_validation_and_log_change_nothing(tmp_path):
     assert same(newest(tmp_path / "often").tensors["model"], newest(tmp_path / "never").tensors["model"])
 
 
-def test_schedule(tmp_path):
+def test_the_learning_rate_follows_warm_up_phases_and_floor(tmp_path):
     numbers = config(tmp_path, warm_up=4, floor=0.1, phases=[{"until": 0.7}, {"learning_rate": 0.001}])
     first, second = numbers.phases
     assert [numbers.phase_at(share) for share in (0.0, 0.69, 0.7, 1.0)] == [first, first, second, second]
@@ -373,7 +373,7 @@ def test_a_time_limit_ends_the_run_and_its_schedule(tmp_path, monkeypatch):
     assert rest.step == trained.step  # time is up
 
 
-def test_running_mean():
+def test_the_running_mean_follows_weights_by_its_decay():
     model = torch.nn.Sequential(torch.nn.Linear(2, 1, bias=False), torch.nn.BatchNorm1d(1))
     mean = RunningMean(model, decay=0.5)
     start = model[0].weight.detach().clone()
@@ -391,7 +391,7 @@ def test_running_mean():
     assert not mean.module.training
 
 
-def test_command(tmp_path, capfd):
+def test_the_command_trains_and_writes_its_files(tmp_path, capfd):
     path = tmp_path / "tiny.toml"
     path.write_text(f'task = "{TASK}"\nsteps = 2\nbatch_size = 8\n')
     options = ["--out", str(tmp_path / "out"), "--set", "data.noise=0.5", "--bits", "16", "--device", "cpu"]
@@ -458,7 +458,7 @@ def test_config_is_read_as_written(tmp_path):
     assert make_config(numbers.to_json()) == numbers
 
 
-def test_files_that_are_no_configs(tmp_path):
+def test_files_that_are_no_configs_are_refused(tmp_path):
     path = tmp_path / "bad.toml"
     for content, said in (("steps = 2", "task: missing"), ("steps =", "expected TOML")):
         path.write_text(content)

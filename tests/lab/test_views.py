@@ -242,8 +242,8 @@ def test_statures_are_given_or_told_by_the_persons_bones():
     assert [sample.stature for sample in view_samples(given, np.arange(2))] == pytest.approx([1.7, told[1]])
 
 
-def test_trunk_and_legs_by_hand():
-    """A trunk of 0.5 m, and legs of 0.4 + 0.3 and of 0.5 + 0.4."""
+def test_trunk_and_legs_are_measured_along_their_bones():
+    """The trunk is 0.5 m long, and the legs 0.4 + 0.3 m and 0.5 + 0.4 m."""
     places = {
         "shoulder": [[0.2, -0.5, 0.0], [-0.2, -0.5, 0.0]],
         "hip": [[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]],
@@ -391,8 +391,8 @@ def test_joints_over_time_come_with_cameras_and_films(tmp_path, rng):
         read_real(file, cameras=tmp_path / "c.json", films=films)
 
 
-def test_mpi_inf_3dhps_annotations(tmp_path, rng):
-    """As ``annot.mat`` has them: cells of 14 cameras, 28 joints in a row of numbers, millimetres."""
+def test_annotations_of_mpi_inf_3dhp_are_read(tmp_path, rng):
+    """They are as in ``annot.mat``: cells of 14 cameras, 28 joints in a row of numbers, millimetres."""
     joints = rng.uniform(-800, 800, (14, 3, 28, 3)) + 1000 * AWAY
     seen = joints[..., :2] / joints[..., 2:] * 1500 + 1024
     cells = {name: np.empty((14, 1), dtype=object) for name in ("annot2", "annot3")}
@@ -420,8 +420,8 @@ def write_hdf5(path: Path, arrays: dict[str, np.ndarray]) -> None:
             file.create_dataset(name, data=values)
 
 
-def test_mpi_inf_3dhps_test_people(tmp_path, rng):
-    """As ``annot_data.mat`` has them, of which some frames count."""
+def test_test_people_of_mpi_inf_3dhp_are_read(tmp_path, rng):
+    """They are as in ``annot_data.mat``, and only valid frames count."""
     joints = rng.uniform(-800, 800, (4, 1, 17, 3)) + 1000 * AWAY
     seen = joints[..., :2] / joints[..., 2:] * 1500 + 500
     arrays = {"annot2": seen, "annot3": joints, "valid_frame": np.array([[1.0], [0], [0], [1]])}
@@ -433,8 +433,8 @@ def test_mpi_inf_3dhps_test_people(tmp_path, rng):
     assert views.joint_names[0] == "head_top"
 
 
-def test_human36ms_hdf5(tmp_path, rng):
-    """As h36m-fetch writes it: rows of all cameras, 32 joints, millimetres."""
+def test_human36m_is_read_from_hdf5(tmp_path, rng):
+    """The file is as h36m-fetch writes it: rows of all cameras, 32 joints, millimetres."""
     joints = rng.uniform(-800, 800, (4, 32, 3)) + 1000 * AWAY
     seen = joints[..., :2] / joints[..., 2:] * 1145 + 512
     arrays = {"frame": np.array([1, 6, 1, 6]), "camera": np.array([5, 5, 8, 8]), "subject": np.full(4, 9)}

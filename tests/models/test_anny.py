@@ -14,7 +14,7 @@ from warp_partdr.models.anny import PHENOTYPE_ANCHORS, anny, anny_shape
 
 
 @pytest.mark.slow
-def test_asset_is_the_package():
+def test_the_packaged_asset_agrees_with_annys_own_package():
     pytest.importorskip("anny")
     sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
     from anny_person import PersonFactory, body_from_anny

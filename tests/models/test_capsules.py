@@ -85,7 +85,7 @@ def test_people_at_other_places_and_people_apart_cost_nothing(crowd, device):
     assert (find_overlap(placed.to(device), none.to(device)) == 0).all()
 
 
-def test_it_is_repeatable_bit_for_bit(crowd, device):
+def test_costs_and_gradients_repeat_to_the_bit(crowd, device):
     placed, allowed = crowd
     moving = placed.clone().to(device).requires_grad_()
     found = []
@@ -108,7 +108,7 @@ def two(*capsules: list[float]) -> torch.Tensor:
         [0.0, 0.01, 0.02, 0.0, 0.01, 0.02],  # a ball
     ],
 )
-def test_two_that_cross_are_pushed_apart(beside, device):
+def test_capsules_that_cross_are_pushed_apart_no_farther_than_needed(beside, device):
     capsules = two([-0.1, 0.0, 0.0, 0.1, 0.0, 0.0, 0.05], [*beside, 0.04]).to(device)
     allowed = torch.full((2, 2), 0.01, device=device).fill_diagonal_(torch.inf)
     moves = torch.zeros(2, 3, device=device, requires_grad=True)
@@ -124,7 +124,7 @@ def test_two_that_cross_are_pushed_apart(beside, device):
     assert depth > 0.005  # no farther than needed
 
 
-def test_two_side_by_side_are_not_turned(device):
+def test_capsules_side_by_side_are_not_turned(device):
     """Each is pushed in the middle of where both lie beside each other."""
     capsules = two([-0.1, 0.0, 0.0, 0.1, 0.0, 0.0, 0.05], [0.1, 0.05, 0.0, -0.1, 0.05, 0.0, 0.05]).to(device)
     moving = capsules.requires_grad_()
@@ -197,7 +197,7 @@ def test_legs_through_each_other_cost():
     assert capsules.overlap(placed).item() > 10
 
 
-def test_they_lie_within_the_skin():
+def test_capsules_lie_within_the_skin():
     """The skin about each line is about as far as its radius says, whatever the shape."""
     model = anny()
     capsules, (part_of, areas) = measure_capsules(model), vertex_parts(model)
@@ -216,8 +216,8 @@ def test_they_lie_within_the_skin():
     assert {PART_NAMES[part] for part in capsules.parts} == set(PART_NAMES) - {"right_hip"}
 
 
-def test_thicknesses_are_those_of_the_shape():
-    """Of somebody stout, they are what the same measure gives on that body."""
+def test_capsules_of_a_stout_body_are_as_thick_as_measured_on_it():
+    """Capsules that follow the shape are compared with those that are measured anew on that body."""
     model = anny()
     shape = torch.zeros(1, model.num_shapes)
     shape[0, 0] = 1.0
@@ -230,7 +230,7 @@ def test_thicknesses_are_those_of_the_shape():
     torch.testing.assert_close(found[0, :, :6].view(-1, 2, 3).mean(1), middle, rtol=0, atol=0.01)
 
 
-def test_left_is_as_right():
+def test_left_capsules_mirror_right_ones():
     capsules, placed = posed_capsules(anny(), {})
     by_name = {}
     for part, row in zip(capsules.parts, placed[0], strict=True):
@@ -254,7 +254,7 @@ def test_capsules_that_are_nan_have_nan_costs(crowd, device, number):
     assert not moving.grad[[0, 2, 3, 5]].isnan().any()
 
 
-def test_what_is_allowed_is_allowed_both_ways():
+def test_allowed_depths_are_symmetric():
     """Neighbours, such as a thigh and a shin, may overlap, whichever of them asks; a thigh and the other one not."""
     capsules = measure_capsules(anny())
     assert torch.equal(capsules.allowed, capsules.allowed.mT)
@@ -285,7 +285,7 @@ def test_halves_of_a_limb_go_on_into_each_other():
         (lambda placed: placed.double(), 2, "placed: torch.float64; expected torch.float32"),
     ],
 )
-def test_what_no_capsules_are_is_refused(crowd, change, people, says):
+def test_arrays_that_are_no_capsules_are_refused(crowd, change, people, says):
     placed, allowed = crowd
     with pytest.raises(ValueError, match=says):
         find_overlap(change(placed), allowed, people)

@@ -60,7 +60,7 @@ def test_growth_turns_no_face_over_and_makes_no_steps(
         assert 0.55 < ratios.quantile(0.001) < ratios.quantile(0.999) < 1.8
 
 
-def test_between_two_bodies_nothing_jumps() -> None:
+def test_bodies_between_two_others_change_smoothly() -> None:
     body = edit_body.mean_body()
     other = edit_body.edited(body, *list(edit_body.EDITS)[1:4])
     shares = torch.linspace(0, 1, 5).tolist()
@@ -89,8 +89,8 @@ def test_growth_is_seen_on_any_device(registered: Registered, device: str) -> No
     assert (alone.unexplained[:, names[1]] > 0.15).all()
 
 
-def test_growth_is_what_a_robust_fit_gives_up(registered: Registered, device: str) -> None:
-    """Of a measure off by r, r³ / (r² + d²), d being what people differ by: hardly anything of what is usual."""
+def test_growth_takes_the_residual_that_a_robust_fit_leaves(registered: Registered, device: str) -> None:
+    """A measure that is off by r grows by r³ / (r² + d²), where d is the usual difference of people."""
     model, shape = registered.model, registered.shape
     parts, areas = vertex_parts(model)
     posed = ellipbodies(device, longer={"lower leg": 1.02}, thicker={"head thickness": 1.3, "foot width": 0.8})

@@ -33,8 +33,8 @@ def case(dtype: torch.dtype, batch: int = 2) -> list[torch.Tensor]:
 
 @pytest.mark.parametrize(("dtype", "near"), [(torch.float32, 1e-4), (torch.float64, 1e-10)])
 @pytest.mark.parametrize("used", [(0, 1, 2), (1, 2), (2,), (0,), (1,)])
-def test_maps_and_their_gradient(used, dtype, near, device):
-    """Three times, so that the last ones are captured; results that are not used have no adjoint."""
+def test_maps_and_their_gradient_agree_with_plain_torch(used, dtype, near, device):
+    """Each runs three times, so that the last ones are captured; results that are not used have no adjoint."""
     for _ in range(3):
         inputs = [each.requires_grad_() for each in case(dtype)]
         moved = [each.detach().to(device).requires_grad_() for each in inputs]

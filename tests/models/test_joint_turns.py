@@ -63,6 +63,6 @@ def test_rotations_that_move_have_a_gradient():
     assert rotations.grad.abs().sum() > 0
 
 
-def test_nobody_turns():
+def test_an_empty_batch_is_turned():
     rotations, joints, turns = case(0.5, batch=0)
     assert turn_joints(rotations.float(), joints, turns.float()).shape == (0, 7, 3, 3)

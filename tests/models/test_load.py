@@ -64,7 +64,7 @@ def test_ends_of_head_feet_and_hands_are_their_outermost_vertices():
     np.testing.assert_allclose(found["mid_hip"], (found["left_hip"] + found["right_hip"]) / 2)
 
 
-def test_default_number_of_shapes(tmp_path):
+def test_ten_shapes_at_most_are_loaded_unless_a_number_is_given(tmp_path):
     assert load_model(save_npz(tmp_path / "many.npz")).num_shapes == 10
     assert load_model(save_npz(tmp_path / "few.npz", **smpl_arrays(num_shapes=3))).num_shapes == 3
     with pytest.raises(ValueError, match="num_shapes: 13; expected an integer from 0 to 12"):
@@ -115,7 +115,7 @@ def test_unknown_skeleton_is_refused(tmp_path):
         load_model(save_npz(tmp_path / "model.npz", **arrays))
 
 
-def test_files_that_are_no_models(tmp_path, smpl_file):
+def test_files_that_are_no_models_are_refused(tmp_path, smpl_file):
     for name, says in (
         ("none.npz", r"none\.npz: No such file"),
         ("model.pkl", r"pickles can run code.*partdr convert"),

@@ -48,7 +48,7 @@ def test_bones_and_joints_are_the_detailed_bodys(device: str) -> None:
     assert (posed.joints - joints).mean(1).abs().max() < 1e-5
 
 
-def test_ellipbodys_turns_come_back(device: str) -> None:
+def test_measuring_a_posed_body_returns_ellipbodys_turns(device: str) -> None:
     _, vectors, body = dressed(device, 0.3)
     orientation, _, rotations, lengths, thicknesses = measure_ellipbody(body)
     off = rotation_to_axis_angle(rotation_from_axis_angle(vectors).mT @ rotations).norm(dim=-1)
@@ -67,7 +67,7 @@ def tape(vertices: np.ndarray, faces: np.ndarray, height: float) -> float:
     return float(ConvexHull(lines.reshape(-1, 3)[:, [0, 2]]).area)  # of a plane figure, its outline
 
 
-def test_girths_are_a_tapes(device: str) -> None:
+def test_girths_agree_with_a_tape_around_the_mesh(device: str) -> None:
     model = anny(torch.device(device))
     rest = model.rest(anny_shape(torch.tensor(_PEOPLE, device=device)))
     measures = measure_body(model, rest).cpu().numpy()

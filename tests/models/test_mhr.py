@@ -186,7 +186,7 @@ def test_correctives_are_nothing_at_rest(tmp_path: Path, rig: tuple[DetailedMode
     np.testing.assert_allclose(other.rest_vertices, rig[0].rest_vertices, atol=1e-9)
 
 
-def test_it_clothes_an_ellipbody(files: Path) -> None:
+def test_mhr_is_registered_to_an_ellipbody(files: Path) -> None:
     model = load_model(f"mhr:{files}")
     posed = BodyParameters.mean(1).posed()
     registered = register(posed, model)

@@ -72,7 +72,7 @@ def test_pose_has_the_gradient_of_its_value(smpl_file):
     assert torch.autograd.gradcheck(numbers, inputs, fast_mode=True)
 
 
-def test_no_bodies(smpl_file):
+def test_an_empty_batch_is_posed(smpl_file):
     for model in (anny(), load_model(smpl_file)):
         posed = model.pose(torch.zeros(0, model.num_shapes), torch.zeros(0, model.num_joints, 3, 3), torch.zeros(0, 3))
         assert posed.vertices.shape == (0, model.num_vertices, 3)

@@ -117,7 +117,7 @@ def test_foreign_objects_are_refused_and_not_run(tmp_path):
         (pickle.dumps({"f": np.array([object])}), "(f: an array of 'O8'|type, which no SMPL file needs)"),
     ],
 )
-def test_pickles_that_are_no_models(content, message, tmp_path):
+def test_pickles_that_are_no_models_are_refused(content, message, tmp_path):
     path = tmp_path / "model.pkl"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=message):

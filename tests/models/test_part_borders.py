@@ -72,7 +72,7 @@ def test_the_mesh_stage_draws_labels_where_their_set_has_them() -> None:
     assert wrong[0][1] < 0.95 * wrong[1][1]
 
 
-def test_networks_of_photos_draw_so_and_annys_skin_does_not() -> None:
+def test_label_sets_of_photo_networks_have_borders_at_joints_and_annys_has_none() -> None:
     assert label_set("cdcl14").at_joints
     assert not LABELS.at_joints
     assert not label_set("ellipbody20").at_joints

@@ -17,7 +17,7 @@ def case(batch: int = 3) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     return weights, vertices[:, 2:], joints
 
 
-def test_sums_and_their_gradients(device):
+def test_sums_and_their_gradients_agree_with_a_matrix_product(device):
     weights, *moving = case()
     slow, fast = ([each.to(where, kind).requires_grad_() for each in moving] for where, kind in (
         ("cpu", torch.float64), (device, torch.float32)

@@ -43,7 +43,7 @@ def drawn(model: DetailedModel) -> torch.Tensor:
     return draw_mesh(posed(model, anny()).vertices, detailed_mesh(model), camera, (SIZE, SIZE)).labels[0]
 
 
-def test_it_has_as_many_vertices_as_asked_and_every_part(reduced):
+def test_a_reduced_model_has_as_many_vertices_as_asked_and_every_part(reduced):
     assert 1400 < reduced.drawn < 1600
     assert int(reduced.model.faces.max()) == reduced.drawn - 1
     assert set(reduced.model.face_parts.tolist()) == set(range(1, NUM_PARTS + 1))
@@ -144,7 +144,7 @@ def test_pose_directions_are_kept(reduced):
 
 
 @pytest.mark.parametrize("count", [239, 13_719])
-def test_numbers_that_no_mesh_has(count):
+def test_numbers_of_vertices_that_no_mesh_can_have_are_refused(count):
     with pytest.raises(ValueError, match="vertices"):
         reduce_model(anny(), count)
 

@@ -80,7 +80,7 @@ def test_shape_from_lengths_is_exact_for_bodies_of_the_model(device: str) -> Non
     assert (bones(found) - bones(shape)).abs().max() < 0.005
 
 
-def test_vertex_costs_against_torch(device: str) -> None:
+def test_vertex_costs_and_gradients_agree_with_torch(device: str) -> None:
     posed = ellipbodies(device, 2)
     vertices = (posed.centres[:, torch.arange(60) % 20] + 0.06 * torch.randn(2, 60, 3).to(device)).requires_grad_()
     parts = (torch.arange(60, device=device) % 20).int()
@@ -158,7 +158,7 @@ def test_what_is_in_the_mouth_is_no_skin(device: str) -> None:
     assert skin[hands].mean() == 1
 
 
-def test_no_bodies(device: str) -> None:
+def test_an_empty_batch_is_registered(device: str) -> None:
     posed = Posed(*(tensor[:0] for tensor in vars(ellipbodies(device)).values()))
     result = register(posed, anny(torch.device(device)), options=QUICK_REGISTRATION)
     assert result.detailed.vertices.shape == (0, 13718, 3)

@@ -133,7 +133,7 @@ def with_no_correctives(model: DetailedModel) -> DetailedModel:
     return replace(model, pose_directions=None)
 
 
-def test_at_rest_it_is_the_files(model: DetailedModel) -> None:
+def test_skel_at_rest_is_the_body_in_its_file(model: DetailedModel) -> None:
     arrays = skel_arrays()
     assert (model.name, model.num_joints, model.num_shapes, model.num_vertices) == ("skel", 25, 12, 96)
     assert model.joint_names == (*BONES, "skull")
@@ -226,7 +226,7 @@ def test_correctives_are_of_the_joints_that_skel_takes_for_smpls(model: Detailed
     np.testing.assert_allclose(found.reshape(-1, 3), wanted, atol=1e-12)
 
 
-def test_poses_are_skels(folder: Path, model: DetailedModel) -> None:
+def test_poses_agree_with_skels_own_code(folder: Path, model: DetailedModel) -> None:
     """Limbs, correctives and all, against ``body-models``; with a bent spine to first order."""
     body_models = pytest.importorskip("body_models", reason="needs the extra 'bodies'")
     own = body_models.create_model("skel", model_path=folder / "skel_male.pkl", gender="male", runtime="numpy")
@@ -244,7 +244,7 @@ def test_poses_are_skels(folder: Path, model: DetailedModel) -> None:
         np.testing.assert_allclose(found.vertices[0], own.forward_vertices(**given), atol=1e-5 + 0.3 * bend**2)
 
 
-def test_it_clothes_an_ellipbody(folder: Path) -> None:
+def test_skel_is_registered_to_an_ellipbody(folder: Path) -> None:
     model = load_model(f"skel:{folder}", num_shapes=2)
     body = BodyParameters.mean(1).posed()
     registered = register(body, model)

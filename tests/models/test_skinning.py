@@ -29,7 +29,7 @@ def slow_skin(
 
 
 @pytest.mark.parametrize(("dtype", "near"), [(torch.float32, 1e-5), (torch.float64, 1e-12)])
-def test_skin_and_its_gradient(dtype, near, device):
+def test_skin_and_its_gradient_agree_with_plain_torch(dtype, near, device):
     weights, *moving = case(dtype)
     slow = [each.double().requires_grad_() for each in moving]
     wanted = slow_skin(weights.double(), *slow)
@@ -42,7 +42,7 @@ def test_skin_and_its_gradient(dtype, near, device):
         torch.testing.assert_close(one.cpu().double(), other, atol=10 * near, rtol=10 * near)
 
 
-def test_skin_of_few_weights_and_its_gradient(device):
+def test_sparse_skin_and_its_gradients_agree_with_dense_skin(device):
     weights, *moving = case(torch.float32)
     weights = weights * (torch.rand(weights.shape, generator=torch.Generator().manual_seed(2)) < 0.4)
     slow = [map_rows(*moving[:3]).double().requires_grad_(), moving[3].double().requires_grad_()]

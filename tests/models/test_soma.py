@@ -172,7 +172,7 @@ def test_parts_and_joints_are_the_bodys(rig: tuple[DetailedModel, Any]) -> None:
     assert {*JOINT_NAMES, "left_thumb", "right_index"} <= set(model.landmark_names)
 
 
-def test_poses_are_the_rigs(rig: tuple[DetailedModel, Any]) -> None:
+def test_poses_agree_with_the_rigs_own_code(rig: tuple[DetailedModel, Any]) -> None:
     model, own = rig
     rest = {name: np.asarray(value) for name, value in own.get_rest_pose().items()}
     turns = 0.5 * np.random.default_rng(1).normal(size=(77, 3))
@@ -204,7 +204,7 @@ def test_shapes_are_right_to_first_order(rig: tuple[DetailedModel, Any]) -> None
     assert np.abs(found.joints[0].numpy() - own.forward_skeleton(**given)[:, :3, 3]).max() < 0.1 * grown
 
 
-def test_it_clothes_an_ellipbody(files: Path) -> None:
+def test_soma_is_registered_to_an_ellipbody(files: Path) -> None:
     model = load_model(f"soma:{files}", num_shapes=2)
     assert model.num_shapes == 2
     posed = BodyParameters.mean(1).posed()

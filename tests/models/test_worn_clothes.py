@@ -44,7 +44,7 @@ def test_hands_and_feet_are_bare(device: str) -> None:
         assert everywhere[part == PART_NAMES.index(name)].mean() < 0.006  # but for the borders
 
 
-def test_they_are_never_inward_nor_thicker_than_coats(device: str) -> None:
+def test_clothes_are_never_inward_nor_thicker_than_coats(device: str) -> None:
     thick = torch.tensor([-0.1, 0.02, 1.0], device=device)
     assert bounded(thick).tolist() == [0.0, thick[1].item(), torch.tensor(THICKEST).item()]
 

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 import torch
 from helpers.checkpoints import knowing_vitpose, tiny_detector, tiny_segformer
-from helpers.files import EXAMPLE
+from helpers.example import example_photo
 
 from warp_partdr.errors import InputError
-from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.networks.detection.crops import Pyramid
 from warp_partdr.networks.detection.given_boxes import BoxNetwork, find_boxes, find_people_in_boxes
 from warp_partdr.networks.detection.people import find_people
@@ -22,7 +21,7 @@ from warp_partdr.networks.predictors.networks import KeypointNetwork, upright_cr
 from warp_partdr.pipelines.photo import PACKAGED, fit_photo
 from warp_partdr.solve.ellipsoids.options import FitOptions
 
-PHOTO = read_photo(EXAMPLE / "photo.png")
+PHOTO = example_photo()
 CLASSES = {0: "dog", 1: "Person", 2: "car"}
 EVERYTHING = 0.0
 
@@ -69,7 +68,7 @@ def test_detectors_say_what_their_library_does(kind: str, tmp_path: Path) -> Non
         np.testing.assert_allclose(box, wanted[row], atol=1e-3)
 
 
-def test_checkpoints_that_are_refused(tmp_path: Path) -> None:
+def test_checkpoints_that_are_no_detector_of_people_are_refused(tmp_path: Path) -> None:
     pytest.importorskip("transformers", reason="needs the extra photo")
     from warp_partdr.networks.predictors.checkpoints import load_box_network, load_keypoint_network
 

@@ -74,7 +74,7 @@ def test_names_match_whatever_their_spelling(segformer: Path, tmp_path: Path) ->
         load_part_network(str(folder), "lip20")
 
 
-def test_sapiens2(tmp_path: Path, device: str) -> None:
+def test_a_sapiens2_network_is_loaded(tmp_path: Path, device: str) -> None:
     network = load_part_network(str(tiny_sapiens2(tmp_path, class_names("sapiens29"))), device=device)
     assert (network.labels.name, network.size, network.stretch) == ("sapiens29", (64, 48), 1.0)
     assert network.predict(torch.rand(1, 3, 64, 48, device=device)).shape[:2] == (1, 29)
@@ -105,8 +105,10 @@ def test_colours_are_those_of_the_image_processor(segformer: Path) -> None:
         ({"image_processor": {"size": 24, "do_normalize": False}}, (24, 24), 0, 1),
     ],
 )  # fmt: skip
-def test_forms_of_an_image_processor(settings: dict, size: Any, mean: float, deviation: float, tmp_path: Path) -> None:
-    """(x - mean) / deviation of colours from 0 to 1 is what its rescaling and normalising makes of them."""
+def test_each_form_of_an_image_processor_gives_size_mean_and_deviation(
+    settings: dict, size: Any, mean: float, deviation: float, tmp_path: Path
+) -> None:
+    """(x - mean) / deviation of colours from 0 to 1 is what rescaling and normalising make of them."""
     (tmp_path / "preprocessor_config.json").write_text(json.dumps(settings))
     found = read_input(tmp_path, "net")
     assert found.size == size
@@ -115,7 +117,7 @@ def test_forms_of_an_image_processor(settings: dict, size: Any, mean: float, dev
 
 
 @pytest.mark.parametrize("settings", [{}, {"size": 0}, {"size": "big"}, {"size": 8}, {"size": 8, "image_mean": 1}, []])
-def test_wrong_settings_of_an_image_processor(settings: Any, tmp_path: Path) -> None:
+def test_wrong_settings_of_an_image_processor_are_refused(settings: Any, tmp_path: Path) -> None:
     (tmp_path / "preprocessor_config.json").write_text(json.dumps(settings))
     with pytest.raises(InputError, match=r"preprocessor_config\.json"):
         read_input(tmp_path, "net")
@@ -140,14 +142,16 @@ def test_keypoints_have_the_format_of_their_number(vitpose: Path, tmp_path: Path
         load_keypoint_network(str(odd))
 
 
-def test_experts_and_whole_bodies(tmp_path: Path, device: str) -> None:
+def test_a_vitpose_with_experts_and_whole_body_points_is_loaded(tmp_path: Path, device: str) -> None:
     network = load_keypoint_network(str(knowing_vitpose(tmp_path, [(2, 3)] * 133, experts=6)), device=device)
     assert skeleton(network.skeleton).name == "wholebody133"
     with torch.no_grad():
         assert network.predict(torch.rand(1, 3, 256, 192, device=device)).shape == (1, 133, 3)
 
 
-def test_checkpoints_that_are_refused(segformer: Path, vitpose: Path, tmp_path: Path) -> None:
+def test_checkpoints_without_safe_weights_or_settings_are_refused(
+    segformer: Path, vitpose: Path, tmp_path: Path
+) -> None:
     bare = copy(segformer, tmp_path / "pickle", without=("model.safetensors",))
     (bare / "pytorch_model.bin").write_bytes(b"\x80")
     with pytest.raises(InputError, match=r"pickle: no model.safetensors; expected weights as safetensors \(pickles"):

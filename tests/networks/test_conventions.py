@@ -19,7 +19,7 @@ from warp_partdr.networks.regression.predict import ask_network
 from warp_partdr.networks.regression.predicted import posed_landmarks
 
 
-def test_points_of_which_conventions_lie_elsewhere():
+def test_the_formats_whose_points_lie_off_the_landmarks_are_known():
     assert lies_elsewhere(("left_hip", "h36m_neck"))
     assert not lies_elsewhere(("left_hip", "coco_left_hip", "neck"))
     assert {name for name, form in SKELETONS.items() if lies_elsewhere(form.marks)} == {"h36m17", "shelf14"}

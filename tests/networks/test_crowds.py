@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.example import example_photo
 from helpers.files import EXAMPLE
 from helpers.people import crowd
 from PIL import Image
 
-from warp_partdr import read_photo
 from warp_partdr.networks.detection import people
 from warp_partdr.networks.detection.masks import instance_map
 from warp_partdr.networks.detection.people import find_people, find_people_in
@@ -36,7 +36,7 @@ def test_tiles_become_smaller_where_people_are_small_or_nobody_is_found(monkeypa
         return find(networks, pyramids, before, min_score, levels)
 
     monkeypatch.setattr(people, "_find", spy)
-    example = read_photo(EXAMPLE / "photo.png")
+    example = example_photo()
     nobody = np.full((900, 1200, 3), 90, np.uint8)
     few, _ = crowd(6)
     found = find_people_in([example, nobody, few])

@@ -86,7 +86,7 @@ def all_terms(prediction: PicturePrediction, examples: Examples) -> dict[str, to
 
 
 @pytest.mark.parametrize("half", [False, True])
-def test_shapes_and_gradients_and_bodies_in_float32(device, examples, half):
+def test_predictions_have_their_shapes_and_bodies_are_in_float32(device, examples, half):
     net = network().to(device)
     with torch.autocast(torch.device(device).type, torch.bfloat16, enabled=half):
         prediction = net(examples.pictures.to(device))
@@ -117,7 +117,7 @@ def test_floats_are_pictures_too(examples, prediction):
         {"model_type": "swin", "embed_dim": 12, "depths": [1, 1], "num_heads": [2, 2], "image_size": 64},
     ],
 )
-def test_other_backbones(architecture):
+def test_other_backbones_work(architecture):
     prediction = network(replace(CONFIG, architecture=architecture)).eval()(torch.zeros(1, 3, SIZE, SIZE))
     assert prediction.bodies.shift.shape == (1, 2)
 
@@ -132,13 +132,13 @@ def test_other_backbones(architecture):
         ({"architecture": {**TINY, "layer_type": "odd"}}, "architecture: "),
     ],
 )
-def test_backbones_that_are_none(change, said):
+def test_unknown_backbones_are_refused(change, said):
     with pytest.raises(InputError, match=said):
         EllipBodyNet(replace(CONFIG, **change))
 
 
-def test_backbones_from_a_folder(tmp_path, monkeypatch):
-    """With a configuration alone, random weights are fine and pretrained ones are missing; says what to do."""
+def test_a_backbone_comes_from_a_folder_with_or_without_weights(tmp_path, monkeypatch):
+    """A configuration is enough for random weights. Pretrained weights that are missing are an error."""
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     (tmp_path / "config.json").write_text(json.dumps(TINY))
     config = replace(CONFIG, backbone=str(tmp_path), architecture={})
@@ -154,14 +154,14 @@ def test_backbones_from_a_folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("shape", [(1, 3, 32, SIZE), (1, 1, SIZE, SIZE), (3, SIZE, SIZE)])
-def test_wrong_pictures(shape):
+def test_pictures_of_another_shape_or_type_are_refused(shape):
     with pytest.raises(ValueError, match="pictures: shape"):
         network()(torch.zeros(shape))
     with pytest.raises(ValueError, match=r"pictures: torch\.int64"):
         network()(torch.zeros(1, 3, SIZE, SIZE, dtype=torch.int64))
 
 
-def test_soft_argmax():
+def test_soft_argmax_finds_sharp_peaks_and_is_unsure_of_flat_maps():
     """A sharp peak is where it is, and sure; a flat map is in the middle, and unsure."""
     heatmaps = torch.zeros(1, 2, 16, 32)
     heatmaps[0, 0, 3, 20] = 50.0
@@ -261,7 +261,7 @@ def test_heatmap_loss_is_least_at_the_keypoint(examples, prediction):
     assert losses[10, 4] < losses[10, 6] < losses[4, 10]
 
 
-def test_checkpoint_round_trip(tmp_path, examples, prediction):
+def test_a_saved_network_predicts_the_same(tmp_path, examples, prediction):
     net = network()
     save_ellipbodynet(tmp_path / "net.safetensors", net.state_dict(), net.config, {"steps": 1})
     loaded = load_ellipbodynet(tmp_path / "net.safetensors")
@@ -272,7 +272,7 @@ def test_checkpoint_round_trip(tmp_path, examples, prediction):
             load_ellipbodynet(tmp_path / name)
 
 
-def test_example_of_a_person(people, examples):
+def test_an_example_holds_the_whole_person_and_marks_missing_truth(people, examples):
     """The crop holds the whole person; keypoints lie on their parts; what has no truth is marked so."""
     example = make_example(people[1], 128)
     assert example.pictures.shape == (1, 3, 128, 128)
@@ -340,13 +340,13 @@ def test_unreadable_samples_are_skipped_and_named(people, tmp_path):
         ({"kind": "shaded", "count": 1, "first_phase": 1}, "data.sources: none to begin with"),
     ],
 )
-def test_wrong_sources(source, said, tmp_path):
+def test_wrong_sources_of_examples_are_refused(source, said, tmp_path):
     source = {**source, "path": source.get("path", "").replace("EMPTY", str(tmp_path))}
     with pytest.raises(InputError, match=said):
         make_task(tiny_config(data={"sources": [source]}))
 
 
-def test_folder_source(people, tmp_path):
+def test_a_folder_is_read_as_partdr_evaluate_reads_it(people, tmp_path):
     """Pictures, keypoints and labels as ``partdr evaluate folder`` takes them."""
     for index, person in enumerate(people[:2]):
         Image.fromarray(person.picture).save(tmp_path / f"{index}.png")
@@ -361,7 +361,7 @@ def test_folder_source(people, tmp_path):
     torch.testing.assert_close(have.keypoints, expected.keypoints)
 
 
-def test_packaged_config_is_the_papers():
+def test_the_packaged_config_has_the_papers_numbers():
     config = read_config("ellipbodynet", ["model.pretrained=false"])
     first, second = config.phases
     assert (config.epochs, config.batch_size, first.until) == (100, 128, 0.7)
@@ -375,7 +375,7 @@ def test_packaged_config_is_the_papers():
     assert all(any(name.startswith(prefix) for name in names) for phase in config.phases for prefix in phase.frozen)
 
 
-def test_shaded_people(people):
+def test_shaded_people_repeat_by_seed_and_lie_under_their_keypoints(people):
     again = shaded_people(4, seed=9)
     assert all((one.picture == other.picture).all() for one, other in zip(people, again, strict=True))
     assert not (people[0].picture == shaded_people(1, seed=10)[0].picture).all()
@@ -401,8 +401,8 @@ def tiny_config(steps: int = 4, data: dict | None = None, model: dict | None = N
     return make_config({**numbers, **values})
 
 
-def test_learns_pictures_by_heart(tmp_path):
-    """Four pictures, a hundred steps: the network can take in what it is shown."""
+def test_the_network_learns_four_pictures_by_heart(tmp_path):
+    """After a hundred steps, its error is below two thirds of the first one."""
     regressor = {"width": 256, "dropout": 0.0}
     people = {"kind": "shaded", "count": 4, "seed": 9}
     sources = [people, {**people, "validation": True}]
@@ -433,8 +433,8 @@ def test_learns_pictures_by_heart(tmp_path):
     assert load_ellipbodynet(tmp_path / "net.safetensors").config.size == SIZE
 
 
-def test_resumed_run_is_the_uninterrupted_one(tmp_path):
-    """Through the loop, over the change of phase that brings a new data set in."""
+def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
+    """The run goes through the training loop, and over the change of phase that brings a new data set in."""
 
     def numbers(out: str, checkpoint_every: int):
         phases = [{"until": 0.25, "without": ["seg"]}, {"frozen": ["regressor.heads.camera"]}]

@@ -89,8 +89,8 @@ def test_a_photo_and_a_film_without_cuts_have_none(tmp_path: Path) -> None:
     assert find_film_people(EXAMPLE / "photo.png").cuts == ()
 
 
-def test_cuts_of_some_frames_of_a_film(people: FilmPeople) -> None:
-    """A cut before the first frame that is taken, or at it, is none; frames that are missing do not hide one."""
+def test_cuts_follow_the_frames_that_are_taken(people: FilmPeople) -> None:
+    """A cut before the first frame that is taken, or at it, is left out. Frames that are missing do not hide a cut."""
     for numbers, cuts in (
         ([1, 2, 3], (1,)),
         ([2, 3, 4], ()),

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_photo
 from helpers.films import write_film
 
 from warp_partdr.body.labels import BACKGROUND, IGNORE, label_set
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.calibrated_camera import CalibratedCamera
 from warp_partdr.inputs.films import read_frames
-from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.inputs.person import crop_nearest
 from warp_partdr.networks.detection.crops import Pyramid
 from warp_partdr.networks.detection.film_people import kept_size
@@ -70,7 +69,7 @@ class Networks:
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example's person, who moves to the right."""
-    photo = read_photo(EXAMPLE / "photo.png")[::2, ::2]
+    photo = example_photo()[::2, ::2]
     height, width = (side - side % 2 for side in photo.shape[:2])
     wide = np.pad(photo, [(0, 0), (4 * COUNT, 4 * COUNT), (0, 0)], mode="edge")
     starts = [4 * COUNT - 4 * place for place in range(COUNT)]
@@ -118,7 +117,7 @@ def test_a_frame_s_sights_are_those_of_a_photo(found: tuple[Networks, Any, FilmS
     assert set(np.unique(small.groups)) == {BACKGROUND, 2, 3}
 
 
-def test_how_many_are_asked_about_at_a_time_does_not_matter(
+def test_the_size_of_batches_changes_no_sight(
     found: tuple[Networks, Any, FilmSights], film: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(film_sights, "_TOGETHER", {"cpu": 1})
@@ -127,7 +126,7 @@ def test_how_many_are_asked_about_at_a_time_does_not_matter(
     np.testing.assert_allclose(single.keypoints, found[2].keypoints, atol=1e-3)
 
 
-def test_a_scene_sees_them(found: tuple[Networks, Any, FilmSights]) -> None:
+def test_a_scene_takes_the_sights_of_the_given_networks(found: tuple[Networks, Any, FilmSights]) -> None:
     _, people, sights = found
     zoom = kept_size(people.image_size)[1] / people.image_size[1]
     rows = people.rows[3:4]
@@ -151,7 +150,7 @@ def test_a_scene_sees_them(found: tuple[Networks, Any, FilmSights]) -> None:
     np.testing.assert_array_equal(half.parts.groups, plain.parts.groups)
 
 
-def test_networks_that_see_nothing(film: Path) -> None:
+def test_networks_that_see_nothing_leave_the_packaged_keypoints(film: Path) -> None:
     blind = GivenNetworks(
         PartNetwork(LSP6, SIZE, lambda pictures: torch.zeros(len(pictures), 8, 8, dtype=torch.long)),
         KeypointNetwork("coco17", SIZE, lambda pictures: torch.zeros(len(pictures), 17, 3)),
@@ -194,7 +193,7 @@ def test_a_run_that_was_ended_asks_nobody_again(found: tuple[Networks, Any, Film
     np.testing.assert_array_equal(kept.keypoints, sights.keypoints)
 
 
-def test_faults(film: Path) -> None:
+def test_arguments_and_networks_at_fault_are_named(film: Path) -> None:
     with pytest.raises(TypeError, match="parts_from: str; expected PartNetwork or None"):
         GivenNetworks("net")  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="networks: NoneType; expected GivenNetworks"):

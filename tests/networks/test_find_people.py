@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_mask, example_photo
 
-from warp_partdr import read_keypoints, read_photo, skeleton
+from warp_partdr import read_photo, skeleton
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.keypoints import Keypoints2D, person_height
 from warp_partdr.networks.detection.crops import Pyramid
@@ -23,13 +23,8 @@ PEOPLE = {"000000032081": (1, 1), "000000203864": (2, 2), "000000468632": (3, 4)
 
 
 @cache
-def example() -> np.ndarray:
-    return read_photo(EXAMPLE / "photo.png")
-
-
-@cache
 def example_people(device: str) -> list[FoundPerson]:
-    return find_people(example(), device=device)
+    return find_people(example_photo(), device=device)
 
 
 def errors(found: Keypoints2D, truth: Keypoints2D) -> np.ndarray:
@@ -51,15 +46,14 @@ def test_the_packaged_example_is_one_person(device):
     assert person.keypoints.skeleton == "blazepose33"
     assert person.score > 0.9
     assert person.keypoints.confidence.mean() > 0.9
-    truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
+    truth = example_keypoints()
     assert errors(person.keypoints, truth).mean() < 0.03  # annotators' joints are not quite BlazePose's
 
 
 def test_the_mask_is_the_person(device):
-    from PIL import Image
 
     (person,) = example_people(device)
-    shown = np.asarray(Image.open(EXAMPLE / "parts.png")) > 0
+    shown = example_mask()
     mask = draw_mask(person, shown.shape)
     assert ((mask > 0.5) & shown).sum() > 0.9 * ((mask > 0.5) | shown).sum()
     clear = abs(mask - 0.5) > 1e-4  # else a matter of rounding
@@ -69,7 +63,7 @@ def test_the_mask_is_the_person(device):
     np.testing.assert_allclose(person.box, box, atol=3)
 
 
-def test_devices_agree(device):
+def test_devices_find_the_same_person(device):
     (here,), (there,) = example_people(device), example_people("cpu")
     alike(here, there, 0.5)  # TF32
 
@@ -82,8 +76,8 @@ def test_nobody_is_in_empty_pictures(rng, device):
 
 def test_a_batch_finds_what_each_picture_holds(device):
     empty = np.zeros((100, 200, 3), np.uint8)
-    moved = np.pad(example(), ((0, 0), (130, 0), (0, 0)))
-    found = find_people_in([moved, empty, example()], device=device)
+    moved = np.pad(example_photo(), ((0, 0), (130, 0), (0, 0)))
+    found = find_people_in([moved, empty, example_photo()], device=device)
     assert [len(people) for people in found] == [1, 0, 1]
     alike(found[2][0], example_people(device)[0], 0.5)
     alike(found[0][0], find_people(moved, device=device)[0], 0.5)
@@ -92,7 +86,7 @@ def test_a_batch_finds_what_each_picture_holds(device):
 
 def test_small_people_are_found_in_tiles():
     """A person of a ninth of the picture's width."""
-    small = example()[::2, ::2]
+    small = example_photo()[::2, ::2]
     picture = np.full((600, 1600, 3), 128, np.uint8)
     picture[300:556, 1000:1192] = small
     assert find_people(picture, levels=1) == []
@@ -101,8 +95,8 @@ def test_small_people_are_found_in_tiles():
     assert np.linalg.norm(person.keypoints.points - expected, axis=1).mean() < 5
 
 
-def test_two_people_are_two():
-    both = np.concatenate([example(), example()[:, ::-1]], axis=1)
+def test_two_people_side_by_side_are_told_apart():
+    both = np.concatenate([example_photo(), example_photo()[:, ::-1]], axis=1)
     people = find_people(both)
     assert len(people) == 2
     owners = instance_map(people, both.shape[:2])
@@ -114,7 +108,7 @@ def test_two_people_are_two():
 def test_a_film_follows_people_without_the_detector(monkeypatch):
     """From frame to frame the person moves; a frame without them ends it."""
     before = example_people("cpu")
-    shifted = np.roll(example(), (6, 10), axis=(0, 1))
+    shifted = np.roll(example_photo(), (6, 10), axis=(0, 1))
     monkeypatch.setattr("warp_partdr.networks.detection.detector.tiles", lambda *_: pytest.fail("the detector ran"))
     (person,) = find_people(shifted, previous=before)
     moved = person.keypoints.points - before[0].keypoints.points
@@ -140,7 +134,7 @@ def test_wrong_arguments_are_named(arguments, message):
         find_people(**{"picture": np.zeros((9, 9, 3), np.uint8), **arguments})
 
 
-def test_films_need_people_of_each_picture():
+def test_previous_people_must_be_given_for_each_picture():
     with pytest.raises(ValueError, match="previous: of 1 pictures; expected 2"):
         find_people_in([np.zeros((9, 9, 3), np.uint8)] * 2, previous=[[]])
 

@@ -38,8 +38,8 @@ def off(found: torch.Tensor, expected: torch.Tensor) -> float:
 
 
 @pytest.mark.parametrize("even", [False, True])
-def test_features_are_as_near_as_bfloat16_brings_them(device: str, even: bool) -> None:
-    """As near as torch's own, up to a half; also where shares have more channels, of zeros."""
+def test_fused_features_are_as_exact_as_torchs_in_bfloat16(device: str, even: bool) -> None:
+    """The error is at most one and a half times torch's own, also where shares have more channels, which are zeros."""
     network, (shares, *others) = packaged_network(device), inputs(device)
     given = torch.nn.functional.pad(shares, (0, 0, 0, 0, 0, EVEN_CHANNELS - NUM_CHANNELS)) if even else shares
     with torch.no_grad(), torch.autocast(torch.device(device).type, torch.bfloat16):
@@ -49,7 +49,7 @@ def test_features_are_as_near_as_bfloat16_brings_them(device: str, even: bool) -
     assert 0 < off(found, exact) < max(1.5 * off(usual, exact), 0.01)
 
 
-def test_it_is_kept_until_weights_change() -> None:
+def test_a_fused_network_is_kept_until_weights_change() -> None:
     network: LabelNetwork = deepcopy(packaged_network("cpu"))
     first = fused_network(network)
     assert fused_network(network) is first
@@ -77,7 +77,7 @@ def test_bodies_are_the_same_when_asked_again(device: str) -> None:
     assert (first[0] - first[1]).abs().max() > 1e-3
 
 
-def test_a_gpu_fuses(device: str) -> None:
+def test_a_gpu_fuses_in_bfloat16_and_a_cpu_does_not(device: str) -> None:
     fuses.cache_clear()  # or an earlier test's answer is kept
     with torch.autocast(torch.device(device).type, torch.bfloat16):  # as a network asks
         if device == "cpu":

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_photo
 
-from warp_partdr import read_photo
 from warp_partdr.networks.detection.asset import packaged_people_networks
 from warp_partdr.networks.detection.crops import Pyramid, TurnedCrops, cut_crops
 from warp_partdr.networks.detection.graph import Node, OperatorGraph
@@ -59,7 +58,7 @@ def test_numbers_have_more_digits_than_float16(rng, device):
 
 def test_the_packaged_networks_say_the_same_of_a_person(device):
     """Landmarks within half a pixel of 256; the model card has what it comes to on photos."""
-    picture = read_photo(EXAMPLE / "photo.png")
+    picture = example_photo()
     height, width = picture.shape[:2]
     crop = TurnedCrops(np.array([[width / 2, height / 2]]), np.array([1.1 * height]), np.zeros(1), np.zeros(1, int))
     cut = cut_crops([Pyramid(picture, device)], crop, 256, beyond="border")

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_photo
 from safetensors.numpy import save_file
 
-from warp_partdr import read_keypoints, read_photo, skeleton
+from warp_partdr import skeleton
 from warp_partdr.bulk.people import stages_of_quality
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.keypoints import Keypoints2D, person_height
@@ -34,19 +34,14 @@ MIRROR = skeleton("blazepose33").mirror
 
 
 @cache
-def example() -> np.ndarray:
-    return read_photo(EXAMPLE / "photo.png")
-
-
-@cache
 def example_person(device: str, landmarks: str) -> FoundPerson:
-    (person,) = find_people(example(), device=device, landmarks=landmarks)  # type: ignore[arg-type]
+    (person,) = find_people(example_photo(), device=device, landmarks=landmarks)  # type: ignore[arg-type]
     return person
 
 
 def error(found: Keypoints2D) -> float:
     """Mean distance from the annotated keypoints [% of the person's height]."""
-    truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
+    truth = example_keypoints()
     places = [found.format.landmarks.index(name) for name in truth.format.landmarks]
     return 100 * float(np.linalg.norm(found.points[places] - truth.points, axis=1).mean()) / person_height(truth)
 
@@ -79,7 +74,7 @@ def test_the_same_person_is_found_with_other_keypoints(device: str) -> None:
 
 def test_a_mirrored_picture_shows_the_mirrored_person() -> None:
     """Exactly, up to rounding: the mean of a picture and its mirror image is that of the mirror image."""
-    network, picture = load_heavy_landmarks(), example()
+    network, picture = load_heavy_landmarks(), example_photo()
     height, width = picture.shape[:2]
     crop = TurnedCrops(np.array([[width / 2, height / 2]]), np.array([1.1 * height]), np.zeros(1), np.zeros(1, int))
     pyramids = [[Pyramid(np.ascontiguousarray(each), "cpu")] for each in (picture, picture[:, ::-1])]
@@ -94,19 +89,19 @@ def test_a_mirrored_picture_shows_the_mirrored_person() -> None:
 
 
 def test_people_of_several_pictures_keep_their_own() -> None:
-    moved = np.pad(example(), ((0, 0), (130, 0), (0, 0)))
-    found = find_people_in([moved, np.zeros((100, 200, 3), np.uint8), example()], landmarks="heavy")
+    moved = np.pad(example_photo(), ((0, 0), (130, 0), (0, 0)))
+    found = find_people_in([moved, np.zeros((100, 200, 3), np.uint8), example_photo()], landmarks="heavy")
     assert [len(people) for people in found] == [1, 0, 1]
     expected = example_person("cpu", "heavy").keypoints
     np.testing.assert_allclose(found[2][0].keypoints.points, expected.points, atol=0.5)
     np.testing.assert_allclose(found[0][0].keypoints.points - [130, 0], expected.points, atol=1.5)
-    pyramids = [Pyramid(np.zeros_like(example()), "cpu"), Pyramid(example(), "cpu")]
+    pyramids = [Pyramid(np.zeros_like(example_photo()), "cpu"), Pyramid(example_photo(), "cpu")]
     _, (again,) = with_heavy_landmarks(load_heavy_landmarks(), pyramids, [[], [example_person("cpu", "full")]])
     np.testing.assert_allclose(again.keypoints.points, expected.points, atol=1e-2)
 
 
-def test_whom_the_network_takes_for_somebody_else_keeps_their_keypoints() -> None:
-    """Two people in one crop, where the network shows the second: the first one's keypoints stay."""
+def test_a_person_keeps_their_keypoints_when_the_network_shows_another() -> None:
+    """One crop holds two people, and the network shows the second: the first one's keypoints stay."""
     second = example_person("cpu", "full")
     first = replace(second, keypoints=replace(second.keypoints, points=second.keypoints.points + np.float32(200)))
     places = np.full((39, 2), 0.5)
@@ -114,7 +109,7 @@ def test_whom_the_network_takes_for_somebody_else_keeps_their_keypoints() -> Non
     places[NUM_LANDMARKS + 1] = 0.5, 0.1
     symmetric = places.copy()  # as the mirror image would show them
     symmetric[:NUM_LANDMARKS] = (places[:NUM_LANDMARKS] + [1, 0] + places[MIRROR] * [-1, 1]) / 2
-    pyramid = Pyramid(example(), "cpu")
+    pyramid = Pyramid(example_photo(), "cpu")
     ((one, other),) = with_heavy_landmarks(Drawn(symmetric), [pyramid], [[first, second]])
     assert one is first
     assert other is not second
@@ -124,15 +119,15 @@ def test_whom_the_network_takes_for_somebody_else_keeps_their_keypoints() -> Non
     assert with_heavy_landmarks(Drawn(places), [pyramid], [[]]) == [[]]
 
 
-def test_in_float16_it_says_nearly_the_same(device: str) -> None:
-    """Landmarks within half a pixel of 256 on average, and as sure."""
+def test_landmarks_in_float16_are_nearly_the_same(device: str) -> None:
+    """They are within half a pixel of 256 on average, and as sure."""
     networks = packaged_people_networks(device, landmarks="heavy")
     halved = packaged_people_networks(device, half=True, landmarks="heavy")
     assert networks.heavy is not None
     assert halved.heavy is not None
     assert networks.halved().heavy is not None
     assert packaged_people_networks(device).heavy is None
-    crop, pyramids = example_person(device, "full").crop, [Pyramid(example(), device)]
+    crop, pyramids = example_person(device, "full").crop, [Pyramid(example_photo(), device)]
     expected, found = (see_landmarks(each.heavy, pyramids, crop)[0] for each in (networks, halved))
     assert 256 * np.linalg.norm(expected[:, :2] - found[:, :2], axis=1).mean() < 0.5
     assert np.abs(expected[:, 3:] - found[:, 3:]).mean() < 0.02
@@ -163,16 +158,16 @@ def test_fits_take_the_network_and_fast_ones_and_data_sets_do_without() -> None:
 
 def test_photos_and_films_take_the_network_that_is_asked_for() -> None:
     heavy = example_person("cpu", "heavy").keypoints.points
-    np.testing.assert_allclose(person_in_photo(example()).keypoints.points, heavy, atol=1e-3)
+    np.testing.assert_allclose(person_in_photo(example_photo()).keypoints.points, heavy, atol=1e-3)
     full = example_person("cpu", "full").keypoints.points
-    np.testing.assert_allclose(person_in_photo(example(), landmarks="full").keypoints.points, full, atol=1e-3)
+    np.testing.assert_allclose(person_in_photo(example_photo(), landmarks="full").keypoints.points, full, atol=1e-3)
     tracker = PeopleTracker(landmarks="heavy")
-    np.testing.assert_allclose(tracker.find(example())[0].keypoints.points, heavy, atol=0.01)
+    np.testing.assert_allclose(tracker.find(example_photo())[0].keypoints.points, heavy, atol=0.01)
 
 
 def test_other_names_are_refused() -> None:
     with pytest.raises(ValueError, match="landmarks: 'lite'; expected full or heavy"):
-        find_people(example(), landmarks="lite")  # type: ignore[arg-type]
+        find_people(example_photo(), landmarks="lite")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="landmarks: 'lite'"):
         FitOptions(landmarks="lite")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="landmarks: 'lite'"):

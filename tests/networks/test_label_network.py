@@ -70,7 +70,7 @@ def network() -> LabelNetwork:
 
 
 @pytest.mark.parametrize("name", LABEL_SETS)
-def test_every_id_of_every_set_says_something(name):
+def test_every_id_of_every_set_is_a_distribution_over_parts(name):
     labels = LABEL_SETS[name]
     table = label_table(labels)
     assert torch.allclose(table.sum(1), torch.ones(256))
@@ -91,7 +91,7 @@ def test_shares_take_each_image_by_its_own_set(device):
         assert torch.equal(shares[i, :, 2, 5], label_table(sets[which])[int(groups[i, 2, 5])])
 
 
-def test_sure_probabilities_say_what_labels_say():
+def test_sure_probabilities_have_the_shares_of_labels():
     labels = label_set("body14")
     groups = torch.randint(0, 15, (2, 8, 8), generator=torch.Generator().manual_seed(0)).to(torch.uint8)
     groups[0, 0, 0] = 255
@@ -186,7 +186,7 @@ def test_inputs_of_many_are_those_of_each():
                 torch.testing.assert_close(values[own], alone[0])
 
 
-def test_what_hardly_any_picture_shows_moves_nobody_out_of_the_picture():
+def test_rare_activations_move_nobody_out_of_the_picture():
     """Channels that fire for one person of a thousand said 56 where others say 2, and the place was kilometres away."""
     seen, _ = observe(*seen_by(walker()))
     network, usual = load_label_network(), load_label_network()
@@ -248,7 +248,7 @@ def test_a_camera_is_seen_by_its_rays_and_only_where_it_is_known(network):
     assert not torch.allclose(bodies.rotations[0], bodies.rotations[1], atol=1e-5)
 
 
-def test_spreads_are_wider_than_the_network_says(network):
+def test_uncertainties_are_widened_for_real_people(network):
     """Real people differ from those that networks learn from."""
     seen = replace(observe(*seen_by(walker()))[0], lens=None, lens_assumed=False)
     inputs = network_inputs(Observations.of([seen]), 64)
@@ -258,7 +258,7 @@ def test_spreads_are_wider_than_the_network_says(network):
     assert torch.allclose(found.nearness, said.nearness / REAL_SIZE, rtol=1e-4)
 
 
-def test_people_are_larger_than_the_network_says_unless_it_is_told_their_stature(network):
+def test_bodies_are_enlarged_unless_their_stature_is_known(network):
     seen = replace(observe(*seen_by(walker()))[0], lens=None, lens_assumed=False)
     told = replace(seen, stature=1.8)
     found = ask_about_each([seen, told], network, mirror=False)

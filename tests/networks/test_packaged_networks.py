@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_photo
 from safetensors.numpy import save_file
 
 import warp_partdr
-from warp_partdr import read_photo
 from warp_partdr.errors import InputError
 from warp_partdr.networks.detection.asset import load_heavy_landmarks, load_people_networks, packaged_people_networks
 from warp_partdr.networks.detection.crops import Pyramid, cut_crops
@@ -94,7 +93,7 @@ def test_google_s_runtime_says_the_same(name, tmp_path):
     with zipfile.ZipFile(wheel) as archive:
         (tmp_path / "network.tflite").write_bytes(archive.read(path))
     network = getattr(packaged_people_networks("cpu"), name)
-    picture = read_photo(EXAMPLE / "photo.png")
+    picture = example_photo()
     cut = cut_crops([Pyramid(picture, "cpu")], tiles(picture.shape[:2], 1, 1), network.size)
     cut = cut * 2 - 1 if name == "detector" else cut
     said, results = network(cut), run_google(interpreter, tmp_path / "network.tflite", cut)
@@ -126,7 +125,7 @@ def test_the_heavy_network_in_8_bits_says_about_what_google_s_runtime_says(tmp_p
         content = archive.extractfile(HEAVY_FILE)
         assert content is not None
         (tmp_path / "network.tflite").write_bytes(content.read())
-    picture = read_photo(EXAMPLE / "photo.png")
+    picture = example_photo()
     (person,) = find_people(picture)
     cut = cut_crops([Pyramid(picture, "cpu")], person.crop, 256, beyond="border")
     landmarks, _, _, heat, _ = run_google(interpreter, tmp_path / "network.tflite", cut)

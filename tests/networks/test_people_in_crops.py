@@ -149,7 +149,7 @@ def test_haze_over_all_classes_is_taken_as_none() -> None:
     np.testing.assert_allclose(parts.maps[:, 35, 100], [0, 0, 2 / 9, 7 / 9, 0, 0, 0], atol=1e-6)
 
 
-def test_too_many_values_are_kept_as_labels(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_maps_with_too_many_values_are_kept_as_labels(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("warp_partdr.networks.predictors.parts._MOST_VALUES", 7 * SIZE[0] * SIZE[1] - 1)
     ids = np.full(SIZE, 3, dtype=np.uint8)
     found = parts_of(picture_of(ids), [person(100, 60, 80)], PartNetwork(LSP6, (64, 64), as_probabilities)).of(0)
@@ -168,7 +168,7 @@ def test_too_many_values_are_kept_as_labels(monkeypatch: pytest.MonkeyPatch) -> 
         (torch.full((1, 8, 8), 9), "parts_from: labels: ids 9 not in lsp6"),
     ],
 )
-def test_part_networks_that_give_something_else(said: torch.Tensor, message: str) -> None:
+def test_part_networks_with_wrong_outputs_are_refused(said: torch.Tensor, message: str) -> None:
     people = parts_of(
         np.zeros((*SIZE, 3), np.uint8), [person(100, 60, 80)], PartNetwork(LSP6, (64, 64), lambda _: said)
     )
@@ -216,7 +216,7 @@ def test_keypoints_of_a_larger_file_are_its_landmarks() -> None:
     np.testing.assert_allclose(found.confidence, values[0, list(found.format.places), 2], atol=1e-6)
 
 
-def test_no_two_keypoints_are_none() -> None:
+def test_fewer_than_two_distinct_keypoints_count_as_none() -> None:
     picture = Pyramid(np.zeros((*SIZE, 3), np.uint8), "cpu")
     middle = (0.5, 0.5, 0.9)
     for rows in ((), (middle,), (middle, middle), ((torch.nan, 0.5, 1.0),) * 2):

@@ -55,8 +55,8 @@ def test_boxes_that_overlap_are_averaged_by_score():
     assert average_boxes(boxes[:0], np.zeros(0), np.zeros(0, int))[0].shape == (0, 6, 2)
 
 
-def test_boxes_of_other_pictures_are_let_be(rng):
-    """All at once as each picture alone."""
+def test_boxes_are_averaged_within_each_picture_alone(rng):
+    """The boxes of all pictures at once give the same as each picture alone."""
     pictures = np.sort(rng.integers(0, 5, 60)) * 2
     boxes = np.stack([box(x, y, 30) for x, y in rng.uniform(0, 100, (60, 2))])
     scores = rng.uniform(0.5, 1, 60)

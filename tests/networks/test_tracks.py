@@ -8,10 +8,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers.files import EXAMPLE
+from helpers.example import example_photo
 from PIL import Image
 
-from warp_partdr import read_photo
 from warp_partdr.inputs.cuts import Change
 from warp_partdr.networks.detection.people import find_people
 from warp_partdr.networks.detection.person import FoundPerson
@@ -23,7 +22,7 @@ HEIGHT, WIDTH = 400, 640
 @cache
 def figure() -> np.ndarray:
     """The example's person on their photo's background, cut narrow: 320 px high."""
-    photo = Image.fromarray(read_photo(EXAMPLE / "photo.png")[20:500, 95:300])
+    photo = Image.fromarray(example_photo()[20:500, 95:300])
     return np.asarray(photo.resize((137, 320)))
 
 
@@ -113,7 +112,7 @@ def test_a_jump_is_a_cut_if_nobody_stays_where_they_were() -> None:
     assert (set(tracker.find(frame(130, 480), Change.JUMP)), tracker.cut) == ({2, 3}, True)
 
 
-def test_a_jump_to_or_from_nobody() -> None:
+def test_a_jump_is_a_cut_when_somebody_is_lost_and_none_when_nobody_was_there() -> None:
     tracker = PeopleTracker(every=1)
     assert (tracker.find(frame(None)), tracker.cut) == ({}, False)
     assert (set(tracker.find(frame(250), Change.JUMP)), tracker.cut) == ({0}, False)
@@ -185,7 +184,7 @@ def test_who_is_found_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
     assert PeopleTracker().find(frame(250)) == {0: person}
 
 
-def test_likeness_is_of_place_and_outline() -> None:
+def test_likeness_falls_with_distance() -> None:
     first, again, moved, apart = (find_people(frame(left))[0] for left in (40, 44, 100, 420))
     assert likeness(first, first) == pytest.approx(1)
     assert likeness(first, again) > 0.8

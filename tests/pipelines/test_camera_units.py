@@ -133,7 +133,7 @@ def test_rays_that_miss_are_told(films: list[SeenFilm]) -> None:
     assert missing_rays(placed, people) == []  # as well as they could be found
 
 
-def test_people_who_can_t_be() -> None:
+def test_people_of_impossible_size_or_distance_are_told() -> None:
     assert impossible_people({0: 1.7, 1: 0.6}, {0: 99.0, 1: 1.0}) == []
     small, tall, far = impossible_people({0: 0.4, 1: 2.7, 4: 1.7}, {0: 1.0, 1: 500.0, 4: 101.0})
     assert small.startswith("person0 is 0.40 m tall; expected 0.5 to 2.6 m: are translations in metres")

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_photo
 from helpers.films import write_film
 
 from warp_partdr.errors import InputError
-from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.inputs.scene import Scene
 from warp_partdr.models.measuring import statures
 from warp_partdr.networks.detection.film_people import FilmPeople, find_film_people, kept_size
@@ -30,7 +29,7 @@ QUICK = SceneOptions(mesh=MeshOptions(iterations=4), window=8, overlap=3, shape_
 
 @pytest.fixture(scope="module")
 def people(tmp_path_factory: pytest.TempPathFactory) -> FilmPeople:
-    photo = read_photo(EXAMPLE / "photo.png")
+    photo = example_photo()
     height, width = (side - side % 2 for side in photo.shape[:2])
     wide = np.pad(photo, [(0, 0), (STEP * COUNT, STEP * COUNT), (0, 0)], mode="edge")
     starts = [STEP * COUNT - STEP * place for place in range(COUNT)]
@@ -199,7 +198,7 @@ def test_a_stature_of_several_people_is_whose(people: FilmPeople, monkeypatch: p
         fit_film([SeenFilm.of(people)] * 2, options=replace(QUICK, stature=1.8))
 
 
-def test_faults(people: FilmPeople, tmp_path: Path) -> None:
+def test_films_people_and_options_at_fault_are_named(people: FilmPeople, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="films: none; expected at least one"):
         fit_film([])
     with pytest.raises(TypeError, match="options: dict; expected SceneOptions or None"):

@@ -86,7 +86,7 @@ def since(film: SeenFilm, frame: int) -> SeenFilm:
     return film.taken(np.arange(frame, len(times)), times[frame:] - times[frame])
 
 
-def test_a_film_since_a_frame(moving: SceneSample) -> None:
+def test_a_film_since_a_frame_begins_there(moving: SceneSample) -> None:
     whole = film(moving, 0.3, range(8))
     rest = since(whole, 3)
     assert (rest.skipped, since(rest, 2).skipped) == (3, 5)

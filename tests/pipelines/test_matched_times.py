@@ -48,7 +48,9 @@ def test_films_of_one_clock_stay_as_they_are(still: FilmPeople) -> None:
 
 
 @pytest.mark.parametrize(("rates", "numbers"), [((30, 60), [0, 2, 4, 6]), ((60, 30), [0, -1, 1, -1, 2, -1, 3, -1])])
-def test_a_film_of_twice_the_rate(still: FilmPeople, rates: tuple[int, int], numbers: list[int]) -> None:
+def test_a_film_of_twice_the_rate_gives_or_takes_every_second_frame(
+    still: FilmPeople, rates: tuple[int, int], numbers: list[int]
+) -> None:
     films = [timed(still, np.arange(rate // 7) / rate, rate) for rate in rates]
     one, other = match_films(films)
     assert one.numbers is not None
@@ -85,7 +87,7 @@ def test_a_film_that_goes_on_adds_its_frames(still: FilmPeople) -> None:
     assert np.array_equal(told_times(second)[-4:].round(6), np.arange(8, 12) / 40)
 
 
-def test_films_that_started_apart(still: FilmPeople) -> None:
+def test_films_that_started_apart_are_matched_from_the_later_start(still: FilmPeople) -> None:
     one, other = timed(still, np.arange(20) / 30, 30), timed(still, np.arange(16) / 25, 25)
     first, second = match_films([one, other], [0.2, 0.0])
     assert (first.skipped, second.skipped) == (6, 0)
@@ -153,7 +155,7 @@ def test_windows_of_a_film_know_its_times(
     assert (scene.times is None) == (times is not VARIABLE)  # even films have the sums that they had
 
 
-def test_a_scene_s_times() -> None:
+def test_a_scene_s_times_must_rise_and_replace_the_frame_rate() -> None:
     scene = make_pair(101, "clean").scene
     film = [replace(sight, frame=frame) for frame in range(3) for sight in scene.sights]
     for wrong in ([0.0, 0.1], [0.0, 0.2, 0.2], [0.0, 0.2, np.nan], ["a", "b", "c"], [[0.0, 1.0, 2.0]]):

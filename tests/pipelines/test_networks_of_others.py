@@ -9,13 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.example import example_keypoints, example_photo
 from helpers.files import EXAMPLE
 from PIL import Image
 
 from warp_partdr import metrics
 from warp_partdr.body.labels import label_set
-from warp_partdr.inputs.keypoint_files import read_keypoints
-from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.networks.detection.crops import TurnedCrops
 from warp_partdr.networks.detection.people import find_people
 from warp_partdr.networks.detection.person import FoundPerson
@@ -25,7 +24,7 @@ from warp_partdr.solve.ellipsoids.options import FitOptions
 
 FAST = FitOptions.at("fast")
 CDCL = label_set("cdcl14")
-PHOTO = read_photo(EXAMPLE / "photo.png")
+PHOTO = example_photo()
 PARTS = np.asarray(Image.open(EXAMPLE / "parts.png"))
 SIZE = (256, 256)
 MIRRORED = np.array([CDCL.channel_ids.index(i) for i in (0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9, 12, 11, 14, 13)])
@@ -58,7 +57,7 @@ def part_network(person: FoundPerson, change: Callable[[np.ndarray], np.ndarray]
 
 def keypoint_network(person: FoundPerson, shift: float = 0.0) -> KeypointNetwork:
     """Network that knows the example's keypoints, moved by a share of its crop."""
-    truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
+    truth = example_keypoints()
 
     def predict(pictures: torch.Tensor) -> torch.Tensor:
         places = upright_crop(person, SIZE).from_picture(truth.points[None].astype(float))[0] + shift
@@ -102,12 +101,14 @@ def test_sides_that_the_network_exchanged_are_set_right(found: FoundPerson, with
     assert part_f1(swapped) == pytest.approx(part_f1(with_parts), abs=0.01)
 
 
-def test_keypoints_and_parts_together(found: FoundPerson, alone: PhotoFit, device: str) -> None:
+def test_keypoints_and_parts_of_given_networks_are_taken_together(
+    found: FoundPerson, alone: PhotoFit, device: str
+) -> None:
     given = {"parts_from": part_network(found), "keypoints_from": keypoint_network(found)}
     both = fit_photo(PHOTO, options=FAST, device=device, **given)  # type: ignore[arg-type]
     assert both.fits[0].ellipbody.warnings == ()
     assert both.sources[0] == {"keypoints": "mine", "parts": "unnamed"}
-    truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
+    truth = example_keypoints()
     kept = both.people[0].keypoints
     assert kept.skeleton == truth.skeleton
     np.testing.assert_allclose(kept.points[truth.visible], truth.points[truth.visible], atol=0.01)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import HANG
-from helpers.files import EXAMPLE
+from helpers.example import example_mask, example_photo
 from helpers.people import crowd
 from PIL import Image
 
@@ -32,8 +32,7 @@ FAST = FitOptions.at("fast")
 @cache
 def example() -> tuple[np.ndarray, np.ndarray]:
     """Photo and true silhouette."""
-    with Image.open(EXAMPLE / "parts.png") as parts:
-        return read_photo(EXAMPLE / "photo.png"), np.asarray(parts) > 0
+    return example_photo(), example_mask()
 
 
 @cache
@@ -55,7 +54,7 @@ def overlap(mesh: MeshFit, silhouette: np.ndarray) -> float:
 @pytest.mark.parametrize(
     ("name", "box"), [("left side", (195, 0, 384, 512)), ("legs", (0, 0, 384, 260)), ("right side", (0, 0, 205, 512))]
 )
-def test_half_bodies_at_the_border(name: str, box: tuple[int, ...]) -> None:
+def test_half_bodies_at_the_border_lie_beyond_it_where_they_would_be(name: str, box: tuple[int, ...]) -> None:
     """Of a person without their ``name``; unseen parts lie beyond the border, about where they are."""
     left, top, right, bottom = box
     picture, silhouette = (np.ascontiguousarray(each[top:bottom, left:right]) for each in example())
@@ -67,7 +66,7 @@ def test_half_bodies_at_the_border(name: str, box: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize("turns", [1, 2])
-def test_people_upside_down_and_lying(turns: int) -> None:
+def test_people_upside_down_and_lying_are_fitted_as_upright_ones(turns: int) -> None:
     picture, silhouette = (np.ascontiguousarray(np.rot90(each, turns)) for each in example())
     (mesh,) = fit_photo(picture, options=FAST).fits.values()
     assert overlap(mesh, silhouette) > 0.75

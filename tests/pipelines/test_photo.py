@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers.example import example_mask, example_photo
 from PIL import Image
 
 from warp_partdr import metrics
@@ -32,7 +33,7 @@ FAST = FitOptions.at("fast")
 
 def two_people() -> np.ndarray:
     """The example's photo, and the same person again, half as large."""
-    photo = Image.open(EXAMPLE / "photo.png").convert("RGB")
+    photo = Image.fromarray(example_photo())
     wide = Image.new("RGB", (photo.width * 2, photo.height), photo.getpixel((5, 5)))
     wide.paste(photo, (0, 0))
     wide.paste(photo.resize((photo.width // 2, photo.height // 2)), (photo.width + 60, 120))
@@ -46,7 +47,7 @@ def everyone() -> tuple[np.ndarray, PhotoFit]:
 
 
 def test_the_example_s_person_is_near_the_truth(device):
-    photo = read_photo(EXAMPLE / "photo.png")
+    photo = example_photo()
     found = fit_photo(photo, options=FAST, device=device)
     assert list(found.fits) == [0]
     mesh, truth = found.fits[0], json.loads((EXAMPLE / "truth.json").read_text())
@@ -54,12 +55,12 @@ def test_the_example_s_person_is_near_the_truth(device):
     error = metrics.pa_mpjpe(mesh.landmarks(joints["names"]), np.array(joints["points_m"]))
     assert 1000 * float(error) < 110
     drawn = mesh.draw(photo.shape[:2]).labels[0].cpu().numpy() > 0
-    person = np.asarray(Image.open(EXAMPLE / "parts.png")) > 0
+    person = example_mask()
     assert (drawn & person).sum() / (drawn | person).sum() > 0.8
     assert found.hidden_by(0) == []
 
 
-def test_half_a_body_of_a_real_photo(device):
+def test_half_a_body_of_a_real_photo_is_fitted(device):
     photo = read_photo(EXAMPLE / "astronaut.jpg")
     found = fit_photo(photo, options=FAST, device=device)
     assert list(found.fits) == [0]
@@ -165,7 +166,7 @@ def test_a_person_hidden_by_another_is_told(everyone):
     assert found.hidden_by(1) == []
 
 
-def test_files_of_everyone(everyone, tmp_path):
+def test_files_of_everyone_are_saved_and_older_ones_go(everyone, tmp_path):
     trimesh = pytest.importorskip("trimesh")
     photo, found = everyone
     old = tmp_path / "person7"

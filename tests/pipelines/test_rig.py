@@ -182,7 +182,7 @@ def test_two_films_put_people_where_they_are(pair: SceneSample) -> None:
     assert set(rows["tracks"]) == {track for film, track in both.tracks[0] if film == 1}
 
 
-def test_faults(pair: SceneSample) -> None:
+def test_films_at_fault_are_named(pair: SceneSample) -> None:
     camera = camera_at(0.0)
     film = SeenFilm.calibrated(film_of(pair, camera), camera)
     slow = replace(film, people=replace(film.people, times=np.arange(3) / 10))

@@ -77,7 +77,7 @@ def test_samples_within_another_ellipsoid_do_not_count(device):
     assert 0.05 < (weights == 0).mean() < 0.5
 
 
-def test_penetration_by_hand():
+def test_penetration_agrees_with_numbers_by_hand():
     """An ellipsoid of 2 × 4 × 6: half way out along each axis, at its surface, and outside."""
     turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # length along y, first thickness along z, second along x
     ellipsoid = PosedEllipsoid(turn, np.array([1.0, 1, 1]), 2.0, 4.0, 6.0)
@@ -87,8 +87,8 @@ def test_penetration_by_hand():
     assert penetration_loss(1 + offsets, [ellipsoid] * 2, np.array([1.0, 0, 0, 9, 9])) == pytest.approx(2 * 0.25)
 
 
-def test_closest_points_by_hand():
-    """Above the inside, beyond a side, beyond a corner."""
+def test_closest_points_of_a_triangle_are_found():
+    """The points lie above the inside, beyond a side, and beyond a corner."""
     triangle = np.array([[[0.0, 0, 0], [4, 0, 0], [0, 4, 0]]])
     for point, wanted in (
         ((1, 1, 2), (1, 1, 0)),

@@ -26,7 +26,7 @@ def functions_in(file: str) -> set[str]:
     }
 
 
-def test_the_papers_equations_but_those_that_only_name_a_function():
+def test_all_equations_are_listed_except_those_that_only_name_a_function():
     assert list(EQUATIONS) == [*range(3, 7), *range(8, 20)]
 
 

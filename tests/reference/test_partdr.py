@@ -44,7 +44,7 @@ def test_of_equal_depths_the_lower_face_shows():
     np.testing.assert_allclose(depth, np.where(index < 0, np.inf, 1))
 
 
-def test_a_line_of_pixels_by_hand():
+def test_slopes_along_a_line_agree_with_numbers_by_hand():
     assert switch_slope(1.0, 3.2, 4.5, 1) == pytest.approx(1 / 1.3)
     assert switch_slope(-1.0, 3.2, 1.5, -1) == pytest.approx(1 / 1.7)
     assert switch_slope(1.0, 3.2, 3.5, 1) == 1  # at least a pixel
@@ -65,8 +65,8 @@ def test_other_parts_end_no_walk():
     assert line_slope(PIXELS, 1, 1, EDGE, 4.0, Rule()) == pytest.approx(OUTWARD + INWARD)
 
 
-def test_every_edge_of_every_face_by_hand():
-    """NMR: out over all background up to the border, in over the face that shows just inside."""
+def test_slopes_of_all_edges_agree_with_numbers_by_hand():
+    """As in the Neural Mesh Renderer, they cross all background outside, and the one face that shows just inside."""
     rule = Rule(edges="all")
     assert line_slope(PIXELS, 1, 1, 1.8, EDGE_DEPTH, rule, face=4) == pytest.approx(
         3 / 1 + 7 / 1.7 + 11 / 2.7 + 13 / 3.7 + 17 / 4.7  # part 2 at pixel 2 lies in front
@@ -86,7 +86,7 @@ def test_every_edge_of_every_face_by_hand():
         np.testing.assert_array_equal(pull[:, 1:], 0)
 
 
-def test_depth_slopes_by_hand():
+def test_depth_slopes_agree_with_numbers_by_hand():
     assert depth_slope(0.5) == pytest.approx(-np.log(3))
     assert depth_slope(0.5, 0.1) == pytest.approx(-0.1 * np.log(3))
     assert depth_slope(0.0) == depth_slope(1e-5) == pytest.approx(-np.log(10001))

@@ -97,7 +97,7 @@ def test_gradient_of_creases_is_that_of_area(device, seed, perspective):
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
-def test_gradient_of_what_the_pictures_border_cuts(device, perspective):
+def test_gradient_of_bodies_cut_by_the_border_is_that_of_area(device, perspective):
     """Outlines and creases run off the picture on all sides; what lies outside costs nothing."""
     size = (48, 56)
     scene = random_scene(2, size, perspective)

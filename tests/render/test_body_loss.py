@@ -102,8 +102,8 @@ def assert_near(have: list[torch.Tensor], want: list[torch.Tensor]) -> None:
 @renderers
 @pytest.mark.parametrize("form", ["matrices", "axis-angle", "6D", "mixed"])
 @pytest.mark.parametrize("kind", ["weak", "perspective"])
-def test_as_one_after_the_other(device, renderer, form, kind):
-    """For each form of rotations and kind of camera, three times: launched, captured, replayed."""
+def test_body_loss_equals_posing_and_drawing_apart(device, renderer, form, kind):
+    """It holds for each form of rotations and kind of camera, when launched, captured and replayed."""
     target, wrong = targets(device), []
     for seed in range(3):
         given = bodies(seed, device)
@@ -124,7 +124,7 @@ def test_as_one_after_the_other(device, renderer, form, kind):
 
 
 @renderers
-def test_of_crops(device, renderer):
+def test_crop_loss_equals_posing_and_drawing_apart(device, renderer):
     """``BodyParameters`` and predictions, whose cameras are numbers of the crop."""
     target = targets(device, (48, 48))
     for seed in range(3):
@@ -148,7 +148,7 @@ def have_hips(given: BodyParameters, renderer: Renderer, target: torch.Tensor) -
     return gradient[:, :2]
 
 
-def test_groups_and_one_camera_for_all(device):
+def test_body_loss_takes_groups_and_one_camera_for_all(device):
     given, target = bodies(0, device), (targets(device) > 0).to(torch.uint8)
     camera = WeakPerspective(torch.tensor([20.0], device=device), torch.tensor([[24.0, 28.0]], device=device))
     parameters = pose_arguments(given)
@@ -160,7 +160,7 @@ def test_groups_and_one_camera_for_all(device):
         assert_near(gradients(have, leaves[2:]), gradients(want, leaves[2:]))
 
 
-def test_a_mesh_of_its_own_level(device):
+def test_body_loss_chooses_the_level_of_its_mesh(device):
     given, target = bodies(0, device), targets(device)
     parameters = pose_arguments(given)
     camera = WeakPerspective(20 * given.log_scale.exp(), 20 * (given.shift + 1))
@@ -180,7 +180,7 @@ def test_other_precisions_keep_their_dtype(device, dtype):
         assert gradient.dtype == leaf.dtype == dtype
 
 
-def test_under_autocast(device):
+def test_autocast_changes_no_bit(device):
     given, target = bodies(0, device), targets(device, (48, 48))
     want = gradients(RENDERERS[0].crop_loss(leaves := given.leaves(), target), list(leaves.tensors().values()))
     with torch.autocast(torch.device(device).type, dtype=torch.bfloat16):
@@ -189,7 +189,7 @@ def test_under_autocast(device):
 
 
 @renderers
-def test_compiled(device, renderer):
+def test_compiled_losses_have_the_eager_gradients(device, renderer):
     given, target = bodies(0, device, 2), targets(device, (40, 40), 2)
     leaves = list(given.leaves().tensors().values())
 
@@ -202,7 +202,7 @@ def test_compiled(device, renderer):
     assert_near(list(have), list(torch.autograd.grad(loss_of(*leaves), leaves)))
 
 
-def test_on_many_threads():
+def test_threads_change_no_bit():
     target = targets("cpu", (48, 48))
     given = [bodies(seed, "cpu") for seed in range(4)]
 
@@ -217,7 +217,7 @@ def test_on_many_threads():
                 assert all(torch.equal(one, other) for one, other in zip(have, expected, strict=True))
 
 
-def test_on_two_devices():
+def test_two_devices_agree_to_the_bit():
     if torch.cuda.device_count() < 2:
         pytest.skip("needs two CUDA devices")
     want = None
@@ -230,7 +230,7 @@ def test_on_two_devices():
         assert all(torch.equal(each.cpu(), other) for each, other in zip(found, want, strict=True))
 
 
-def test_on_a_side_stream(device):
+def test_a_side_stream_changes_no_bit(device):
     if device == "cpu":
         pytest.skip("the CPU has no streams")
     target = targets(device, (48, 48))
@@ -265,7 +265,7 @@ def test_what_inference_mode_made_serves_training(device):
         assert torch.equal(draw_ellipsoids(leaves.posed(), leaves.camera(size), (size, size)).labels, drawn)
 
 
-def test_without_graphs(device):
+def test_losses_without_graphs_are_the_same(device):
     target = targets(device, (48, 48))
     leaves = bodies(0, device).leaves()
     captured = [gradients(RENDERERS[0].crop_loss(leaves, target), list(leaves.tensors().values())) for _ in range(3)]
@@ -310,8 +310,8 @@ def test_bad_calls_name_the_argument(device):
 @renderers
 @pytest.mark.parametrize("kind", ["weak", "perspective"])
 @pytest.mark.parametrize("batch", [1, 3, 4])
-def test_maps_as_one_after_the_other(device, renderer, batch, kind):
-    """For batches that threads share or not, three times: launched, captured, replayed."""
+def test_body_maps_equal_posing_and_drawing_apart(device, renderer, batch, kind):
+    """It holds for batches that threads share and others, when launched, captured and replayed."""
     seen = []
     for seed in range(3):
         leaves, camera = maps_scene(seed, device, batch, kind)
@@ -324,8 +324,8 @@ def test_maps_as_one_after_the_other(device, renderer, batch, kind):
 
 
 @renderers
-def test_maps_before_the_gradients(device, renderer):
-    """Bodies drawn between the maps of others and their gradient, by the same graphs; and gradients that are kept."""
+def test_maps_of_others_drawn_in_between_change_no_gradient(device, renderer):
+    """The same graphs draw other bodies between some maps and their gradient. Gradients that are kept stay."""
     alone = []
     for seed in (0, 1, 2):
         leaves, camera = maps_scene(seed, device)
@@ -366,7 +366,7 @@ def test_maps_are_captured(device, renderer, monkeypatch):
     assert not torch.equal(found()[0], captured[0])
 
 
-def test_maps_of_groups_and_one_camera_for_all(device):
+def test_body_maps_take_groups_and_one_camera_for_all(device):
     leaves, _ = maps_scene(0, device)
     camera = WeakPerspective(torch.tensor([20.0], device=device), torch.tensor([[24.0, 28.0]], device=device))
     options = {"part_labels": [*[1] * 5, 0, 255, *[3] * 13], "num_maps": 4}
@@ -380,7 +380,7 @@ def test_maps_of_groups_and_one_camera_for_all(device):
         assert renderer.body_maps(nobody, camera, SIZE).shape == (0, 20, *SIZE)
 
 
-def test_maps_of_a_mesh_of_its_own_level(device):
+def test_body_maps_choose_the_level_of_their_mesh(device):
     leaves, camera = maps_scene(0, device)
     automatic = RendererMesh("auto", tolerance=0.3)
     fixed = automatic.fixed(pose(*leaves[:5]), camera)
@@ -388,7 +388,7 @@ def test_maps_of_a_mesh_of_its_own_level(device):
     assert torch.equal(automatic.body_maps(leaves[:5], camera, SIZE), want)
 
 
-def test_maps_in_other_precisions_and_without_gradient(device):
+def test_maps_work_in_other_precisions_and_without_gradients(device):
     leaves, camera = maps_scene(0, device)
     double = [tensor.detach().double().requires_grad_() for tensor in leaves]
     have = RENDERERS[0].body_maps(double[:5], WeakPerspective(*double[5:]), SIZE)
@@ -408,7 +408,7 @@ def have_single(leaves: list[torch.Tensor], camera: Camera) -> torch.Tensor:
 
 
 @renderers
-def test_compiled_maps(device, renderer):
+def test_compiled_maps_are_the_eager_ones(device, renderer):
     leaves, _ = maps_scene(0, device, 2)
 
     def maps_of(*tensors):
@@ -422,7 +422,7 @@ def test_compiled_maps(device, renderer):
     assert_near(map_gradients(have, leaves), map_gradients(want, leaves))
 
 
-def test_maps_on_a_side_stream(device):
+def test_a_side_stream_changes_no_bit_of_the_gradients_of_maps(device):
     if device == "cpu":
         pytest.skip("the CPU has no streams")
     leaves, camera = maps_scene(0, device)

@@ -50,7 +50,7 @@ def operations_of(kind, device):
 
 
 @pytest.mark.parametrize("kind", ["mesh", "ellipsoid"])
-def test_opcheck(device, kind):
+def test_operations_pass_torchs_own_checks(device, kind):
     # float atomics may differ in the last bits between two runs on CUDA
     near = {"atol": 1e-3, "rtol": 1e-4} if kind == "mesh" else {}
     for operation, arguments in operations_of(kind, device):
@@ -68,7 +68,7 @@ def test_operations_have_no_second_derivative(device, kind):
 
 @pytest.mark.parametrize("renderer", RENDERERS)
 @pytest.mark.parametrize("path", ["labels", "maps"])
-def test_renderers(device, path, renderer):
+def test_compiled_renderers_give_the_eager_numbers(device, path, renderer):
     scene = new_scene(device)
 
     def loss_of(first, *others):
@@ -82,7 +82,7 @@ def test_renderers(device, path, renderer):
 
 
 @pytest.mark.parametrize("renderer", ["coverage", "mesh"])
-def test_pictures_alone(device, renderer):
+def test_compiled_pictures_are_the_eager_ones(device, renderer):
     scene = new_scene(device)
 
     nearest = "face_index" if renderer == "mesh" else "parts"
@@ -98,7 +98,7 @@ def test_pictures_alone(device, renderer):
         assert torch.equal(have, want)
 
 
-def test_from_the_body_s_parameters_to_the_loss(device):
+def test_compiled_fits_from_lengths_to_loss_give_the_eager_numbers(device):
     body, scene = BodyParameters.mean(2, device=device), new_scene(device)
     turns = torch.eye(3, device=device).expand(2, 20, 3, 3)
 

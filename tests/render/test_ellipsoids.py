@@ -193,7 +193,7 @@ def test_gradients_reach_every_parameter(device, gradient, perspective):
 
 
 @pytest.mark.parametrize("gradient", GRADIENTS)
-def test_linear_in_the_incoming_gradient(device, gradient):
+def test_gradients_are_linear_in_the_incoming_gradient(device, gradient):
     size = (30, 40)
     leaves = Leaves.of(random_scene(0, size, True), random_scene(1, size, True), device=device)
     maps = leaves.draw(size, num_maps=6, gradient=gradient).maps
@@ -215,7 +215,7 @@ def test_ignored_pixels_cost_nothing(device, gradient):
 
 @pytest.mark.parametrize("gradient", GRADIENTS)
 @pytest.mark.parametrize(("batch", "count", "size"), [(0, 20, (20, 24)), (1, 1, (1, 1)), (1, 255, (32, 32))])
-def test_sizes_at_the_limits(device, gradient, batch, count, size):
+def test_the_smallest_and_largest_sizes_are_drawn(device, gradient, batch, count, size):
     scene = random_scene(0, size, False, count=count)
     tensors = Leaves.of(scene, device=device).tensors()
     *parts, camera = (tensor.detach()[:batch].requires_grad_() for tensor in tensors.values())

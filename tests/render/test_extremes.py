@@ -57,7 +57,7 @@ from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 @pytest.mark.parametrize(
     ("depth", "shows"), [(-3.0, False), (-0.5, False), (0.0, None), (0.2, True), (0.6, True), (1e4, False)]
 )
-def test_bodies_behind_across_and_around_the_camera(device, depth, shows):
+def test_bodies_behind_across_and_around_the_camera_have_finite_gradients(device, depth, shows):
     """Ellipsoids in front of it are drawn, those that reach it are not, and no gradient is lost to infinity."""
     size = (40, 32)
     camera = body_camera(size, True, device=device)
@@ -84,7 +84,7 @@ def test_bodies_behind_across_and_around_the_camera(device, depth, shows):
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
-def test_no_depth_between_two_parts(device, perspective):
+def test_parts_at_one_depth_are_pushed_apart_equally(device, perspective):
     """The paper's log(1 / dz + 1) with dz = 0: bounded, and equal and opposite."""
     size, z = (16, 16), 2.0
     leaf, mesh = faces([[[1, 1, z], [14, 2, z], [5, 13, z]]] * 2, [1, 2], device)
@@ -107,7 +107,7 @@ def test_no_depth_between_two_parts(device, perspective):
 
 
 @pytest.mark.parametrize("label", [0, 1])
-def test_empty_and_full_targets(device, label):
+def test_empty_targets_shrink_a_part_and_full_ones_grow_it(device, label):
     """All background shrinks a part; one part everywhere grows it."""
     size = (16, 16)
     target = torch.full((1, *size), label, dtype=torch.uint8, device=device)
@@ -127,7 +127,7 @@ def test_empty_and_full_targets(device, label):
     assert (sign * growth.grad > 0).all()
 
 
-def test_a_label_that_no_part_has(device):
+def test_a_label_that_no_part_has_is_missed_at_each_of_its_pixels(device):
     """Ellipsoids can't show it: each such pixel is missed, and what shows there is wrong."""
     size = (16, 16)
     scene = one_scene((0, 0, 3), (0.5, 0.4, 0.3), False)
@@ -143,8 +143,8 @@ def test_a_label_that_no_part_has(device):
 
 
 @pytest.mark.slow
-def test_a_picture_of_8192_pixels_a_side(device):
-    """Both renderers at places drawn at random, all borders' neighbourhoods aside; gradients stay finite."""
+def test_a_picture_of_8192_pixels_a_side_is_drawn_right(device):
+    """Places are drawn at random, without the neighbourhoods of all borders; gradients stay finite."""
     size = (8192, 8192)
     parameters = body_parameters(1, device)
     camera = body_camera(size, False, device=device)
@@ -300,7 +300,7 @@ def test_gradients_of_extreme_ellipsoids_are_the_references(device, name, perspe
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
-def test_near_plane(device, perspective):
+def test_bodies_that_reach_the_near_plane_are_not_drawn(device, perspective):
     bodies = upright([(0.0, 0.0, 1.0)], [[0.3] * 3], device)
     intrinsics = body_camera(SIZE, perspective, device=device).intrinsics
     before, behind = (Leaves(bodies, Intrinsics(intrinsics, perspective, near)).draw(SIZE) for near in (0.69, 0.71))
@@ -431,7 +431,7 @@ EXTREME_FACES = {  # corners (x, y, z), and how many pixels of 12 x 12 show some
 
 @pytest.mark.parametrize("perspective", CAMERAS)
 @pytest.mark.parametrize("name", EXTREME_FACES)
-def test_extreme_faces(device, name, perspective):
+def test_extreme_faces_are_drawn_as_the_reference_draws_them(device, name, perspective):
     corners, shows = EXTREME_FACES[name]
     leaf, mesh = faces(corners, [1], device)
     target = checked_target((12, 12), 1, device)

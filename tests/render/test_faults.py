@@ -140,8 +140,8 @@ def test_posed_bodies_are_drawn_as_nan_or_refused(device, renderer, value):
 
 @pytest.mark.parametrize("gradient", ["edges", "coverage", "partdr"])
 @pytest.mark.parametrize(("name", "value"), [("centres", math.nan), ("axes", math.inf), ("semi_axes", -0.1)])
-def test_ellipsoids_with_a_fault(device, gradient, name, value):
-    """Depth is NaN everywhere, also where another ellipsoid shows, and so is the gradient of the faulty one."""
+def test_a_faulty_ellipsoid_makes_its_picture_and_gradient_nan(device, gradient, name, value):
+    """Depth is NaN everywhere, also where another ellipsoid shows; of the gradients, only the faulty one's is."""
     posed, camera = BodyParameters.mean(3, device=device).posed(), BodyParameters.mean(3, device=device).camera(SIZE)
     tensors = {each: getattr(posed, each).clone() for each in ("centres", "axes", "semi_axes")}
     tensors[name].view(3, 20, -1)[1, 7, 0] = value
@@ -163,8 +163,8 @@ def test_ellipsoids_with_a_fault(device, gradient, name, value):
 
 @pytest.mark.parametrize("gradient", ["partdr", "edges"])
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_mesh_with_a_fault(device, gradient, value):
-    """Three times through one z-buffer's graph: a fault is not kept for the next picture."""
+def test_a_faulty_mesh_makes_its_own_pictures_nan_and_no_later_ones(device, gradient, value):
+    """One z-buffer's graph draws three times: a fault is not kept for the next picture."""
     mesh = ellipbody_mesh(0, device=device)
     bodies = BodyParameters.mean(3, device=device)
     for faulty in (True, False, True, True):
@@ -246,8 +246,8 @@ def test_a_locked_part_s_nan_is_not_hidden(device, dtype, part):
 
 
 @pytest.mark.parametrize("size", [0.0, -0.1])
-def test_no_mesh_of_sizes_that_are_not_positive(device, size):
-    """By kernels, by torch, and by the class of Warp arrays."""
+def test_sizes_that_are_not_positive_make_a_mesh_of_nan(device, size):
+    """It holds for kernels, for torch, and for the class of Warp arrays."""
     posed = BodyParameters.mean(2, device=device).posed()
     sizes = posed.semi_axes.clone()
     sizes[1, 3, 2] = size

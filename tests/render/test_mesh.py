@@ -333,8 +333,8 @@ def test_edges_of_two_faces_are_one_where_they_show_one_part():
 
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [0, 2, 1], [2, 0, 1]])
-def test_fill_rule_of_borders_on_pixel_centres(device, order):
-    """An edge that goes down the picture, or level to the left, belongs to the face, however that is turned."""
+def test_a_border_on_pixel_centres_belongs_to_one_face(device, order):
+    """An edge that goes down, or level to the left, belongs to the face, in whatever order its corners are given."""
     vertices = torch.tensor([[[2.5, 2.5, 1.0], [8.5, 2.5, 1.0], [2.5, 8.5, 1.0]]], device=device)
     mesh = PartMesh.from_faces(np.array([order]), np.array([1]), device=device)
     rows, columns = np.mgrid[:12, :12]

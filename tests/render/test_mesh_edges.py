@@ -87,7 +87,7 @@ def rectangle(device, label=1, depth=1.0, left=4, right=10):
     return faces([[a, b, c], [a, c, d]], [label, label], device)
 
 
-def test_a_rectangle_by_hand(device):
+def test_the_gradient_of_a_rectangle_agrees_with_numbers_by_hand(device):
     """Eight rows on either side should be two pixels further to the right: 16 pixels' cost a pixel of way."""
     leaf, mesh = rectangle(device)
     target = torch.zeros(1, 16, 16, dtype=torch.uint8, device=device)

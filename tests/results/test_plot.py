@@ -96,7 +96,7 @@ def test_overlay_lies_where_the_body_is_seen(device):
     assert all(has_colour(picture, colour) for colour in PART_COLOURS[1:])  # of the legend: the body is shaded
 
 
-def test_overlay_in_perspective(device):
+def test_an_overlay_in_perspective_covers_the_person(device):
     photo, view = np.full((*SIZE, 3), 200, dtype=np.uint8), far_camera(device)
     far = away(device)
     changed = (shown(plot.overlay(far, photo, camera=view)) != photo).any(-1)
@@ -167,7 +167,7 @@ def test_gradient_arrows_are_the_downhill_gradient(device):
     pixels(figure)
 
 
-def test_gradient_of_the_mesh_and_of_perspective(device):
+def test_gradients_of_meshes_and_in_perspective_are_drawn(device):
     view, far = far_camera(device), away(device)
     target = drawn(device, right=0.1)
     exact, mesh = (
@@ -179,14 +179,14 @@ def test_gradient_of_the_mesh_and_of_perspective(device):
     assert len(mesh) > len(exact)
 
 
-def test_no_gradient_where_nothing_is_wrong():
+def test_no_arrow_is_drawn_where_nothing_is_wrong():
     figure = plot.gradient_field(body(), drawn(), camera=camera())
     assert len(quiver(figure).U) == 0
     assert "L_seg = 0 px" in figure.axes[0].get_title()
     pixels(figure)
 
 
-def test_loss_curve(fit):
+def test_a_loss_curve_shows_each_stage_of_a_history(fit):
     result, _, _ = fit
     axes = plot.loss_curve(result).axes[0]
     lines = [line.get_ydata() for line in axes.lines]
@@ -214,7 +214,7 @@ def test_turntable_turns_the_body(device):
     pixels(figure)
 
 
-def test_compared_bodies(device):
+def test_compared_bodies_show_distances_and_sizes(device):
     first = body(device)
     longer = replace(first, lengths=first.lengths * torch.linspace(1.0, 1.2, 12, device=device))
     figure = plot.compare_bodies(first, longer, names=("one", "other"))
@@ -310,7 +310,7 @@ def test_left_is_warm_and_right_is_cool():
         assert warmth >= 25 if name.startswith("left") else warmth <= -25 if name.startswith("right") else True, name
 
 
-def test_no_window_and_no_matplotlib_before_the_first_figure():
+def test_plotting_opens_no_window_and_imports_matplotlib_for_the_first_figure():
     code = (
         "import sys; import warp_partdr.results.plot as p; assert 'matplotlib' not in sys.modules; "
         "p.loss_curve([2.0, 1.0]);"

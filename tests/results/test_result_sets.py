@@ -201,7 +201,7 @@ with replacing(pathlib.Path(sys.argv[1]), FIT_REPORT, {}, outdates=(FIT_REPORT,)
 """
 
 
-def test_a_process_that_is_killed(tmp_path: Path) -> None:
+def test_a_killed_process_leaves_a_set_that_the_next_run_mends(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     older(folder)
     with subprocess.Popen([sys.executable, "-c", CHILD, str(folder)], stdout=subprocess.PIPE, text=True) as child:
@@ -243,7 +243,7 @@ def test_a_running_process_keeps_its_folder_and_others_leavings_go(tmp_path: Pat
     assert {path.name for path in tmp_path.iterdir()} == kept
 
 
-def test_folders_that_appear_meanwhile(tmp_path: Path) -> None:
+def test_runs_into_folders_that_appear_meanwhile_keep_both(tmp_path: Path) -> None:
     """Two runs into neighbouring folders, or the same, that were not there when either began."""
     for name in ("one", "other", "other"):
         with replacing(tmp_path / "results" / name, FIT_REPORT, {}) as temporary:
@@ -289,7 +289,7 @@ def test_other_reports_say_nothing_about_a_body(text: str, tmp_path: Path) -> No
     load_body(tmp_path / "body.npz")
 
 
-def test_a_report_that_cannot_be_read_may_have(tmp_path: Path) -> None:
+def test_a_body_beside_an_unreadable_report_is_refused(tmp_path: Path) -> None:
     body_file().save(tmp_path / "body.npz")
     (tmp_path / FIT_REPORT).write_text('{"files": {"bod')
     with pytest.raises(InputError, match=r"report\.json: can't be read as JSON; expected"):
@@ -313,7 +313,7 @@ def test_a_report_removes_nothing_outside_its_folder_and_nothing_changed(tmp_pat
 # --- into place ----------------------------------------------------------------------------------------------------
 
 
-def test_replacing_an_existing_folder(tmp_path: Path) -> None:
+def test_replacing_keeps_files_of_others_in_the_folder(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     folder.mkdir()
     (folder / "a").write_text("old")
@@ -345,7 +345,7 @@ def test_an_error_leaves_everything_as_it_was(error: BaseException | None, there
     assert tree(tmp_path) == before
 
 
-def test_relative_and_current_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_relative_and_current_folders_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in (".", "out", "x/y"):
         check_folder(Path(name))
@@ -362,7 +362,7 @@ def test_results_never_replace_what_is_given(tmp_path: Path, monkeypatch: pytest
             check_inputs(Path("out"), (None, Path(given)), DETAILED_FILES)
 
 
-def test_check_folder(tmp_path: Path) -> None:
+def test_check_folder_refuses_what_can_be_no_folder(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for bad in (tmp_path / "file", tmp_path / "file" / "out", tmp_path / ("x" * 300)):
         with pytest.raises(InputError, match="expected a folder"):

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_parts, example_photo
 from helpers.pictures import draw_on_screen
 from PIL import Image
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, PART_NAMES
-from warp_partdr.inputs.keypoint_files import read_keypoints
-from warp_partdr.inputs.part_labels import PartLabels, read_parts, read_photo
+from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.models.anny import anny
 from warp_partdr.models.model import detailed_mesh
 from warp_partdr.models.registration import Registered, RegistrationOptions, register
@@ -32,9 +31,9 @@ from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.result import FitResult
 from warp_partdr.solve.ellipsoids.stages import Stage
 
-PHOTO = read_photo(EXAMPLE / "photo.png")
-KEYPOINTS = read_keypoints(EXAMPLE / "keypoints.json")[0]
-PARTS = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
+PHOTO = example_photo()
+KEYPOINTS = example_keypoints()
+PARTS = example_parts()
 QUICK = FitOptions(
     start="search",
     stages=(Stage("lift", 16, 12, 0.1), Stage("keypoints", 16, 6, 0.04), Stage("labels", 2, 8, 0.02, 64)),
@@ -84,7 +83,7 @@ def test_body_file_poses_to_the_fitted_joints(folder: Path, result: FitResult) -
     torch.testing.assert_close(body.camera().project(joints), result.camera.project(result.posed.joints))
 
 
-def test_body_json(folder: Path, result: FitResult) -> None:
+def test_body_json_states_joints_camera_and_measurements(folder: Path, result: FitResult) -> None:
     data = json.loads((folder / "body.json").read_text())
     joints = result.posed.joints[0].numpy()
     assert data["joints"]["names"] == list(JOINT_NAMES)
@@ -98,7 +97,7 @@ def test_body_json(folder: Path, result: FitResult) -> None:
     assert all(isinstance(value, float) and value > 0 for value in data["measurements_cm"].values())
 
 
-def test_report(folder: Path, result: FitResult) -> None:
+def test_the_report_scores_parts_and_keypoints(folder: Path, result: FitResult) -> None:
     report = json.loads((folder / "report.json").read_text())
     assert report["energy_total"] == pytest.approx(sum(result.energy.values()), abs=1e-3)
     assert report["parts"]["label_set"] == "cdcl14"
@@ -155,7 +154,7 @@ def test_overlay_shows_the_photo_and_the_body_on_it(folder: Path, result: FitRes
     assert changed[~body].mean() < 0.05  # outlines and keypoints
 
 
-def test_parts_picture(folder: Path) -> None:
+def test_the_parts_picture_has_the_colours_of_all_groups(folder: Path) -> None:
     picture = pixels(folder / "parts.png")
     height, width = picture.shape[:2]
     assert 400 < height < 1000
@@ -195,7 +194,7 @@ def test_panels_tell_missing_from_too_much() -> None:
     "history", [[[5.0]], [[1e9, 3.0], [-1.0, 0.0]], [[0.0], [-2.0]], [[2.0, 2.0, 2.0]], [[3.0, np.inf, np.nan]]]
 )
 @pytest.mark.filterwarnings("error")
-def test_loss_chart_of_any_history(history: list[list[float]], result: FitResult) -> None:
+def test_a_loss_chart_is_drawn_of_any_history(history: list[list[float]], result: FitResult) -> None:
     stages = tuple(Stage(f"stage {index}", 1, len(values), 0.1) for index, values in enumerate(history))
     chart = loss_chart(replace(result, history=[np.array(values) for values in history], stages=stages))
     assert chart.width > 500
@@ -206,7 +205,9 @@ def test_loss_chart_of_any_history(history: list[list[float]], result: FitResult
 # --- the detailed body ---------------------------------------------------------------------------------------------
 
 
-def test_the_detailed_body_s_files(registered: Registered, result: FitResult, tmp_path: Path) -> None:
+def test_the_detailed_body_s_files_hold_its_pose_and_overlay(
+    registered: Registered, result: FitResult, tmp_path: Path
+) -> None:
     folder = tmp_path / "new" / "out"
     save.save_registered(registered, folder, result.camera, PHOTO.shape[:2], photo=PHOTO, seconds=1.235)
     assert {path.name for path in folder.iterdir()} == set(save.DETAILED_FILES)
@@ -228,7 +229,7 @@ def test_the_detailed_body_s_files(registered: Registered, result: FitResult, tm
     assert changed[~body.numpy()].mean() < 0.01  # outlines
 
 
-def test_the_detailed_body_without_a_photo_or_over_a_large_one(
+def test_the_detailed_body_is_drawn_without_a_photo_too(
     registered: Registered, result: FitResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(save, "OVERLAY_SIDE", 128)

@@ -93,7 +93,7 @@ def test_terms_and_gradient_are_those_of_autograd(device):
     assert all(tensor.abs().max() > 0 for tensor in gradient.values())
 
 
-def test_an_energy_as_one_node(device):
+def test_energy_loss_agrees_with_autograd_for_an_optimiser_of_ones_own(device):
     """At first by torch, then as a graph: for an optimiser of one's own, with a factor for each body."""
     body = walker(device)
     seen = energy_of(body, labels=True)
@@ -143,7 +143,7 @@ def test_depth_is_held_as_in_torch(device):
 
 
 @pytest.mark.parametrize("gradient", ["edges", "partdr"])
-def test_a_known_camera_in_both_paths(device, gradient):
+def test_both_paths_agree_before_known_cameras(device, gradient):
     """Near and beside the axis, where perspective differs from weak perspective, also of each body's own camera."""
     body = walker(device)
     weights = Weights(depth=0.01, seg=1.0)
@@ -176,7 +176,7 @@ def test_a_camera_far_away_is_a_weak_one(device):
 
 
 @pytest.mark.parametrize("fmt", ["h36m17", "mpii16", "blazepose33"])
-def test_every_format_of_keypoints(device, fmt):
+def test_both_paths_agree_on_each_format_of_keypoints(device, fmt):
     body = walker(device)
     energy = Energy(unsure_observation(body, fmt), weights=Weights(length=0.0, thickness=0.0))
     check_both_paths(energy, moved_bodies(body, 3), 1e-6, 1e-5)
@@ -240,7 +240,7 @@ def test_labels_cost_and_pull_as_in_torch(device, gradient):
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-5, 1e-3, 0.49, 0.51, math.pi - 1e-4, math.pi, 6.5])
-def test_rotations_of_any_size(device, angle):
+def test_both_paths_agree_on_rotations_of_any_size(device, angle):
     body = walker(device)
     axes = torch.nn.functional.normalize(noise(np.random.default_rng(0), body.rotations, 1), dim=-1)
     check_both_paths(energy_of(body), replace(moved_bodies(body, 1), rotations=angle * axes), 1e-5, 2e-5)
@@ -257,7 +257,7 @@ def test_rotations_of_any_size(device, angle):
         [1.0, -2.0, 0.5, 1.0, -2.0, 0.6],
     ],
 )
-def test_orientations_of_any_columns(device, columns):
+def test_both_paths_agree_on_orientations_of_any_columns(device, columns):
     body = walker(device)
     bodies = replace(moved_bodies(body, 1), orientation=torch.tensor([columns], device=device))
     (terms, gradient), (want_terms, want) = (path(energy_of(body), bodies) for path in (gradient_at, autograd_at))
@@ -352,7 +352,7 @@ def test_buffers_serve_again(device):
     assert torch.equal(captured.refine(first).history, kept)
 
 
-def test_empty_batch(device):
+def test_an_empty_batch_is_refined(device):
     have = CapturedRefinement(energy_of(walker(device)), 0).refine(BodyParameters.mean(0, device=device))
     assert have.energy.shape == (0,)
     assert have.history.shape == (50, 0)

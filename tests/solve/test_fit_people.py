@@ -7,29 +7,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_parts
 
-from warp_partdr.body.labels import label_set
 from warp_partdr.body.stature import bone_statures
 from warp_partdr.cameras import Perspective
 from warp_partdr.inputs.cut_people import CutPerson
 from warp_partdr.inputs.evidence import weigh_evidence
-from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import crop_evidence
-from warp_partdr.inputs.part_labels import PartLabels, read_parts
+from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.interop.precision import exact_convolutions
 from warp_partdr.networks.regression.checkpoint import packaged_network
 from warp_partdr.solve.ellipsoids.fitting import fit_body, fit_people
 from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.stages import OUTLINE, Stage
 
-KEYPOINTS = read_keypoints(EXAMPLE / "keypoints.json")[0]
-PARTS = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
+KEYPOINTS = example_keypoints()
+PARTS = example_parts()
 FAST = replace(FitOptions.at("fast"), search=())
 # Rates so low that rounding, by which batches differ, does not turn small gradients, and with them Adam's steps.
 _STAGES = replace(FAST.stages[0], iterations=5, size=64, learning_rate=5e-4), Stage(OUTLINE, 1, 3, 5e-4, 48)
-QUICK = replace(FAST, stages=_STAGES)
+SMALL_STEPS = replace(FAST, stages=_STAGES)
 
 
 def cut(keypoints: Keypoints2D, parts: PartLabels | None, device: str, camera: Perspective | None = None) -> CutPerson:
@@ -45,9 +43,9 @@ def turned(degrees: float) -> Keypoints2D:
     return replace(KEYPOINTS, points=(KEYPOINTS.points - middle) @ turn.T + middle)
 
 
-@pytest.mark.parametrize("options", [QUICK, replace(QUICK, stages=())], ids=["refined", "network alone"])
+@pytest.mark.parametrize("options", [SMALL_STEPS, replace(SMALL_STEPS, stages=())], ids=["refined", "network alone"])
 @pytest.mark.parametrize("fov", [None, 50.0])
-def test_each_is_as_alone(options: FitOptions, fov: float | None, device: str) -> None:
+def test_each_person_is_fitted_as_alone(options: FitOptions, fov: float | None, device: str) -> None:
     """With labels and without, in one call; a camera is of all, and is not guessed."""
     options = replace(options, guess_camera=False)
     camera = None if fov is None else Perspective.of_picture(PARTS.groups.shape, fov=fov)
@@ -106,13 +104,14 @@ def test_without_the_mirror_image_and_in_bfloat16_people_stay_near() -> None:
 
 def with_probabilities() -> PartLabels:
     """The person's labels as probabilities of 0.9."""
-    maps = np.eye(PARTS.label_set.num_groups + 1, dtype=np.float32)[np.where(PARTS.groups < 255, PARTS.groups, 0)]
+    groups = np.where(PARTS.groups < 255, PARTS.groups, 0)
+    maps = np.eye(PARTS.label_set.num_groups + 1, dtype=np.float32)[groups]
     return replace(PARTS, maps=0.9 * np.moveaxis(maps, -1, 0))
 
 
 def test_people_with_probabilities_are_fitted_as_each_alone(device: str) -> None:
     """Torch refines them, all at once; whoever has labels beside them is refined by a graph."""
-    soft, options = with_probabilities(), replace(QUICK, guess_camera=False)
+    soft, options = with_probabilities(), replace(SMALL_STEPS, guess_camera=False)
     given = [(KEYPOINTS, soft), (KEYPOINTS, PARTS), (turned(5), soft)]
     with exact_convolutions():
         fits = fit_people([cut(*each, device) for each in given], options, packaged_network(device))
@@ -130,13 +129,15 @@ def test_each_has_the_stature_that_is_known_of_them(device: str) -> None:
         replace(person, observation=replace(person.observation, stature=stature))
         for person, stature in zip(people, known, strict=True)
     ]
-    fits = fit_people(people, QUICK, packaged_network(device))
+    fits = fit_people(people, SMALL_STEPS, packaged_network(device))
     for stature, fit in zip(known, fits, strict=True):
         assert fit.stature == pytest.approx(stature)
         found = float(bone_statures(fit.parameters.lengths))
         assert found == pytest.approx(stature or found, abs=1e-4)
         assert stature or 1.55 < found < 1.9
-        alone = fit_body(KEYPOINTS, PARTS, options=replace(QUICK, stature=stature, guess_camera=False), device=device)
+        alone = fit_body(
+            KEYPOINTS, PARTS, options=replace(SMALL_STEPS, stature=stature, guess_camera=False), device=device
+        )
         torch.testing.assert_close(fit.posed.joints, alone.posed.joints, atol=5e-3, rtol=0)
 
 

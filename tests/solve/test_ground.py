@@ -130,7 +130,7 @@ def test_who_lies_is_not_on_the_ground() -> None:
     np.testing.assert_allclose(found.ground.normal, turn @ LEVEL, atol=1e-3)
 
 
-def test_grounds_that_can_t_be() -> None:
+def test_impossible_grounds_are_refused() -> None:
     with pytest.raises(ValueError, match="normal: "):
         Ground(np.array([0.0, -2.0, 0.0]), 0.0)
     with pytest.raises(ValueError, match="offset: nan"):

@@ -8,15 +8,12 @@ from typing import Any
 
 import pytest
 import torch
-from helpers.files import EXAMPLE
+from helpers.example import example_keypoints, example_parts
 
-from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
-from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.observation import observe
 from warp_partdr.inputs.observations import Observations
-from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.interop.graph_cache import set_graph_memory
 from warp_partdr.solve.ellipsoids import captured
 from warp_partdr.solve.ellipsoids.captured import CapturedRefinement, refine_captured
@@ -43,8 +40,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
 
 def test_other_people_take_the_place_of_the_first(made: list[int], device: str) -> None:
     """Also where there are fewer than a graph holds; a graph of one's own, without memory to keep it, is the judge."""
-    keypoints = read_keypoints(EXAMPLE / "keypoints.json")[0]
-    seen, _ = observe(keypoints, read_parts(EXAMPLE / "parts.png", label_set("cdcl14")), device=device)
+    seen, _ = observe(example_keypoints(), example_parts(), device=device)
     factors = [torch.linspace(0.8, 1.2 + 0.1 * number, 36, device=device).view(-1, 1) for number in range(4)]
     mean = BodyParameters.mean(1, device=device)
     people = Observations.of([seen] * 36)

@@ -35,7 +35,7 @@ def seen_aside(device: str) -> tuple[Keypoints2D, PartLabels, np.ndarray]:
 
 
 @pytest.mark.parametrize("start", ["network", "search"])
-def test_a_person_beside_the_axis(device, start):
+def test_a_known_camera_helps_a_person_beside_the_axis(device, start):
     keypoints, parts, joints = seen_aside(device)
     options = replace(FitOptions.at("fast", start), guess_camera=False)
     given = {"options": options, "device": device}
@@ -64,7 +64,7 @@ def test_the_networks_body_is_turned_to_its_ray(device):
     assert errors[0] < errors[1]
 
 
-def test_cameras_that_are_refused():
+def test_cameras_that_a_fit_cannot_use_are_refused():
     keypoints, parts, _ = seen_aside("cpu")
     two = Perspective(CAMERA.focal.repeat(2, 1), CAMERA.centre.repeat(2, 1))
     flat = Perspective(torch.tensor([[260.0, 200.0]]), CAMERA.centre)
@@ -79,7 +79,7 @@ def test_cameras_that_are_refused():
             fit_body(keypoints, parts, camera=camera)
 
 
-def test_the_camera_of_a_picture():
+def test_a_picture_s_camera_comes_from_its_focal_length_or_field_of_view():
     wide = Perspective.of_picture((100, 200), fov=90)
     assert wide.intrinsics.tolist() == [pytest.approx([100, 100, 100, 50])]
     for options, says in (

@@ -68,7 +68,7 @@ def test_who_overlaps_is_drawn_together(widths: tuple[float, ...], clusters: tup
     assert find_clusters(looks, scene.num_people) == clusters
 
 
-def test_once_is_enough() -> None:
+def test_people_who_meet_in_one_frame_are_drawn_together_in_all() -> None:
     """Two who meet in one of the frames are drawn together in all."""
     scene, looks = looked(line(0.0, 3.0) + line(0.0, 0.2, frame=1))
     assert find_clusters(looks, scene.num_people) == ((0, 1),)

@@ -262,7 +262,7 @@ def test_a_person_s_frames_are_placed_in_one_camera():
         assert torch.equal(rotation, expected)
 
 
-def test_shares_of_frames():
+def test_shares_of_frames_fall_with_their_distance_in_time():
     seen = torch.tensor([[True, True, True, False, False, False]])
     shares = time_shares(seen, torch.arange(6.0, dtype=torch.float64), 1.0)[0]
     torch.testing.assert_close(shares.sum(1), torch.ones(6, dtype=torch.float64))
@@ -302,7 +302,7 @@ def test_starts_keep_more_of_a_fast_move_than_moves_could_bring_back():
     assert 1.3 * float(people.smooth[7, 7]) < kept < 0.5
 
 
-def test_a_mesh_several_times():
+def test_a_repeated_mesh_keeps_its_edges_and_counts_its_labels_on():
     one = PartMesh.from_faces(np.array([[0, 1, 2], [2, 1, 3]]), np.array([1, 2]))
     two = one.repeated(2, 5, 6)
     assert two.faces.tolist() == [[0, 1, 2], [2, 1, 3], [6, 7, 8], [8, 7, 9]]
@@ -316,7 +316,7 @@ def test_a_mesh_several_times():
         one.repeated(2, 200, 6)
 
 
-def test_scenes_that_can_t_be():
+def test_impossible_scenes_and_options_are_refused():
     scene = make_views(3, 1).scene
     sight, views = scene.sights[0], scene.views
     points = sight.keypoints.points.copy()

@@ -77,7 +77,7 @@ def test_hypotheses_hold_the_truth():
     assert few.batch_size == 1
 
 
-def test_hypotheses_without_a_trunk():
+def test_hypotheses_without_a_trunk_are_finite():
     names = ("left_knee", "left_ankle")
     seen = Observation(names, torch.tensor([[0.0, 0.0], [0.1, 0.5]]), torch.ones(2), None, None)
     starts, targets, known = hypothesize(seen, 16)

@@ -57,7 +57,7 @@ def test_what_was_not_seen_costs_nothing(device, costs):
 
 
 @pytest.mark.parametrize("sort", [torch.uint8, torch.int32])
-def test_borders_between_labels_and_not_with_what_is_ignored(device, sort):
+def test_borders_are_counted_between_labels_and_not_beside_ignored_pixels(device, sort):
     labels = torch.zeros(2, 6, 8, dtype=sort, device=device)
     labels[0, 2:4, 3:6] = 5  # 2 x 3 pixels: 10 long
     labels[1] = labels[0]

@@ -151,7 +151,7 @@ _NO_SIZES = [(0, 10), (3,), (5, -1), (float("nan"), 10), (10.5, 10), ("a", "b"),
 
 
 @pytest.mark.parametrize("size", _NO_SIZES)
-def test_sizes_that_no_picture_has(size):
+def test_sizes_that_no_picture_has_are_refused(size):
     with pytest.raises(InputError, match=r"image_size: .*; expected .H, W. in whole pixels"):
         Keypoints2D("coco17", np.zeros((17, 2), np.float32), np.ones(17, np.float32), image_size=size)
     if size != 7:

@@ -149,7 +149,7 @@ def test_the_slider_moves_bodies(window: MotionWindow) -> None:
     assert (before[:, 768:] != after[:, 768:]).any()
 
 
-def test_buttons_and_keys(window: MotionWindow) -> None:
+def test_buttons_and_keys_change_what_is_shown(window: MotionWindow) -> None:
     state, scene = window.state, window.scene
     for text, now in (
         ("play", lambda: state.playing),
@@ -226,7 +226,7 @@ def test_pictures_fill_the_room() -> None:
 
 
 @pytest.mark.parametrize("name", ["out.gif", "out.mp4"])
-def test_a_recording(can_draw: None, folder: Path, name: str) -> None:
+def test_a_motion_is_recorded_from_first_to_last_frame(can_draw: None, folder: Path, name: str) -> None:
     path = folder.parent / name
     film = f"film={folder.parent / 'walk.mp4'}"
     done = CliRunner().invoke(app, ["demo", str(folder), "--record", str(path), "--set", film])

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 from helpers import viewer
-from helpers.files import EXAMPLE
+from helpers.example import example_photo
 from helpers.viewer import click
 from PIL import Image
 from typer.testing import CliRunner
@@ -23,7 +23,7 @@ one_thread, open_window, window = viewer.one_thread, viewer.open_window, viewer.
 
 
 @pytest.mark.parametrize("name", ["out.gif", "out.html"])
-def test_record(can_draw, tmp_path, name):
+def test_the_command_records_a_film_or_a_page(can_draw, tmp_path, name):
     line = ["demo", "--record", str(tmp_path / name), "--set", "steps=3", "--set", "size=64"]
     done = CliRunner().invoke(app, line)
     assert done.exit_code == 0, done.output
@@ -39,7 +39,7 @@ def test_record(can_draw, tmp_path, name):
 
 def test_a_photo_is_enough(can_draw, tmp_path):
     """The second largest of the people in it is the target, with photo and mask."""
-    photo = Image.open(EXAMPLE / "photo.png").convert("RGB")
+    photo = Image.fromarray(example_photo())
     both = Image.new("RGB", (2 * photo.width, photo.height), photo.getpixel((5, 5)))
     both.paste(photo, (0, 0))
     both.paste(photo.resize((photo.width // 2, photo.height // 2)), (photo.width + 60, 120))
@@ -87,7 +87,7 @@ def test_record_checks_the_name(tmp_path, monkeypatch):
         (["--record", "out.gif", "--start", "nowhere.npz"], "nowhere.npz: No such file"),
     ],
 )
-def test_command_faults(arguments, said, monkeypatch, tmp_path):
+def test_faults_of_the_command_are_refused(arguments, said, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
@@ -97,7 +97,7 @@ def test_command_faults(arguments, said, monkeypatch, tmp_path):
     assert said in str(done.exception)
 
 
-def test_film(window, monkeypatch):
+def test_the_film_button_records_until_it_is_pressed_again(window, monkeypatch):
     click(window, "film")
     for _ in range(3):
         window.press("n")
@@ -124,7 +124,7 @@ def test_film(window, monkeypatch):
     assert "2 pictures" in window.scene.message  # those of before
 
 
-def test_a_film_of_a_window_that_changes_its_size(tmp_path):
+def test_a_film_keeps_one_size_though_the_window_changes(tmp_path):
     film = Film()
     for height, width in ((800, 1281), (900, 1280), (400, 500)):
         film.take(np.full((height, width, 3), 90, np.uint8))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import viewer
+from helpers.example import example_mask
 from helpers.files import EXAMPLE
 from helpers.viewer import SMALL, make_state, play, read_target
 from PIL import Image
@@ -128,7 +129,7 @@ def test_pictures_of_a_body_that_is_there_differ_nowhere():
     assert state.joint_error() == pytest.approx(0, abs=1e-3)
 
 
-def test_save_and_load(tmp_path):
+def test_a_saved_body_is_loaded_as_it_was(tmp_path):
     state, other = make_state(), make_state()
     play(state, 3)
     state.save(tmp_path / "body.npz", tmp_path / "body.glb")
@@ -155,7 +156,7 @@ def test_a_photo_with_labels_is_a_target():
 
 
 def test_the_photo_is_cut_as_its_labels_are(tmp_path):
-    person = np.asarray(Image.open(EXAMPLE / "parts.png")) > 0
+    person = example_mask()
     Image.fromarray(np.repeat(person[..., None] * np.uint8(255), 3, axis=-1)).save(tmp_path / "white.png")
     target = read_target(tmp_path / "white.png", parts=EXAMPLE / "parts.png", labels="cdcl14")
     labels = resize_nearest(target.observation.labels, len(target.photo)).numpy()
@@ -186,12 +187,12 @@ def test_a_photo_without_labels_says_what_works():
         ({"learning_rate": float("nan")}, "learning_rate: nan; expected"),
     ],
 )
-def test_bad_settings(changes, said):
+def test_bad_settings_are_refused(changes, said):
     with pytest.raises(InputError, match=said):
         read_section(Settings, changes)
 
 
-def test_bad_bodies(tmp_path):
+def test_bad_bodies_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"body: 'dancing'; expected one of t-pose"):
         body_of("dancing")
     (tmp_path / "broken.npz").write_bytes(b"PK")

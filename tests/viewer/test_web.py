@@ -214,8 +214,8 @@ def test_pages_come_and_go_while_it_plays_without_a_word(window, caplog, monkeyp
     visit(window, visitor)
 
 
-def test_requests(window):
-    """The page comes once, and to nobody else; what is malformed is told; pictures are as rough as the line is slow."""
+def test_requests_of_pages_are_answered_and_those_of_others_refused(window):
+    """The page is sent once. What is malformed is told. Pictures are as rough as the line is slow."""
 
     async def visitor(browser: Browser) -> None:
         import aiohttp
@@ -257,7 +257,7 @@ def test_keys_have_names_in_a_browser(window):
     assert all(len(name) == 1 or name[0] == "F" or name in web.BROWSER_NAMES.values() for name in names)
 
 
-def test_where_the_page_is():
+def test_the_page_has_an_address_for_any_host():
     assert web.page_address("127.0.0.1", 80) == "http://127.0.0.1:80/"
     assert web.page_address("::1", 80) == "http://[::1]:80/"
     assert socket.gethostname() in web.page_address("::", 80)
@@ -287,7 +287,7 @@ def test_the_command_says_where_and_ends_with_ctrl_c(can_draw):
     assert running.returncode == 0
 
 
-def test_without_the_backend(monkeypatch):
+def test_a_missing_backend_is_an_error_that_names_it(monkeypatch):
     monkeypatch.setattr(web, "find_spec", lambda name: None)
     done = CliRunner().invoke(app, ["demo", "--web"])
     assert isinstance(done.exception, InputError)

@@ -42,9 +42,10 @@ class Workers:
     """Actors that make shards.
 
     Attributes:
-        most: So many at a time; None: as many as the cluster has room for, which may grow.
-        cores: CPU cores of each.
-        gpus: GPUs of each.
+        most: Greatest number of actors at a time. If it is None, there are as many as the cluster has room for, which
+            may grow.
+        cores: CPU cores of each actor.
+        gpus: GPUs of each actor.
     """
 
     most: int | None
@@ -97,13 +98,14 @@ def make_on_cluster(
     """Make shards of a data set by the actors of a cluster that is connected.
 
     Args:
-        source: Of the pictures, whose files all machines have at the same place.
-        shards: Of ``source.names``, in a folder that all machines share.
-        build: Makes the fitter, once in each actor.
-        columns: Of the rows.
-        todo: The shards to make.
-        workers: The actors.
-        written: Called after each shard with its index and the numbers so far, as they come.
+        source: Source of the pictures. All machines have its files at the same place.
+        shards: Shards of ``source.names``, in a folder that all machines share.
+        build: Function that makes the fitter, once in each actor.
+        columns: Columns of the rows.
+        todo: Indices of the shards to make.
+        workers: Actors that make them.
+        written: Function that is called after each shard, in the order in which they come, with its index and the
+            numbers so far.
 
     Raises:
         InputError: If a shard can't be written.

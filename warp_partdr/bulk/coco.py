@@ -46,9 +46,9 @@ class CocoAnnotation:
     """An annotation of a person.
 
     Attributes:
-        entry: Its entry in the list annotations.
-        image: Entry of its picture in the list images, which may state a size.
-        form: Skeleton of its keypoints; None: their number tells.
+        entry: Entry of the annotation in the list annotations.
+        image: Entry of its picture in the list images. It may state a size.
+        form: Skeleton of the keypoints. If it is None, their number tells it.
     """
 
     entry: Mapping[str, Any]
@@ -81,10 +81,10 @@ class CocoPictures:
     """Pictures of a COCO file of annotations, with its people: keypoints, and masks where all have one.
 
     Attributes:
-        folder: Of the pictures.
-        annotations: Of people, by the picture's file_name.
+        folder: Folder of the pictures.
+        annotations: Annotations of people, by the picture's file_name.
         digest: SHA-256 of the file.
-        skeleton: Format of the keypoints that rows have: that of most annotations.
+        skeleton: Format of the keypoints that rows have, which is that of most annotations.
         warnings: Sentences about what was left out of the file.
     """
 
@@ -171,8 +171,9 @@ def open_coco(path: Path, folder: Path, keypoint_format: Skeleton | None = None)
 
     Args:
         path: The file.
-        folder: Of the pictures.
-        keypoint_format: Format of all keypoints; None: the names in the file's categories tell, or their number.
+        folder: Folder of the pictures.
+        keypoint_format: Format of all keypoints. If it is None, the names in the file's categories tell it, or the
+            number of keypoints.
 
     Raises:
         InputError: If it can't be read or is none, two pictures have one id, or no annotation is of a person in one of
@@ -189,9 +190,9 @@ def open_coco(path: Path, folder: Path, keypoint_format: Skeleton | None = None)
     first = next((entry["keypoints"] for entry in entries if isinstance(entry, Mapping) and "keypoints" in entry), None)
     names = None if keypoint_format is not None else file_names(data, first, str(path))
     named = None if names is None else skeleton_of_names(names, str(path))
-    told = None if names is None or named is None else left_out_warning(names, named)
+    warning = None if names is None or named is None else left_out_warning(names, named)
     named_images = [_found_image(image, folder) for image in images]
-    warnings = () if told is None else (f"{path}: {told}",)
+    warnings = () if warning is None else (f"{path}: {warning}",)
     return _File(path, named_images, entries, categories, keypoint_format, named, warnings).open(folder)
 
 
@@ -267,8 +268,8 @@ class _File:
         main = _main_skeleton(marked)
         others = sum(each.form is not None and each.form.landmarks != skeleton(main).landmarks for each in marked)
         if others:
-            told = f"have other keypoints than most; the column keypoints holds what {skeleton(main).name} has"
-            warnings.append(f"{self.path}: {self._count(others)} {told}")
+            reason = f"have other keypoints than most; the column keypoints holds what {skeleton(main).name} has"
+            warnings.append(f"{self.path}: {self._count(others)} {reason}")
         return CocoPictures(folder, annotations, file_sha256(self.path), main, (*used, *warnings))
 
     def _named(self, warnings: list[str]) -> list[Mapping[str, Any]]:
@@ -276,10 +277,10 @@ class _File:
         named = [image for image in self.images if _is_named(image)]
         nameless = [image for image in self.images if not _is_named(image)]
         if nameless:
-            told = f"{shown(nameless[0])}; expected id and file_name"
+            fault = f"{shown(nameless[0])}; expected id and file_name"
             if not named:
-                raise InputError(f"{self.path}: images: {told}")
-            warnings.append(f"{self.path}: {len(nameless)} of {len(self.images)} images left out, first {told}")
+                raise InputError(f"{self.path}: images: {fault}")
+            warnings.append(f"{self.path}: {len(nameless)} of {len(self.images)} images left out, first {fault}")
         return named
 
     def _pictures(self, named: Iterable[Mapping[str, Any]]) -> dict[int | str | None, Mapping[str, Any]]:
@@ -293,8 +294,8 @@ class _File:
                 continue
             same = by_id.setdefault(number, image)
             if same["file_name"] != image["file_name"]:
-                told = f"id {shown(image['id'])} is of {shown(same['file_name'])} and of {shown(image['file_name'])}"
-                raise InputError(f"{self.path}: images: {told}; expected one picture an id")
+                fault = f"id {shown(image['id'])} is of {shown(same['file_name'])} and of {shown(image['file_name'])}"
+                raise InputError(f"{self.path}: images: {fault}; expected one picture an id")
         return by_name | by_id
 
     @cached_property
@@ -407,9 +408,9 @@ def decode_runs(given: Mapping[str, Any], size: tuple[int, int], where: str) -> 
     Own, for it is short and lengths of files by others are checked; pycocotools writes what they say.
 
     Args:
-        given: With "size" and "counts".
-        size: (H, W) of the picture.
-        where: Begins messages.
+        given: Mapping with "size" and "counts".
+        size: Height and width (H, W) of the picture [px].
+        where: Beginning of messages, such as the file's name.
 
     Returns:
         Shape (H, W), bool.

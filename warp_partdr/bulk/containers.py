@@ -168,11 +168,11 @@ class _Index:
         targets = {posixpath.normpath(name): posixpath.normpath(target) for name, target in self.links.items()}
         found = dict(self.files)
         for name, target in self.links.items():
-            place = posixpath.normpath(target)
+            path = posixpath.normpath(target)
             for _ in range(_MOST_LINKS):
-                place = targets.get(place, place)
-            if place in places:
-                found[name] = Member(name, places[place].start, places[place].size)
+                path = targets.get(path, path)
+            if path in places:
+                found[name] = Member(name, places[path].start, places[path].size)
             else:
                 left_out.add(name, "links to what is not in the tar file")
         for name in self.sparse:

@@ -48,9 +48,9 @@ class Cut:
     """People cut out of some pictures.
 
     Attributes:
-        pictures: Their names.
-        rows: Of these.
-        people: Those who are alike together, with their rows' numbers.
+        pictures: Names of the pictures.
+        rows: Rows of the people.
+        people: Groups of people of the same kind, with their rows' indices.
     """
 
     pictures: tuple[str, ...]
@@ -78,10 +78,10 @@ class Cutter:
         cut: list[tuple[int, CutPerson]] = []
         masked: list[tuple[int, MaskedPerson]] = []
         labelled: list[tuple[int, LabelledPerson]] = []
-        sources = [found.get(place, seen) for place, (_, seen) in enumerate(held)]
+        sources = [found.get(index, seen) for index, (_, seen) in enumerate(held)]
         known_parts = [known for known in sources if isinstance(known, SourcePicture) and known.parts is not None]
         measure_heights([each.keypoints for known in known_parts for each in known.people or ()])
-        for place, ((name, seen), known) in enumerate(zip(held, sources, strict=True)):
+        for index, ((name, seen), known) in enumerate(zip(held, sources, strict=True)):
             row: Row = {"picture": name}
             if isinstance(seen, SourcePicture):
                 row |= dict(zip(("height", "width"), seen.size, strict=True))
@@ -100,10 +100,10 @@ class Cutter:
             if not row["people"]:
                 rows.append(row)
             for number, person in enumerate(known.people):
-                told = [*row.get(FILE_WARNINGS, ()), *person.warnings]
-                rows.append(row | {"person": number, FILE_WARNINGS: told} | _describe(person, self.skeleton))
+                warnings = [*row.get(FILE_WARNINGS, ()), *person.warnings]
+                rows.append(row | {"person": number, FILE_WARNINGS: warnings} | _describe(person, self.skeleton))
                 try:
-                    if place not in found:
+                    if index not in found:
                         check_inside(person.keypoints, (row["height"], row["width"]))
                     if known.parts is not None:
                         others = [each.keypoints for each in known.people if each is not person]
@@ -131,11 +131,11 @@ class Cutter:
                 rows[number] |= _fault(error)
         cut.sort(key=lambda each: each[0])
         numbers = np.array([number for number, _ in cut])
-        alike = stack_alike([person for _, person in cut])
+        groups = stack_alike([person for _, person in cut])
         return Cut(
             tuple(name for name, _ in held),
             PeopleRows.of(rows),
-            [(numbers[places], people) for places, people in alike],
+            [(numbers[places], people) for places, people in groups],
         )
 
     def _cut_labelled(self, people: Sequence[LabelledPerson]) -> list[CutPerson | None]:
@@ -189,7 +189,7 @@ def _describe(person: KnownPerson, form: str | Skeleton) -> dict[str, Any]:
     if own != landmarks:
         missing = np.zeros(3, dtype=np.float32)
         order = [own.index(name) if name in own else None for name in landmarks]
-        keypoints = np.stack([missing if place is None else keypoints[place] for place in order])
+        keypoints = np.stack([missing if index is None else keypoints[index] for index in order])
     return {
         "annotation": person.annotation,
         "score": person.score,

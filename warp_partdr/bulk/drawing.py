@@ -32,13 +32,13 @@ class DrawnPerson:
     """A person who was drawn.
 
     Attributes:
-        address: Of the row.
-        value: Of the score that chose the person.
-        picture: Its name.
-        person: Number of the person in it.
-        warnings: Of the row.
+        address: Address of the row.
+        value: Value of the score that chose the person.
+        picture: Name of the picture.
+        person: Number of the person in the picture.
+        warnings: Warnings of the row.
         on_photo: True if the photo could be read.
-        jpeg: The drawing, bytes of a JPEG file.
+        jpeg: Bytes of the drawing, a JPEG file.
     """
 
     address: Address
@@ -56,11 +56,11 @@ def draw_worst(
     """Draw the worst people, shard by shard.
 
     Args:
-        files: Of the data set.
-        worst: Of the same.
-        read: Gives a picture by its name; where it fails, or the picture has another size by now, the body is drawn
-            alone. None: no pictures.
-        model: As of ``draw_person``.
+        files: Files of the data set.
+        worst: Worst people of the data set.
+        read: Function that reads a picture by its name. If it fails, or the picture has another size by now, the body
+            is drawn alone. If it is None, there are no pictures.
+        model: Detailed model, as in ``draw_person``.
     """
     values = dict(zip(worst.addresses, worst.values.tolist(), strict=True))
     for shard, rows in by_shard(worst.addresses).items():
@@ -96,10 +96,10 @@ def draw_person(
     """A person's part of the photo with the keypoints, and beside it the body; without a photo both on gray.
 
     Args:
-        person: The body.
+        person: Row with the body.
         form: Format of the keypoints.
-        photo: The picture, shape (H, W, 3), uint8; None: it can't be read.
-        model: Of the detailed body, which is drawn if the row has one; None: ellipsoids are.
+        photo: Picture, shape (H, W, 3), uint8. If it is None, it can't be read.
+        model: Model of the detailed body, which is drawn if the row has one. If it is None, ellipsoids are drawn.
     """
     from PIL import Image
 

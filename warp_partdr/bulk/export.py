@@ -37,8 +37,8 @@ def _save_glb(body: Body, folder: Path) -> None:
 
 def _detailed(body: Body, name: str) -> Registered:
     if body.registered is None:
-        told = "rows hold ellipsoids alone; expected glb, npz or json, or a data set of --quality mesh"
-        raise InputError(f"--to: {name}: {told}")
+        fault = "rows hold ellipsoids alone; expected glb, npz or json, or a data set of --quality mesh"
+        raise InputError(f"--to: {name}: {fault}")
     return body.registered
 
 
@@ -77,11 +77,11 @@ def save_person(
     """Write a row's body, and a report that says where it is from, into a folder of its own.
 
     Args:
-        person: The row.
-        formats: Of ``WRITERS``.
-        model: Of the detailed body; None if rows hold none.
-        folder: In which the person's is made.
-        about: Of the shard.
+        person: Row with the body.
+        formats: Names of formats, among ``WRITERS``.
+        model: Model of the detailed body. It is None if rows hold no detailed bodies.
+        folder: Folder in which the person's folder is made.
+        about: Facts about the shard.
 
     Returns:
         The person's folder, which replaces what an earlier export wrote there.

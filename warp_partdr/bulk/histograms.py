@@ -36,9 +36,9 @@ class Histogram:
     """Counts of numbers of 0 or more, 0.05 % apart at most.
 
     Attributes:
-        total: How many were added.
-        low: The smallest.
-        high: The largest.
+        total: Count of the numbers that were added.
+        low: Smallest number.
+        high: Largest number.
     """
 
     total: int = 0
@@ -61,8 +61,8 @@ class Histogram:
         rank = min(max(math.ceil(share * self.total), 1), self.total)
         if rank == self.total:
             return self.high
-        place = int(np.searchsorted(np.cumsum(self._counts), rank))
-        return min(max(float(_middles()[place]), self.low), self.high)
+        index = int(np.searchsorted(np.cumsum(self._counts), rank))
+        return min(max(float(_middles()[index]), self.low), self.high)
 
     def bars(self) -> Bars:
         """Bars of round widths, from 0 on where numbers begin near it."""
@@ -73,12 +73,12 @@ class Histogram:
         number = math.floor(high / step) - first + 1
         there = np.flatnonzero(self._counts)
         numbers = np.clip(_middles()[there], self.low, self.high)
-        place = np.floor(numbers / step).astype(np.int64) - first
-        place[(place == number) & (numbers <= (first + number) * step * (1 + 1e-9))] -= 1  # the end itself
+        bins = np.floor(numbers / step).astype(np.int64) - first
+        bins[(bins == number) & (numbers <= (first + number) * step * (1 + 1e-9))] -= 1  # the end itself
         counts = self._counts[there]
-        inside = (place >= 0) & (place < number)
-        drawn = np.bincount(place[inside], weights=counts[inside], minlength=number).astype(np.int64)
-        return Bars(first * step, step, drawn, int(counts[place < 0].sum()), int(counts[place >= number].sum()))
+        inside = (bins >= 0) & (bins < number)
+        drawn = np.bincount(bins[inside], weights=counts[inside], minlength=number).astype(np.int64)
+        return Bars(first * step, step, drawn, int(counts[bins < 0].sum()), int(counts[bins >= number].sum()))
 
 
 def round_up(value: float) -> float:

@@ -82,10 +82,10 @@ def _search(folder: Path, left_out: LeftOut) -> list[str]:
         here = folders.pop() if folders else links.pop()
         names: list[str] = []
         try:
-            place = os.path.realpath(here)
-            if place in searched:
+            path = os.path.realpath(here)
+            if path in searched:
                 continue
-            searched.add(place)
+            searched.add(path)
             with os.scandir(here) as entries:
                 for entry in sorted(entries, key=lambda each: each.name, reverse=True):
                     if is_hidden_name(entry.name):

@@ -90,14 +90,14 @@ def _tiles(survey: Survey) -> str:
 
 def _marks(files: PeopleFiles, survey: Survey) -> str:
     """Sentences about what makes a data set doubtful as a whole."""
-    told = []
+    marks = []
     if missing := files.expected - len(files.paths):
         absent = [str(shard) for shard in range(files.expected) if shard not in files.paths][:10]
         more = ", ..." if missing > len(absent) else ""
-        told.append(f"{missing} of {files.expected} shards are not there: {', '.join(absent)}{more}")
-    told += [f"{first}: {count} so, first shard {where.shard}" for count, first, where in survey.faults.sorted()]
-    told += [f"Not the same in all shards: {name}" for name in survey.differing]
-    return "".join(f"<p class=mark>{escape(each)}</p>" for each in told)
+        marks.append(f"{missing} of {files.expected} shards are not there: {', '.join(absent)}{more}")
+    marks += [f"{first}: {count} so, first shard {where.shard}" for count, first, where in survey.faults.sorted()]
+    marks += [f"Not the same in all shards: {name}" for name in survey.differing]
+    return "".join(f"<p class=mark>{escape(each)}</p>" for each in marks)
 
 
 def _figure(score: PersonScore, histogram: Histogram | None) -> str:
@@ -106,8 +106,8 @@ def _figure(score: PersonScore, histogram: Histogram | None) -> str:
     shares = (0.01, 0.05) if score.worst == "low" else (0.95, 0.99)
     below = ", ".join(f"{100 * share:.0f} % below {histogram.quantile(share):.3g}" for share in shares)
     extent = f"{histogram.low:.3g} to {histogram.high:.3g} {score.unit}".rstrip()
-    told = f"{extent}; median {histogram.quantile(0.5):.3g}; {below}; {histogram.total:,} people"
-    return f"<figure>{_histogram(score, histogram)}<figcaption>{escape(told)}</figcaption></figure>"
+    caption = f"{extent}; median {histogram.quantile(0.5):.3g}; {below}; {histogram.total:,} people"
+    return f"<figure>{_histogram(score, histogram)}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
 def _histogram(score: PersonScore, histogram: Histogram) -> str:
@@ -124,9 +124,9 @@ def _histogram(score: PersonScore, histogram: Histogram) -> str:
     for index, count in enumerate(bars.counts.tolist()):
         if count:
             low, tall = bars.start + index * bars.step, max(height * count / most, 0.7)
-            told = f"{low:.4g} to {low + bars.step:.4g} {score.unit}: {count:,}"
-            place = f"x='{across(low):.1f}' y='{bottom - tall:.1f}' width='{wide:.1f}' height='{tall:.1f}'"
-            drawn.append(f"<rect {place} fill='#3f76b5'><title>{escape(told)}</title></rect>")
+            text = f"{low:.4g} to {low + bars.step:.4g} {score.unit}: {count:,}"
+            attributes = f"x='{across(low):.1f}' y='{bottom - tall:.1f}' width='{wide:.1f}' height='{tall:.1f}'"
+            drawn.append(f"<rect {attributes} fill='#3f76b5'><title>{escape(text)}</title></rect>")
     step = round_up(extent / 7)
     ticks = np.arange(np.ceil(bars.start / step - 1e-6), np.floor(bars.stop / step + 1e-6) + 1) * step + 0.0
     for tick in ticks.tolist():
@@ -141,8 +141,8 @@ def _histogram(score: PersonScore, histogram: Histogram) -> str:
         (bars.above, "beyond", "end", _WIDTH - _LEFT),
     ):
         if beyond:
-            told = f"{beyond:,} {side}"
-            drawn.append(f"<text x='{edge}' y='{_HEIGHT - 3}' text-anchor='{anchor}' fill='#c2410c'>{told}</text>")
+            text = f"{beyond:,} {side}"
+            drawn.append(f"<text x='{edge}' y='{_HEIGHT - 3}' text-anchor='{anchor}' fill='#c2410c'>{text}</text>")
     name = score.title + (f" [{score.unit}]" if score.unit else "")
     return (
         f"<svg viewBox='0 0 {_WIDTH} {_HEIGHT}' role='img' font-size='11' fill='#3b4552'>"
@@ -177,13 +177,13 @@ def _provenance(made: Mapping[str, Kinds]) -> str:
     lines = []
     for name, kinds in made.items():
         values = kinds.sorted()
-        told = "; ".join(
+        text = "; ".join(
             escape(value) + (f" ({count:,} shards, first {where.shard})" if len(values) > 1 else "")
             for count, value, where in values[:8]
         )
-        lines.append(f"<tr{' class=mark' if len(values) > 1 else ''}><td>{escape(name)}<td>{told}</tr>")
-    told = "The same in all shards, but for what is marked."
-    return f"<h2>Made with</h2><p class=soft>{told}</p><table>{''.join(lines)}</table>"
+        lines.append(f"<tr{' class=mark' if len(values) > 1 else ''}><td>{escape(name)}<td>{text}</tr>")
+    text = "The same in all shards, but for what is marked."
+    return f"<h2>Made with</h2><p class=soft>{text}</p><table>{''.join(lines)}</table>"
 
 
 def _people(files: PeopleFiles, survey: Survey, people: Sequence[DrawnPerson], note: str) -> str:
@@ -195,8 +195,8 @@ def _people(files: PeopleFiles, survey: Survey, people: Sequence[DrawnPerson], n
         data = base64.b64encode(each.jpeg).decode()
         shown = f"<img alt='row {each.address}' src='data:image/jpeg;base64,{data}'>"
         warned = "".join(f"<br><span class=warn>{escape(warning)}</span>" for warning in each.warnings)
-        told = f"{each.value:.3g} {score.unit}<br>{escape(each.picture)}, person {each.person}"
-        cards.append(f"<figure>{shown}<figcaption><b>{each.address}</b> {told}{warned}</figcaption></figure>")
+        caption = f"{each.value:.3g} {score.unit}<br>{escape(each.picture)}, person {each.person}"
+        cards.append(f"<figure>{shown}<figcaption><b>{each.address}</b> {caption}{warned}</figcaption></figure>")
     return (
         f"<h2>The worst {len(people)}: {end} &ldquo;{escape(score.title)}&rdquo;</h2><p>{escape(note)} "
         f"A body's files: <code>{escape(command)}</code></p><div class=people>{_lines(cards)}</div>"

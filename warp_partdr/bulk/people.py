@@ -69,13 +69,13 @@ class PeopleFitter:
     """Fitter of everyone in pictures: it finds people, predicts their bodies and refines them.
 
     Attributes:
-        options: Of the fits, such as ``stages_of_quality``; with ``half``, people are found in float16 on CUDA.
-        network: On the device, in evaluation mode.
-        model: On the device; with one, the mesh stage makes the detailed body, too.
-        device: "cpu" or a CUDA device.
-        batch: People that are fitted at a time.
-        min_score: Least confidence that there is a person, of those who are found.
-        cutter: Cuts people out of pictures.
+        options: Options of the fits, such as ``stages_of_quality``. With ``half``, people are found in float16 on CUDA.
+        network: Network on the device, in evaluation mode.
+        model: Detailed model on the device. If there is one, the mesh stage makes the detailed body, too.
+        device: Device, "cpu" or a CUDA device.
+        batch: Number of people that are fitted at a time.
+        min_score: Least confidence that there is a person, for people who are found.
+        cutter: Object that cuts people out of pictures.
     """
 
     options: FitOptions
@@ -94,9 +94,10 @@ class PeopleFitter:
         Rows are the same whatever is fitted beside them.
 
         Args:
-            pool: Of so many ``workers``, which find and fit people.
-            pictures: Names, and pictures, or why they can't be read; or people cut out of some.
-            tell: Called with each picture's name.
+            pool: Pool with ``workers`` threads, which find and fit people.
+            pictures: Names with pictures, or with the reason why they can't be read, or people cut out of some
+                pictures.
+            tell: Function that is called with each picture's name.
         """
         taken = _Taken(self, pool)
         for given in pictures:
@@ -246,10 +247,10 @@ class _Waiting:
         return np.concatenate([places for places, _ in taken]), [people for _, people in taken]
 
 
-def _fit_people(how: PeopleFitter, given: Sequence[CutPeople]) -> list[RowPart]:
-    people = CutPeople.joined([each.to(how.device) for each in given])
+def _fit_people(fitter: PeopleFitter, given: Sequence[CutPeople]) -> list[RowPart]:
+    people = CutPeople.joined([each.to(fitter.device) for each in given])
     parts: list[RowPart] = []
-    for own, found in attempt(how.bodies, people):
+    for own, found in attempt(fitter.bodies, people):
         if isinstance(found, Exception):
             some: Sequence[RowPart] = [error_part(0, one_line(found), passing=is_passing(found))]
         else:
@@ -258,10 +259,10 @@ def _fit_people(how: PeopleFitter, given: Sequence[CutPeople]) -> list[RowPart]:
     return parts
 
 
-def _cut_people(how: PeopleFitter, held: Sequence[Held]) -> Cut:
+def _cut_people(fitter: PeopleFitter, held: Sequence[Held]) -> Cut:
     """Rows of pictures and their people, and the people cut out, for a fit."""
-    unknown = [place for place, (_, seen) in enumerate(held) if isinstance(seen, SourcePicture) and seen.people is None]
+    unknown = [index for index, (_, seen) in enumerate(held) if isinstance(seen, SourcePicture) and seen.people is None]
     found: dict[int, Read] = {}
-    for own, some in attempt(how.find, [held[place][1] for place in unknown]):
+    for own, some in attempt(fitter.find, [held[index][1] for index in unknown]):
         found |= zip(unknown[own], [some] if isinstance(some, Exception) else some, strict=True)
-    return how.cutter.cut(held, found)
+    return fitter.cutter.cut(held, found)

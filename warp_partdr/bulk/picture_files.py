@@ -58,17 +58,18 @@ class PictureFiles:
     """Photos, frames of films, and photos of tar files, in a folder.
 
     Attributes:
-        folder: From which on names are paths.
-        names: "a/7.jpg"; "film.mp4#0" and so on; "a.tar#7.jpg". What is only in part there has its own name, too, and
-            reading that tells why.
+        folder: Folder that the names are relative to.
+        names: Names of the pictures: "a/7.jpg", "film.mp4#0" and so on, "a.tar#7.jpg". A picture that is only in part
+            there has its own name, too, and reading it tells why.
         containers: Films and tar files among them.
-        skeleton: Format of the first keypoints; without any, that of people who are found.
-        digest: SHA-256 of names and sizes of the files beside photos, and of the label set; None without such files.
-        labels: What the ids of part labels mean.
-        left_out: A line that counts files which are no photos, by their endings and reasons; "" without any.
-        keypoint_format: Format of all keypoints, as the user says; None: the files tell.
-        spans: Of photos in tar files, where these and the files beside them are: start and size by ``ENDINGS``, -1
-            where there is none, shape (number of names, 3, 2). Whoever has a copy need not read the tar files' headers.
+        skeleton: Format of the first keypoints. Without any, it is that of people who are found.
+        digest: SHA-256 of names and sizes of the files beside photos, and of the label set. It is None without such
+            files.
+        labels: Label set that tells what the ids of part labels mean.
+        left_out: Line that counts files which are no photos, by their endings and reasons. It is "" without any.
+        keypoint_format: Format of all keypoints, as the user says. If it is None, the files tell it.
+        spans: Start and size of each photo in a tar file and of the files beside it, by ``ENDINGS``, -1 where there is
+            none, shape (number of names, 3, 2). Whoever has a copy need not read the tar files' headers.
     """
 
     folder: Path
@@ -118,9 +119,9 @@ class PictureFiles:
                 found = SourcePicture(scanned, tuple(map(_known, self.read_keypoints(keypoints, scanned))))
             return replace(found, parts=self._read_labels(name, found.size), warnings=photo_warnings(photo))
         except InputError as error:  # messages are the same wherever the folder is
-            told = str(error).replace(str(self.folder / (container or name)), container or name)
+            message = str(error).replace(str(self.folder / (container or name)), container or name)
             beside = str(self.folder / "_")[:-1]  # how names of files beside it begin
-            raise InputError(told.removeprefix(beside)) from error
+            raise InputError(message.removeprefix(beside)) from error
 
     def beside(self, name: str, ending: str) -> PhotoFile | None:
         """The file of an ending beside a photo; None without."""
@@ -152,8 +153,8 @@ class PictureFiles:
         """A photo of a tar file, or a file beside it; None if there is none."""
         row = self._rows.get(name)
         start, size = (-1, -1) if row is None else self.spans[row, ENDINGS.index(ending)].tolist()
-        told = f"{name}: {ending}" if ending else name
-        return None if start < 0 else read_member(os.path.join(self.folder, container), start, size, told)
+        shown_name = f"{name}: {ending}" if ending else name
+        return None if start < 0 else read_member(os.path.join(self.folder, container), start, size, shown_name)
 
     def _read_labels(self, name: str, size: tuple[int, int]) -> PartLabels | None:
         file = None if self.labels is None else self.beside(name, PARTS)
@@ -181,10 +182,10 @@ def open_files(
     """Open photos, films and tar files by their paths from a folder on.
 
     Args:
-        folder: The source's.
-        entries: In the order in which their pictures are to come.
-        labels: Name or JSON file of the label set of part labels; None: ``labels.json`` in the folder.
-        keypoint_format: Format of all keypoints; None: the files tell.
+        folder: Folder of the source.
+        entries: Paths in the order in which their pictures are to come.
+        labels: Name or JSON file of the label set of part labels. If it is None, it is ``labels.json`` in the folder.
+        keypoint_format: Format of all keypoints. If it is None, the files tell it.
         left_out: Files of the folder that are none of these.
 
     Raises:

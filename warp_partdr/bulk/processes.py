@@ -44,10 +44,10 @@ def read_in_processes(
     """Read pictures in order, some groups ahead, by torch's ``DataLoader``.
 
     Args:
-        source: Of the pictures.
-        cutter: Of the people.
+        source: Source of the pictures.
+        cutter: Object that cuts people out of pictures.
         shards: Names of each shard's pictures.
-        processes: So many.
+        processes: Number of processes.
 
     Returns:
         What ``PeopleFitter.rows`` takes, of each shard.
@@ -108,8 +108,8 @@ def _each(groups: Iterator[Group]) -> Iterator[Held | Cut]:
         try:
             group = next(groups, None)
         except RuntimeError as error:  # the loader's own, for what is at fault in a picture is a row
-            told = f"reading pictures: a process ended ({cause(error)})"
-            raise InputError(f"{told}; expected memory for all of them, in /dev/shm, too") from error
+            fault = f"reading pictures: a process ended ({cause(error)})"
+            raise InputError(f"{fault}; expected memory for all of them, in /dev/shm, too") from error
         if group is None:
             return
         if isinstance(group, Cut):

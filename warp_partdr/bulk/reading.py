@@ -54,7 +54,7 @@ class PeopleFiles:
     """Shards of a data set that are there.
 
     Attributes:
-        folder: Of the data set.
+        folder: Folder of the data set.
         paths: Files by the number of the shard, in order.
         expected: Number of shards of the whole data set.
     """
@@ -72,8 +72,8 @@ class PeopleFiles:
         """
         found = sorted((match, path) for path in folder.glob("part-*") if (match := _parts(path)))
         if not found:
-            told = "no shards in it" if folder.is_dir() else "No such folder"
-            raise InputError(f"{folder}: {told}; expected a data set of partdr dataset")
+            fault = "no shards in it" if folder.is_dir() else "No such folder"
+            raise InputError(f"{folder}: {fault}; expected a data set of partdr dataset")
         counts = sorted({match[1] for match, _ in found})
         if len(counts) > 1:
             raise InputError(f"{folder}: shards of {counts[0]} and of {counts[1]}; expected those of one data set")
@@ -97,8 +97,8 @@ class PeopleFiles:
         """
         known = read_about(self.path(shard))
         if known.get("format") != FORMAT:
-            told = shown(known.get("format"))
-            raise InputError(f"{self.path(shard)}: format {told}; expected {FORMAT!r}: make the data set again")
+            stated = shown(known.get("format"))
+            raise InputError(f"{self.path(shard)}: format {stated}; expected {FORMAT!r}: make the data set again")
         return known
 
     def count(self, shard: int) -> int:
@@ -128,13 +128,13 @@ class PeopleFiles:
         except (OSError, pa.ArrowException) as error:
             raise InputError(f"{path}: {cause(error)}; expected a whole shard") from error
 
-    def rows(self, shard: int, places: Sequence[int]) -> Iterator[tuple[Address, Row]]:
+    def rows(self, shard: int, indices: Sequence[int]) -> Iterator[tuple[Address, Row]]:
         """Rows of a shard by their numbers, in ascending order."""
-        places = sorted(set(places))
+        indices = sorted(set(indices))
         for first, batch in self.batches(shard):
-            chosen = [place for place in places if first <= place < first + batch.num_rows]
-            for place in chosen:
-                yield Address(shard, place), read_row(batch, place - first)
+            chosen = [index for index in indices if first <= index < first + batch.num_rows]
+            for index in chosen:
+                yield Address(shard, index), read_row(batch, index - first)
 
     def select(self, text: str) -> dict[int, list[int]]:
         """Rows that a text names: 3/17 (shard/row), 0:100 (all shards' rows, counted through), with commas between.
@@ -177,11 +177,11 @@ def _parts(path: Path) -> tuple[int, int] | None:
     return None if match is None else (int(match[1]), int(match[2]))
 
 
-def read_row(batch: pa.RecordBatch, place: int) -> Row:
+def read_row(batch: pa.RecordBatch, index: int) -> Row:
     """A row: numbers, texts, lists of texts, and float32 arrays of the shapes that the fields' metadata state."""
     row: Row = {}
     for field in batch.schema:
-        value = batch[field.name][place]
+        value = batch[field.name][index]
         stated = (field.metadata or {}).get(b"shape")
         if stated is None or not value.is_valid:
             row[field.name] = value.as_py()
@@ -195,8 +195,8 @@ class PersonRow:
     """A body in a row, as the fit had it.
 
     Attributes:
-        address: Of the row.
-        row: All that is in it.
+        address: Address of the row.
+        row: Values of all its columns.
         saved: EllipBody and camera.
     """
 

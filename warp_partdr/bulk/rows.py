@@ -80,8 +80,8 @@ class RowPart:
     """Some columns of some rows.
 
     Attributes:
-        rows: Numbers of the rows, shape (N,).
-        columns: Their values by the column's name.
+        rows: Indices of the rows, shape (N,).
+        columns: Values of the columns, by the column's name.
     """
 
     rows: np.ndarray
@@ -215,7 +215,7 @@ def describe_bodies(fits: Sequence[FitResult] | Sequence[MeshFit]) -> list[RowPa
     corners = torch.tensor([[each.left, each.top] for each in known.crops], device=device)
     intrinsics = camera.intrinsics
     gather = LandmarkGather(skeleton(known.skeleton).marks, device)
-    seen = camera.project(gather(posed))[..., :2] / zooms[:, None] + corners[:, None]
+    projected = camera.project(gather(posed))[..., :2] / zooms[:, None] + corners[:, None]
     arrays = {
         "global_orient": bodies.global_orient(),
         "translation": posed.joints[:, 0] if lenses is not None else torch.zeros(len(fits), 3),
@@ -242,15 +242,15 @@ def describe_bodies(fits: Sequence[FitResult] | Sequence[MeshFit]) -> list[RowPa
         **numbers,
         "camera_perspective": np.full(len(fits), lenses is not None),
         "camera_guessed": np.full(len(fits), known.lens_assumed),
-        "keypoint_error": _keypoint_errors(known, seen.cpu().numpy()),
+        "keypoint_error": _keypoint_errors(known, projected.cpu().numpy()),
         "energy": known.energies,
         "warnings": known.warnings,
     }
     every = RowPart(np.arange(len(fits)), columns)
     if fine.all():
         return [every]
-    told = "the body holds NaN or infinity; expected finite numbers"
-    return [every.select(np.flatnonzero(fine)), *(error_part(row, told) for row in np.flatnonzero(~fine).tolist())]
+    error = "the body holds NaN or infinity; expected finite numbers"
+    return [every.select(np.flatnonzero(fine)), *(error_part(row, error) for row in np.flatnonzero(~fine).tolist())]
 
 
 @dataclass(frozen=True)
@@ -329,17 +329,17 @@ def _array(column: Column, rows: PeopleRows) -> pa.Array:
         return pa.array([None if text is None else printable(text) for text in _texts(rows, column.name)], pa.string())
     if column.kind == "strings":
         lists = _texts(rows, column.name)
-        for place, first in enumerate(_texts(rows, FILE_WARNINGS)):
+        for row, first in enumerate(_texts(rows, FILE_WARNINGS)):
             if first is not None:
-                lists[place] = [*first, *(lists[place] or ())]
+                lists[row] = [*first, *(lists[row] or ())]
         return pa.array(lists, pa.list_(pa.string()))
     size = math.prod(column.shape)
     missing, numbers = np.ones(rows.count, dtype=bool), np.zeros((rows.count, size), dtype=column.kind)
-    for places, values in given:
+    for rows_there, values in given:
         if not isinstance(values, np.ndarray):
-            there = [place for place, value in enumerate(values) if value is not None]
-            places, values = places[there], np.array([values[place] for place in there], dtype=column.kind)
-        numbers[places], missing[places] = values.reshape(-1, size), False
+            there = [row for row, value in enumerate(values) if value is not None]
+            rows_there, values = rows_there[there], np.array([values[row] for row in there], dtype=column.kind)
+        numbers[rows_there], missing[rows_there] = values.reshape(-1, size), False
     if not column.shape:
         return pa.array(numbers[:, 0], mask=missing)
     # Not as lists of a fixed size: Arrow before version 26 can't read nulls of these (apache/arrow issue 35692).
@@ -352,8 +352,8 @@ def _texts(rows: PeopleRows, name: str) -> list[Any]:
     texts: list[Any] = [None] * rows.count
     for part in rows.parts:
         if name in part.columns:
-            for place, value in zip(part.rows.tolist(), part.columns[name], strict=True):
-                texts[place] = value
+            for row, value in zip(part.rows.tolist(), part.columns[name], strict=True):
+                texts[row] = value
     return texts
 
 

@@ -118,14 +118,14 @@ class _Shard:
         """Write the rows, with those that are there, and count them."""
         table = people_table(rows, self.columns, {})
         again = {table["picture"][row].as_py() for row in rows.unread()}
-        places = [place for place, name in enumerate(self.shards.pictures(self.index)) if printable(name) in again]
+        indices = [index for index, name in enumerate(self.shards.pictures(self.index)) if printable(name) in again]
         about = self.shards.describe(self.index) | {"seconds": self.seconds + self.shards.seconds(self.index)}
-        if places:
-            about[UNREAD] = places
+        if indices:
+            about[UNREAD] = indices
         table = table.replace_schema_metadata(metadata(about))
         whole = self.shards.completed(self.index, table, self.read)
         self.shards.write(self.index, whole)
-        tally.add(len(self.read), table, len(places), whole)
+        tally.add(len(self.read), table, len(indices), whole)
 
 
 class Readers(NamedTuple):

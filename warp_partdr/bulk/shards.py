@@ -34,16 +34,16 @@ class Tally:
     """Numbers of what a run wrote, and of what failed.
 
     Attributes:
-        shards: Made, or made whole.
-        pictures: Tried by the run.
-        people: Bodies in their rows.
-        errors: Of their rows, those with an error.
-        unread: Pictures that another run reads again.
-        rows: Of the whole shards, also of pictures that an earlier run read.
-        failures: Of these, rows with an error.
-        first_error: The first row's error with its picture's name.
-        annotations: Rows with a warning about their annotations.
-        first_annotation: The first such warning with its picture's name.
+        shards: Number of shards that were made, or made whole.
+        pictures: Number of pictures that the run tried.
+        people: Number of bodies in their rows.
+        errors: Number of their rows with an error.
+        unread: Number of pictures that another run reads again.
+        rows: Number of rows in the whole shards, also of pictures that an earlier run read.
+        failures: Number of these rows with an error.
+        first_error: Error of the first row that has one, with its picture's name.
+        annotations: Number of rows with a warning about their annotations.
+        first_annotation: First such warning, with its picture's name.
     """
 
     shards: int = 0
@@ -66,10 +66,10 @@ class Tally:
         """Count a shard.
 
         Args:
-            pictures: Number of those that were read.
-            table: Their rows, with the columns ``TALLIED``.
+            pictures: Number of pictures that were read.
+            table: Rows of these pictures, with the columns ``TALLIED``.
             unread: Number of pictures that another run is to read again.
-            whole: All rows of the shard.
+            whole: Rows of the whole shard.
         """
         faults = table.filter(table["error"].is_valid())
         self.shards += 1
@@ -83,10 +83,10 @@ class Tally:
             name, error = (faults[column][0].as_py() for column in ("picture", "error"))
             self.first_error = self.first_error or (error if error.startswith(name) else f"{name}: {error}")
         for row, warnings in enumerate(table["warnings"].to_pylist()):
-            told = [warning for warning in warnings or () if warning.startswith(COUNTED)]
-            self.annotations += bool(told)
-            if told and not self.first_annotation:
-                self.first_annotation = f"{table['picture'][row].as_py()}: {told[0]}"
+            counted = [warning for warning in warnings or () if warning.startswith(COUNTED)]
+            self.annotations += bool(counted)
+            if counted and not self.first_annotation:
+                self.first_annotation = f"{table['picture'][row].as_py()}: {counted[0]}"
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,11 @@ class Shards:
     """Shards of a data set in a folder.
 
     Attributes:
-        folder: Made when the first shard is written.
-        names: Of all pictures, in order.
-        size: Pictures of a shard; the last may have fewer.
-        options: All that rows depend on beside the pictures, of what JSON takes.
-        about: More to be stated, such as versions.
+        folder: Folder of the data set. It is made when the first shard is written.
+        names: Names of all pictures, in order.
+        size: Number of pictures in a shard. The last may have fewer.
+        options: Options that rows depend on, in addition to the pictures, as values that JSON takes.
+        about: Further facts to be stated, such as versions.
     """
 
     folder: Path
@@ -154,8 +154,8 @@ class Shards:
         found = sorted(self.folder.glob("part-*.parquet"))
         for path in found:
             if path.name not in mine:
-                told = f"{self.count} shards of {self.size} pictures"
-                raise InputError(f"{path}: of another data set; expected {told} there, or another folder for them")
+                expected = f"{self.count} shards of {self.size} pictures"
+                raise InputError(f"{path}: of another data set; expected {expected} there, or another folder for them")
         return {mine[path.name]: len(self._unread(path, mine[path.name])) for path in found}
 
     def done(self) -> set[int]:
@@ -196,9 +196,9 @@ class Shards:
             if os.name == "posix":  # elsewhere folders can't be opened
                 sync(self.folder)
         except OSError as error:
-            told = os.strerror(error.errno) if error.errno else cause(error)
+            reason = os.strerror(error.errno) if error.errno else cause(error)
             room = f"room for shard {index} of {self.count}: the same command goes on there"
-            raise InputError(f"{self.folder}: {told}; expected {room}") from error
+            raise InputError(f"{self.folder}: {reason}; expected {room}") from error
 
     def completed(self, index: int, table: pa.Table, read: Sequence[str]) -> pa.Table:
         """Rows of a shard of which some pictures were read: theirs, and those of the others in its file.

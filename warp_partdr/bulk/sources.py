@@ -28,10 +28,10 @@ class KnownPerson:
     """A person of a picture, as annotated or as found.
 
     Attributes:
-        keypoints: In pixels of the picture.
+        keypoints: Keypoints in pixels of the picture.
         score: Confidence that there is a person.
-        box: Left, top, right, bottom [px].
-        annotation: Number of the annotation; None of people who were found.
+        box: Box of the person: left, top, right, bottom [px].
+        annotation: Number of the annotation. It is None for people who were found.
         warnings: Sentences about what was done to the annotation.
     """
 
@@ -71,13 +71,14 @@ class SourcePicture:
     """A picture, and its people if they are known.
 
     Attributes:
-        picture: RGB, shape (H, W, 3), uint8; or a photo whose pixels are read when they are asked for.
-        people: None: they are to be found.
-        owners: Whom each pixel shows, 1 for the first of ``people``, 0 for nobody, shape (H, W), int32; None: unknown.
-            Larger numbers than there are people are of others, such as people without keypoints.
-        parts: Part labels, which go before ``owners``; None: unknown.
+        picture: Picture, RGB, shape (H, W, 3), uint8, or a photo whose pixels are read when they are asked for.
+        people: People of the picture. If it is None, they are to be found.
+        owners: Number of the person that each pixel shows, 1 for the first of ``people`` and 0 for nobody, shape (H,
+            W), int32. Larger numbers than there are people stand for others, such as people without keypoints. If it is
+            None, this is unknown.
+        parts: Part labels, which are preferred to ``owners``. If it is None, they are unknown.
         warnings: Sentences about the file.
-        faults: People beside ``people``, whose annotations can't be used.
+        faults: People whose annotations can't be used, in addition to ``people``.
     """
 
     picture: np.ndarray | ScannedPhoto

@@ -40,13 +40,13 @@ class PersonScore:
     """A number of each person.
 
     Attributes:
-        name: As ``--by`` has it.
-        title: For people.
-        unit: After the number.
-        columns: That it is made of.
-        values: Of rows, NaN where there is none.
-        factor: From the row's unit to the shown one.
-        worst: The end at which people are worst; None where neither is.
+        name: Name of the score, as ``--by`` takes it.
+        title: Title of the score, to be shown.
+        unit: Unit, which is written after the number.
+        columns: Columns from which it is computed.
+        values: Function from rows to the score of each, NaN where there is none.
+        factor: Factor from the row's unit to the one that is shown.
+        worst: End at which people are worst. It is None where neither is.
     """
 
     name: str
@@ -111,8 +111,8 @@ class Kinds:
     """Counts of sentences by their kind: numbers and names of parts in them don't matter.
 
     Attributes:
-        counts: Of each kind, with the first sentence of it and where that was.
-        others: Of kinds beyond so many.
+        counts: Count of each kind, with the first sentence of it and where that was.
+        others: Count of kinds beyond the first ones.
     """
 
     counts: dict[str, tuple[int, str, Address]] = field(default_factory=dict)
@@ -144,10 +144,10 @@ class Worst:
     """People with the worst values of a score, worst first.
 
     Attributes:
-        score: Of ``RANKED``.
-        count: Of people.
-        values: Of the score, shape (N,).
-        places: Shard and row, shape (N, 2).
+        score: Score among ``RANKED``.
+        count: Greatest number of people.
+        values: Value of the score for each person, shape (N,).
+        places: Shard and row of each person, shape (N, 2).
     """
 
     score: PersonScore
@@ -170,7 +170,7 @@ class Worst:
     @property
     def addresses(self) -> list[Address]:
         """Addresses of the people, the worst first."""
-        return [Address(*place) for place in self.places.tolist()]
+        return [Address(*shard_and_row) for shard_and_row in self.places.tolist()]
 
 
 @dataclass
@@ -179,17 +179,17 @@ class Survey:
 
     Attributes:
         worst: The worst people.
-        rows: All rows.
-        people: Rows of a person.
-        bodies: Rows with a body.
-        pictures: Pictures that rows are of; ``stated`` are those that shards say they were made of.
-        nobody: Pictures in which nobody was found.
-        warned: Rows with a warning.
-        seconds: Of work, as far as shards say; ``timed`` are their bodies.
-        distributions: Of scores of bodies, by name.
+        rows: Number of all rows.
+        people: Number of rows with a person.
+        bodies: Number of rows with a body.
+        pictures: Number of pictures that rows belong to. ``stated`` is the number from which shards say they were made.
+        nobody: Number of pictures in which nobody was found.
+        warned: Number of rows with a warning.
+        seconds: Duration of the work, as far as shards say [s]. ``timed`` is the number of their bodies.
+        distributions: Distributions of bodies' scores, by name.
         made: Versions, options and so on that shards state, by name.
-        errors, warnings: Counted by kind.
-        faults: Shards at odds with what they state, a sentence each.
+        errors, warnings: Counts of errors and warnings, by kind.
+        faults: Shards that do not agree with what they state, a sentence each.
     """
 
     worst: Worst
@@ -230,10 +230,10 @@ def survey_people(
     """Count everything in a data set, and find the worst people.
 
     Args:
-        files: Of the data set.
-        by: The score by which people are worst, one of ``RANKED``.
-        count: Of the worst people.
-        told: Called with each shard's name.
+        files: Files of the data set.
+        by: Score by which people are worst, one of ``RANKED``.
+        count: Number of worst people to find.
+        told: Function that is called with each shard's name.
 
     Raises:
         InputError: If a shard can't be read.

@@ -33,10 +33,10 @@ def read_npz(
 
     Args:
         path: The file.
-        required: Names that must be there.
-        optional: Names that may be there.
-        expected: What file this should be and who makes it, for messages.
-        most: Bytes that these arrays may have together when unpacked.
+        required: Names of arrays that must be there.
+        optional: Names of arrays that may be there.
+        expected: Description of the file and of the program that makes it, for messages.
+        most: Limit on the size of these arrays together when unpacked [bytes].
 
     Raises:
         InputError: If the file is missing, damaged, too large, pickled, or lacks an array.
@@ -59,8 +59,9 @@ def read_npy(path: str | Path, *, expected: str, check: Callable[[Header], None]
 
     Args:
         path: The file.
-        expected: What file this should be, for messages.
-        check: Given shape and dtype before the array is read; raises InputError if these can't be.
+        expected: Description of the file, for messages.
+        check: Function that is given shape and dtype before the array is read. It raises InputError if these are
+            impossible.
 
     Raises:
         InputError: If the file is missing, damaged or pickled.

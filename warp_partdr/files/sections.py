@@ -63,9 +63,9 @@ def read_section(kind: type[Section], values: object, where: str = "", base: Sec
     Args:
         kind: A dataclass. Its fields are bool, int, float, str, Path, Literal, Any, dataclasses, or tuples, dicts and
             unions of these.
-        values: What TOML or JSON gave.
-        where: The key that holds it, for messages.
-        base: What is changed: tables change the dataclasses within. None makes a new one.
+        values: Value that was parsed from TOML or JSON.
+        where: Key that holds the value, for messages.
+        base: Dataclass to change. Tables change the dataclasses within it. If it is None, a new one is made.
 
     Raises:
         InputError: If a key is unknown or missing, or its value of another type or out of range.

@@ -40,7 +40,7 @@ def estimate_mean(values: Sequence[float] | np.ndarray) -> Estimate:
     """Mean of independent people, with its interval by bootstrap.
 
     Args:
-        values: Of people, shape (N,). What is NaN or infinite is left out.
+        values: Values of N people, shape (N,). Those that are NaN or infinite are left out.
 
     Raises:
         ValueError: If no value is finite.

@@ -164,9 +164,9 @@ class Record:
 
     Attributes:
         name: Name of its command.
-        bound: Its options.
-        results: What it found.
-        finished: Whether it came to its end.
+        bound: Options of the measurement.
+        results: Results that it has found.
+        finished: True if it came to its end.
     """
 
     name: str

@@ -66,8 +66,8 @@ class Silhouettes:
 
     Args:
         surface: Skin of the person in EllipBody's rest pose.
-        starts: Where each part's bone begins [m], shape (20, 3).
-        ends: Where it ends.
+        starts: Position at which each part's bone begins [m], shape (20, 3).
+        ends: Position at which each part's bone ends [m], shape (20, 3).
     """
 
     def __init__(self, surface: Surface, starts: np.ndarray, ends: np.ndarray) -> None:

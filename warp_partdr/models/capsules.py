@@ -42,13 +42,14 @@ class Capsules(Movable):
     """C capsules of a model's body: all within a radius of a line between two ends.
 
     Attributes:
-        parts: The part 0 to 19 that each belongs to; of both hips, the left one.
-        joints: The joint that carries each, shape (C,), int64.
-        ends: Of shape 0, from that joint, in axes that are the body frame's at rest [m], shape (C, 2, 3).
-        end_directions: Their change by a unit of each shape value [m], shape (S, C, 2, 3).
-        radii: Of shape 0 [m], shape (C,).
-        radius_directions: Their change by a unit of each shape value [m], shape (S, C).
-        allowed: Depth of each in each other that costs nothing [m], infinite for neighbours, shape (C, C).
+        parts: Part 0 to 19 that each capsule belongs to. Both hips share the left one.
+        joints: Joint that carries each capsule, shape (C,), int64.
+        ends: Both ends of each capsule for shape 0, relative to its joint, in axes that are the body frame's at rest
+            [m], shape (C, 2, 3).
+        end_directions: Change of the ends by a unit of each shape value [m], shape (S, C, 2, 3).
+        radii: Radii for shape 0 [m], shape (C,).
+        radius_directions: Change of the radii by a unit of each shape value [m], shape (S, C).
+        allowed: Depth of each capsule in each other one that costs nothing [m], infinite for neighbours, shape (C, C).
     """
 
     parts: tuple[int, ...]
@@ -79,9 +80,9 @@ class Capsules(Movable):
         """Sum of the squares of depths [cm^2] beyond what flesh gives way, shape (B,).
 
         Args:
-            placed: Of ``of``, float32.
-            people: P; body b meets b + B / P, b + 2 B / P and so on, too. Each of two bodies has half of their cost,
-                and the gradient of each cost is that with respect to both.
+            placed: Capsules that ``of`` has placed, float32, shape (B, C, 7).
+            people: Number of people P. Body b also meets the bodies b + B / P, b + 2 B / P and so on. Each of two
+                bodies has half of their cost, and the gradient of each cost is with respect to both.
 
         Raises:
             ValueError: If ``placed`` has another shape, dtype or device, or P does not divide B.

@@ -24,8 +24,9 @@ def clothes_offsets(basis: torch.Tensor, thicknesses: torch.Tensor) -> torch.Ten
     """Offsets of vertices at rest, for ``model.pose``, shape (B, V, 3) [m].
 
     Args:
-        basis: Of ``clothes_basis``, or rows of it, shape (8, V, 3).
-        thicknesses: Of ``CLOTHED`` [m], shape (B, 8), within ``THICKEST``; differentiable.
+        basis: Basis that ``clothes_basis`` returns, or some of its rows, shape (8, V, 3).
+        thicknesses: Thickness of the clothes on each kind of part in ``CLOTHED`` [m], shape (B, 8), within
+            ``THICKEST``. They are differentiable.
     """
     return (bounded(thicknesses) @ basis.flatten(1)).unflatten(1, (-1, 3))
 

@@ -44,7 +44,7 @@ class Growth:
     """EllipBody's measures of a model's bodies, and stretches of the model's parts that change them.
 
     Attributes:
-        spreads: Of the measures' logarithms over natural people, shape (27,).
+        spreads: Standard deviation of the logarithm of each measure among natural people, shape (27,).
     """
 
     def __init__(self, model: DetailedModel, parts: torch.Tensor, areas: torch.Tensor, shape: torch.Tensor) -> None:

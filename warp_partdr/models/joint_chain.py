@@ -21,9 +21,10 @@ def chain_joints(parents: tuple[int, ...], rotations: torch.Tensor, bones: torch
     """Each joint's frame, its rotation and its position, shape (B, J, 4, 4); differentiable as often as wanted.
 
     Args:
-        parents: Parent of each joint, -1 for the root; a parent comes before its children.
-        rotations: Of each joint against its parent, shape (B, J, 3, 3), float32 or float64.
-        bones: From each joint's parent to it, in the parent's axes; of the root, its position; shape (B, J, 3).
+        parents: Parent of each joint, -1 for the root. A parent comes before its children.
+        rotations: Rotation of each joint relative to its parent, shape (B, J, 3, 3), float32 or float64.
+        bones: Vector from the parent to each joint, in the parent's axes, shape (B, J, 3). For the root, it is the
+            root's position.
     """
     if torch.compiler.is_compiling() or is_transformed(rotations, bones):
         return multiply_joints(parents, rotations, bones)

@@ -25,10 +25,10 @@ def map_joints(
     """Frames of joints, shape (B, J, 4, 4), their places, (B, J, 3), and maps for ``carry_skin``, (B, 12, J).
 
     Args:
-        parents: Parent of each joint, -1 for the root, which is the first one; a parent comes before its children.
-        rotations: Of each joint against its parent, shape (B, J, 3, 3), float32 or float64.
-        translation: Place of the root, shape (B, 3).
-        rest: Places of joints at rest, where their axes are those of the body, shape (B, J, 3).
+        parents: Parent of each joint, -1 for the root, which is the first one. A parent comes before its children.
+        rotations: Rotation of each joint relative to its parent, shape (B, J, 3, 3), float32 or float64.
+        translation: Position of the root, shape (B, 3).
+        rest: Positions of joints at rest, where their axes are those of the body, shape (B, J, 3).
     """
     if torch.compiler.is_compiling() or is_transformed(rotations, translation, rest):
         return _map(parents, rotations, translation, rest)
@@ -97,10 +97,10 @@ def _prepare_adjoint(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]
     """Launches that fill the gradients of rotations, translation and rest.
 
     Args:
-        inputs: Rotations, translation, rest, frames, then those adjoints that are not ``missing``: zero.
-        outputs: The gradients.
-        parents: As of ``map_joints``.
-        missing: Of frames, places and maps.
+        inputs: Rotations, translation, rest and frames, followed by the adjoints that are not ``missing``.
+        outputs: Gradients of rotations, translation and rest. They are filled.
+        parents: Parent of each joint, as in ``map_joints``.
+        missing: Flag for each of frames, places and maps whose adjoint is not given, and is zero.
     """
     types, tree = joint_types(inputs[0]), tree_on(parents, inputs[0])
     at_rest, frames, given = inputs[2], inputs[3], iter(inputs[4:])

@@ -16,8 +16,8 @@ def merge_joints(model: DetailedModel, kept: Sequence[int]) -> DetailedModel:
     Landmarks stay: where one lies at a joint that goes, a vertex without a face stands for it, behind the others.
 
     Args:
-        model: Of J joints.
-        kept: In order, among them the root and all that carry parts.
+        model: Model with J joints.
+        kept: Indices of the joints to keep, in order. The root and all joints that carry parts must be among them.
 
     Raises:
         ValueError: If one of those is missing.

@@ -35,13 +35,13 @@ def load_model(
     """Load a body model by name or from a file.
 
     Args:
-        source: "anny", which comes with the package; "mhr:FOLDER" or "soma:FOLDER" of their files (extra ``bodies``);
-            "skel:FILE", or "skel:FOLDER" of one such file, an ``.npz`` or ``.safetensors`` with ``SKEL_ARRAYS``; or
-            such a file of SMPL, SMPL-H or SMPL-X, with the arrays v_template, shapedirs, posedirs, J_regressor,
-            weights, kintree_table and f.
-        num_shapes: Number of a file's first shape values to use; by default 10. Anny has all its 20, MHR its 63.
-        device: Of the model.
-        dtype: Of the model, float32 or float64.
+        source: Name or file of the model. "anny" comes with the package. "mhr:FOLDER" and "soma:FOLDER" name folders of
+            their files (extra ``bodies``). "skel:FILE", or "skel:FOLDER" with one such file, names an ``.npz`` or
+            ``.safetensors`` with ``SKEL_ARRAYS``. A path alone is such a file of SMPL, SMPL-H or SMPL-X, with the
+            arrays v_template, shapedirs, posedirs, J_regressor, weights, kintree_table and f.
+        num_shapes: Number of a file's first shape values to use, by default 10. Anny has all its 20, and MHR its 63.
+        device: Device of the model.
+        dtype: Dtype of the model, float32 or float64.
 
     Raises:
         ValueError: If the file is missing, damaged, too large or a pickle, or an array is missing or has a wrong shape,

@@ -46,7 +46,7 @@ def mhr_model(
         moves = [(rig.shown(shape=unit)[0] - vertices, np.zeros_like(joints)) for unit in np.eye(_SHAPES)]
         for name, count in _SCALES.items():
             last = len(rig.rest()[name])
-            slopes = (rig.slope(name, place) for place in range(last - count, last))
+            slopes = (rig.slope(name, index) for index in range(last - count, last))
             moves += [(_SCALE_SPREAD * points, _SCALE_SPREAD * ends) for points, ends in slopes]
         weights = np.asarray(own.skin_weights, dtype=np.float64)
         weights = np.column_stack([weights[:, 0] + weights[:, 1], weights[:, 2:]])

@@ -35,8 +35,8 @@ class Detailed(Movable):
     """Posed bodies, in the frame of the translation [m].
 
     Attributes:
-        vertices: Shape (B, V, 3).
-        joints: Shape (B, J, 3).
+        vertices: Vertices [m], shape (B, V, 3).
+        joints: Joints [m], shape (B, J, 3).
         transforms: Each joint's frame, its rotation from rest and its position, shape (B, J, 4, 4).
     """
 
@@ -60,21 +60,22 @@ class DetailedModel(Movable):
     """Body model of V vertices, F faces, J joints, S shape values and L landmarks.
 
     Attributes:
-        name: Such as "anny" or "smplx".
-        joint_names: J names.
-        parents: Parent of each joint, -1 for the root, which is joint 0; a parent comes before its children.
-        part_joints: The joint that carries each of the 20 parts; the two hips may share one.
-        landmark_names: L names: those of ``landmarks.py`` that the model has, and perhaps some of its own.
+        name: Name of the model, such as "anny" or "smplx".
+        joint_names: Names of the J joints.
+        parents: Parent of each joint, -1 for the root, which is joint 0. A parent comes before its children.
+        part_joints: Joint that carries each of the 20 parts. The two hips may share one.
+        landmark_names: Names of the L landmarks: those of ``landmarks.py`` that the model has, and perhaps some of its
+            own.
         faces: Vertex indices, shape (F, 3), int32.
         face_parts: Part label 1 to 20 of each face, shape (F,), uint8.
-        rest_vertices: The body of shape 0 [m], shape (V, 3).
+        rest_vertices: Vertices at rest for shape 0 [m], shape (V, 3).
         shape_directions: Change of the vertices by a unit of each shape value [m], shape (S, V, 3).
-        rest_joints: Joints of shape 0 [m], shape (J, 3).
+        rest_joints: Joints at rest for shape 0 [m], shape (J, 3).
         joint_directions: Change of the joints by a unit of each shape value [m], shape (S, J, 3).
-        skin_weights: Weight of each joint in each vertex's motion, rows sum to 1, shape (V, J).
+        skin_weights: Weight of each joint in each vertex's motion, shape (V, J). Rows sum to 1.
         landmark_weights: Landmarks as linear functions of vertices and then joints, shape (L, V + J).
-        pose_directions: Change of the vertices by the entries of (R - I) of all joints but the root [m], shape
-            (9 (J - 1), 3 V); None for a model without.
+        pose_directions: Change of the vertices by the entries of (R - I) of all joints but the root [m], shape (9 (J -
+            1), 3 V). It is None for a model without.
     """
 
     name: str
@@ -119,9 +120,9 @@ class DetailedModel(Movable):
 
         Args:
             shape: Shape values, shape (B, S).
-            offsets: Added to the vertices at rest [m], shape (B, V, 3).
-            stretches: Of the parts, about the joints that carry them, shape (B, 20, 3, 3); ``growth.py`` makes some.
-                A part moves with its parent's stretch and does not inherit it.
+            offsets: Offsets that are added to the vertices at rest [m], shape (B, V, 3).
+            stretches: Stretch of each part about the joint that carries it, shape (B, 20, 3, 3). ``growth.py`` makes
+                some. A part moves with its parent's stretch and does not inherit it.
         """
         self._check("shape", shape, None, self.num_shapes)
         vertices, joints = self._at_rest(shape, offsets, stretches)
@@ -141,11 +142,11 @@ class DetailedModel(Movable):
 
         Args:
             shape: Shape values, shape (B, S).
-            rotations: Local rotation of each joint against its parent, in axes that are the body frame's at rest; the
-                root's turns the whole body. Shape (B, J, 3, 3).
+            rotations: Local rotation of each joint relative to its parent, in axes that are the body frame's at rest,
+                shape (B, J, 3, 3). The root's rotation turns the whole body.
             translation: Position of the root joint [m], shape (B, 3).
-            offsets: Added to the vertices at rest [m], shape (B, V, 3).
-            stretches: Of the parts at rest, shape (B, 20, 3, 3), as in ``rest``.
+            offsets: Offsets that are added to the vertices at rest [m], shape (B, V, 3).
+            stretches: Stretch of each part at rest, as in ``rest``, shape (B, 20, 3, 3).
 
         Raises:
             ValueError: If a shape, dtype or device does not fit the model.

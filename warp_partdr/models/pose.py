@@ -198,8 +198,8 @@ def _sharing(model: DetailedModel) -> _Sharing:
         elif kind in _TWISTING_LAST:
             end = PART_NAMES.index(name.replace(kind, _TWISTING_LAST[kind]))
             halfway[between] = part, end, False, between, model.part_joints[end]
-    for place, joint in enumerate(halfway):
-        sources[joint] = NUM_PARTS + 1 + place
+    for index, joint in enumerate(halfway):
+        sources[joint] = NUM_PARTS + 1 + index
     turning = [joint for joint, parent in enumerate(model.parents) if joint and sources[joint] != sources[parent]]
     order = [turning.index(joint) + 1 if joint in turning else len(turning) + 1 for joint in range(model.num_joints)]
     with torch.inference_mode(False):  # kept for calls outside of it, too

@@ -34,11 +34,11 @@ class Reduced:
     """Model of few vertices.
 
     Attributes:
-        model: Of the same shapes, joints and landmarks. Faces have the first ``drawn`` vertices; the others carry
-            landmarks, which are exactly those of the whole model.
+        model: Model with the same shapes, joints and landmarks. Faces have the first ``drawn`` vertices. The others
+            carry landmarks, which are exactly those of the whole model.
         drawn: Number of vertices with faces.
-        kept: The whole model's vertices that these stand for, shape (drawn,), int64.
-        error: Distance of the whole model's surface from this one at rest [m], exceeded by 2 % of its area.
+        kept: Index of the whole model's vertex that each of these stands for, shape (drawn,), int64.
+        error: Distance of the whole model's surface from this one at rest [m]. It is exceeded on 2 % of the area.
     """
 
     model: DetailedModel

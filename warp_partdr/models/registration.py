@@ -84,10 +84,10 @@ class RegistrationOptions:
     """Options of a registration.
 
     Attributes:
-        weights: Of the loss.
-        iterations: Steps of Adam.
-        growth: Let parts grow beyond what the model's shape values reach. By default after an edit, that is with a
-            ``start``: people are in the model's reach, and what is not is mostly a fit's error.
+        weights: Weights of the loss's terms.
+        iterations: Number of steps of Adam.
+        growth: True lets parts grow beyond what the model's shape values reach. By default they grow only with a
+            ``start``, after an edit: people are within the model's reach, and what is not is mostly a fit's error.
     """
 
     weights: RegistrationWeights = field(default_factory=RegistrationWeights)
@@ -100,15 +100,15 @@ class Registered(Movable):
     """Detailed bodies that clothe EllipBodies.
 
     Attributes:
-        model: Their model.
+        model: Model of the bodies.
         shape: Shape values, shape (B, S).
         rotations: Local rotation of each joint, shape (B, J, 3, 3).
         translation: Position of the root joint [m], shape (B, 3).
-        stretches: Of the parts at rest, shape (B, 20, 3, 3).
+        stretches: Stretch of each part at rest, shape (B, 20, 3, 3).
         growth: Factors of ``MEASURES`` that are in the stretches, shape (B, 27).
-        unexplained: Logarithms of the factors by which EllipBody's measures are off the body's, shape (B, 27).
-        detailed: The posed bodies, in EllipBody's frame.
-        losses: Weighted terms of the loss at the end, by name, shape (B,) each.
+        unexplained: Logarithm of the factor between each measure of EllipBody and of the body, shape (B, 27).
+        detailed: Posed bodies, in EllipBody's frame.
+        losses: Weighted terms of the loss at the end, by name, each of shape (B,).
     """
 
     model: DetailedModel
@@ -166,12 +166,12 @@ def register(
     """Find the detailed bodies that clothe EllipBodies.
 
     Args:
-        posed: B EllipBodies, float32, in any frame: ``FitResult.posed`` is in the camera's.
-        model: On the same device, float32.
-        start: The registration of the same bodies before an edit: shapes start there, and what EllipBody did not
-            explain about these people stays; by default, shapes start with EllipBody's bone lengths.
+        posed: B EllipBodies, float32, in any frame. ``FitResult.posed`` is in the camera's.
+        model: Model to register, on the same device, float32.
+        start: Registration of the same bodies before an edit. Shapes start there, and what EllipBody did not explain
+            about these people stays. By default, shapes start with EllipBody's bone lengths.
         options: Weights, iterations and so on.
-        progress: Told the stage, how many iterations are done and how many there are.
+        progress: Function that is told the stage, the iterations done, and their total number.
 
     Raises:
         ValueError: If ``posed`` is not float32 or not where the model is, or holds NaN, infinity or what

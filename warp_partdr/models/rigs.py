@@ -31,9 +31,9 @@ def named_joints(middle: Mapping[str, str], limbs: str, sides: Mapping[str, str]
     """SMPL's name of each of a rig's joints.
 
     Args:
-        middle: Of those of no side.
-        limbs: The others without their sides: "upleg hip, lowleg knee".
-        sides: What the rig puts before a joint's name for "left" and for "right".
+        middle: SMPL's name of each joint in the middle of the body, by the rig's name.
+        limbs: Names of the other joints without their sides, in pairs of the rig and SMPL: "upleg hip, lowleg knee".
+        sides: Prefix of the rig's joint names for "left" and for "right".
     """
     pairs = [pair.split() for pair in limbs.split(", ")]
     return {**middle, **{f"{sides[side]}{own}": f"{side}_{smpl}" for side in sides for own, smpl in pairs}}
@@ -56,10 +56,10 @@ class Rig:
         transforms = np.asarray(self.own.forward_skeleton(**values), dtype=np.float64)
         return np.asarray(self.own.forward_vertices(**values), dtype=np.float64), transforms[self.first :, :3, 3]
 
-    def slope(self, name: str, place: int) -> Body:
+    def slope(self, name: str, index: int) -> Body:
         """Change by a unit of a value, to first order."""
         step = np.zeros_like(self.rest()[name])
-        step[place] = _STEP
+        step[index] = _STEP
         (high, far), (low, near) = (self.shown(**{name: self.rest()[name] + sign * step}) for sign in (1, -1))
         return (high - low) / (2 * _STEP), (far - near) / (2 * _STEP)
 
@@ -96,13 +96,14 @@ def rig_model(
     """Model of a rig.
 
     Args:
-        kind: The model's name.
-        rig: Where its mesh and skeleton come from.
-        names_of_smpl: SMPL's name of joints that both have; fingers may lack. The spine's are found by the tree.
-        moves: Change by each shape value.
-        weights: Skin weights of the joints, in any sum, shape (V, J).
-        device: Of the model.
-        dtype: Of the model.
+        kind: Name of the model.
+        rig: Rig with the mesh and the skeleton.
+        names_of_smpl: SMPL's name of joints that both have. Fingers may be missing. Those of the spine are found by the
+            tree.
+        moves: Changes of the body by each shape value.
+        weights: Skin weights of the joints, whose sums are normalised, shape (V, J).
+        device: Device of the model.
+        dtype: Dtype of the model.
 
     Raises:
         InputError: If a joint is missing.
@@ -130,8 +131,8 @@ def _smpl_names(names: list[str], parents: list[int]) -> list[str]:
     while parents[joint] >= 0:
         spine.insert(0, joint)
         joint = parents[joint]
-    for place, joint in enumerate(spine):  # spine1 is the abdomen's; the middle one is the landmark
-        names[joint] = f"spine{1 + place}"
+    for index, joint in enumerate(spine):  # spine1 is the abdomen's; the middle one is the landmark
+        names[joint] = f"spine{1 + index}"
     return names
 
 
@@ -139,7 +140,7 @@ def _parts(names: list[str], parents: list[int]) -> np.ndarray:
     """Part of each joint's skin, -1 for the pelvis'."""
     spine = [name for name in names if name.startswith("spine")]
     carried = {"pelvis": -1} | {
-        name: PART_NAMES.index("abdomen" if 2 * place < len(spine) else "chest") for place, name in enumerate(spine)
+        name: PART_NAMES.index("abdomen" if 2 * index < len(spine) else "chest") for index, name in enumerate(spine)
     }
     for name in names:
         side, _, joint = name.partition("_")

@@ -22,14 +22,14 @@ class RiggedSkin:
     """A mesh and the joints that it follows, float64 on the host, in the body frame [m]; V, F, J, S of the model.
 
     Attributes:
-        joint_names: J names.
+        joint_names: Names of the J joints.
         parents: Parent of each joint, -1 for the root, the first.
-        faces: Shape (F, 3).
-        vertices: Of shape 0, shape (V, 3).
+        faces: Vertex indices of each face, shape (F, 3).
+        vertices: Vertices for shape 0, shape (V, 3).
         directions: Change of the vertices by a unit of each shape value, shape (S, V, 3).
-        joints: Of shape 0, shape (J, 3).
-        joint_directions: Change of the joints, shape (S, J, 3).
-        weights: Skin weights in any sum, shape (V, J).
+        joints: Joints for shape 0, shape (J, 3).
+        joint_directions: Change of the joints by a unit of each shape value, shape (S, J, 3).
+        weights: Skin weights, whose sums are normalised, shape (V, J).
         parts: Part 0 to 19 of the skin that follows each joint, -1 for the pelvis, shape (J,).
     """
 
@@ -71,12 +71,12 @@ def skinned_model(
     """Make a model.
 
     Args:
-        name: The model's.
-        skin: Its mesh and joints.
+        name: Name of the model.
+        skin: Mesh and joints of the model.
         landmarks: Weights of vertices and then joints, shape (V + J,), by name.
-        pose_directions: As ``DetailedModel`` has them, shape (9 (J - 1), 3 V).
-        device: Of the model.
-        dtype: Of the model.
+        pose_directions: Change of the vertices by rotations, as in ``DetailedModel``, shape (9 (J - 1), 3 V).
+        device: Device of the model.
+        dtype: Dtype of the model.
     """
 
     def numbers(values: np.ndarray) -> torch.Tensor:

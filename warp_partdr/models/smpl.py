@@ -112,10 +112,10 @@ def check_layout(
     """Check arrays of a file against a layout, that of ``ARRAYS`` or more.
 
     Args:
-        arrays: By the layout's names.
-        where: What messages begin with.
-        layout: Dimensions and kinds of numbers.
-        called: The file's own names, by the layout's, for messages; by default the same.
+        arrays: Arrays by the layout's names.
+        where: Beginning of messages, such as the file's name.
+        layout: Dimensions and kinds of numbers of each array.
+        called: Names in the file, by the layout's names, for messages. By default, they are the same.
 
     Raises:
         ValueError: If an array is missing, or has a wrong shape, dtype or value.

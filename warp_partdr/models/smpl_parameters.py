@@ -30,10 +30,10 @@ def to_smplx(
     """Arguments of the ``smplx`` package's models for bodies, float32, with B rows each.
 
     Args:
-        model: Of a file of SMPL, SMPL-H or SMPL-X.
-        shape: As of ``model.pose``, like the others, shape (B, S).
-        rotations: Shape (B, J, 3, 3).
-        translation: Shape (B, 3) [m].
+        model: Model from a file of SMPL, SMPL-H or SMPL-X.
+        shape: Shape values, as for ``model.pose``, shape (B, S).
+        rotations: Local rotation of each joint, shape (B, J, 3, 3).
+        translation: Position of the root joint [m], shape (B, 3).
 
     Raises:
         InputError: If the model is another one.
@@ -54,9 +54,9 @@ def from_smplx(
     Poses that are missing are 0, poses may be rotation matrices, and ``betas`` may be fewer than the model's.
 
     Args:
-        model: Of a file of SMPL, SMPL-H or SMPL-X; its dtype and device are the results'.
-        arguments: As of ``to_smplx``; others are left alone.
-        where: Begins messages.
+        model: Model from a file of SMPL, SMPL-H or SMPL-X. The results have its dtype and device.
+        arguments: Arguments that ``to_smplx`` returns. Others are left alone.
+        where: Beginning of messages, such as the file's name.
 
     Raises:
         InputError: If ``betas`` or ``transl`` is missing, or an array has a wrong size or isn't finite.

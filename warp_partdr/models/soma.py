@@ -46,7 +46,7 @@ def soma_model(
         left, right, head, hips = (joints[_place(own, name)] for name in ("LeftArm", "RightArm", "Head", "Hips"))
         if left[0] <= right[0] or head[1] <= hips[1]:
             raise InputError(f"{folder}: stands otherwise; expected SOMA's frame: x to the person's left, y up")
-        moves = (rig.slope("shape", place) for place in range(count))
+        moves = (rig.slope("shape", index) for index in range(count))
         weights = np.asarray(own.skin_weights, dtype=np.float64)
         return rig_model("soma", rig, _JOINTS, moves, weights, device=device, dtype=dtype)
 

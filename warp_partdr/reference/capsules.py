@@ -13,8 +13,8 @@ def body_overlap_costs(capsules: np.ndarray, allowed: np.ndarray, slack: float, 
     Args:
         capsules: Both ends and the radius [m], shape (B, C, 7).
         allowed: Depth that costs nothing within a body [m], infinite if none costs, shape (C, C).
-        slack: The same between two bodies [m].
-        places: Of each body; only those at one place meet, shape (B,).
+        slack: Depth that costs nothing between two bodies [m].
+        places: Index of the place of each body, shape (B,). Only bodies at the same place can meet.
     """
     costs = np.zeros(len(capsules))
     every = [(body, k) for body in range(capsules.shape[0]) for k in range(capsules.shape[1])]

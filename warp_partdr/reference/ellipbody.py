@@ -17,7 +17,7 @@ class BodyTree:
 
     Attributes:
         parents: Parent of each bone, -1 = root.
-        directions: O, a unit vector along each bone at rest, shape (20, 3).
+        directions: Unit vector O along each bone at rest, shape (20, 3).
         axes: Ellipsoid axes at rest as columns (bone, first thickness, second thickness), shape (20, 3, 3).
         sizes: Index of length, first and second thickness of each bone (paper, table 1).
     """
@@ -68,10 +68,10 @@ def ellipsoids_of(
 
     Args:
         tree: Axes at rest and table 1.
-        joints: S, of eq. 15.
-        turns: R, of eq. 15.
-        lengths: l, shape (12,).
-        thicknesses: t, shape (15,).
+        joints: Joints S of eq. 15 [m], shape (21, 3).
+        turns: Rotations R of eq. 15, shape (20, 3, 3).
+        lengths: Lengths l [m], shape (12,).
+        thicknesses: Thicknesses t [m], shape (15,).
 
     C_i is the midpoint of two joints. The paper leaves open how thicknesses lie about the bone:
     here the ellipsoid's axes turn with the bone from where the template has them. The pelvis is

@@ -30,12 +30,12 @@ class EllipsoidScene:
     """P ellipsoids of one body and their camera.
 
     Attributes:
-        centres: Camera frame [m], shape (P, 3).
-        axes: Columns, shape (P, 3, 3).
-        semi_axes: [m], shape (P, 3).
-        camera: f_x, f_y, c_x, c_y [px]; under weak perspective f in pixels a metre.
-        labels: Shape (P,).
-        perspective: False: weak perspective.
+        centres: Centres in the camera frame [m], shape (P, 3).
+        axes: Axes of each ellipsoid as columns, shape (P, 3, 3).
+        semi_axes: Semi-axes [m], shape (P, 3).
+        camera: Numbers f_x, f_y, c_x, c_y [px]. Under weak perspective, f is in pixels for each metre.
+        labels: Label of each ellipsoid, shape (P,).
+        perspective: True for perspective, and False for weak perspective.
         near: Depth of the near plane [m].
     """
 

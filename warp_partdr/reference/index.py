@@ -12,13 +12,13 @@ class Equation:
     """One numbered equation of the paper.
 
     Attributes:
-        title: A few words.
-        formula: The paper's, as plain text.
-        latex: The same in LaTeX.
+        title: Title of a few words.
+        formula: Formula of the paper, as plain text.
+        latex: Formula of the paper in LaTeX.
         book: The function of this book, whose docstring tells the letters and the differences from the paper.
         kernels: Warp kernels and device functions; none where torch alone does it.
         torch: The functions that users call.
-        tests: File and name, of tests that hold kernels and torch functions to the book.
+        tests: File and name of each test that holds kernels and torch functions to the book.
     """
 
     title: str

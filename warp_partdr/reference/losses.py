@@ -23,9 +23,9 @@ def joint_loss(joints: np.ndarray, wanted: np.ndarray, weights: np.ndarray | Non
     """Eq. 4: L_3D = sum over joints of ‖S - Ŝ‖².
 
     Args:
-        joints: S, shape (N, 3).
-        wanted: Ŝ, the true ones, shape (N, 3).
-        weights: Of each joint, shape (N,); the paper has none.
+        joints: Joints S [m], shape (N, 3).
+        wanted: True joints Ŝ [m], shape (N, 3).
+        weights: Weight of each joint, shape (N,). The paper has none.
 
     Training takes the mean over the known joints, in centimetres, of positions from the middle of
     the hips.
@@ -38,10 +38,10 @@ def projection_loss(points: np.ndarray, wanted: np.ndarray, votes: np.ndarray | 
     """Eq. 5: L_proj = sum over keypoints of ‖S_2D - Ŝ_2D‖_1.
 
     Args:
-        points: S_2D, projected joints, shape (L, 2), in pixels of a crop of 256 px.
-        wanted: Ŝ_2D, where they are seen, shape (L, 2).
-        votes: Of each, shape (L,); the paper has none. Ours is a detector's confidence, of which
-            the landmarks of one part share one.
+        points: Projected joints S_2D, shape (L, 2), in pixels of a crop of 256 px.
+        wanted: Keypoints Ŝ_2D at which the joints are seen, shape (L, 2).
+        votes: Weight of each keypoint, shape (L,). The paper has none. Ours is a detector's
+            confidence, and the landmarks of one part share one.
     """
     distances = np.abs(points - wanted).sum(1)
     return float((np.ones(len(points)) if votes is None else votes) @ distances)
@@ -51,9 +51,9 @@ def segmentation_loss(maps: np.ndarray, wanted: np.ndarray, known: np.ndarray | 
     """Eq. 6: L_seg = sum over parts k and pixels (i, j) of (A^k - Â^k)².
 
     Args:
-        maps: A, shape (K, H, W).
-        wanted: Â, of labels or probabilities, shape (K, H, W).
-        known: 0 at pixels that count nowhere (label 255), shape (H, W); the paper knows all.
+        maps: Maps A of the parts, shape (K, H, W).
+        wanted: Maps Â of labels or probabilities, shape (K, H, W).
+        known: Mask, 0 at pixels that count nowhere (label 255), shape (H, W). The paper knows all.
 
     Kernels find it from two label images, without maps.
     """
@@ -65,9 +65,9 @@ def label_gradient(labels: np.ndarray, target: np.ndarray, num_labels: int) -> n
     """Derivative of eq. 6, g = dL_seg/dA, for a label image and its target, as maps (K, H, W).
 
     Args:
-        labels: Shown, shape (H, W).
-        target: Wanted, shape (H, W), 255 = ignore.
-        num_labels: K.
+        labels: Labels that are shown, shape (H, W).
+        target: Labels that are wanted, shape (H, W); 255 is ignored.
+        num_labels: Number of parts K.
     """
     index = np.arange(1, num_labels + 1)[:, None, None]
     g = 2.0 * ((labels == index).astype(float) - (target == index))

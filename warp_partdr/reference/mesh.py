@@ -119,9 +119,9 @@ def part_maps(index: np.ndarray, face_labels: np.ndarray, num_labels: int) -> np
     """Eq. 9: the maps A^1 to A^K, 1 where the face that shows is of the part, (K, H, W).
 
     Args:
-        index: F, shape (H, W).
+        index: Index F of the face that shows at each pixel, shape (H, W).
         face_labels: Part of each face, 1 to K; 0 has no map.
-        num_labels: K.
+        num_labels: Number of parts K.
 
     Kernels write one image of labels; maps are made when they are asked for.
     """

@@ -18,8 +18,8 @@ def mesh_edges_gradient(scene: MeshScene, picture: MeshPicture, costs: np.ndarra
     """dL/dvertices (V, 3) from a picture.
 
     Args:
-        scene: One body.
-        picture: Its labels 0 to K, depth and faces.
+        scene: Mesh and camera of one body.
+        picture: Labels 0 to K, depth and face at each pixel of its picture.
         costs: Cost of a pixel that shows each label, background first, shape (K + 1, H, W).
     """
     labels, depth, faces = picture

@@ -74,10 +74,10 @@ def switches_on(shown: int, part: int, depth: float, edge_depth: float, occlusio
     """True where a pixel that an edge reaches would show its part: eq. 11, whose upper case gives 0.
 
     Args:
-        shown: F, the label that the pixel shows, 0 = background.
-        part: i, the edge's.
-        depth: Of what the pixel shows [m].
-        edge_depth: Of the edge at its crossing [m].
+        shown: Label F that the pixel shows, 0 = background.
+        part: Label i of the edge's part.
+        depth: Depth of the surface that the pixel shows [m].
+        edge_depth: Depth of the edge at its crossing [m].
         occlusion: See ``Rule``.
 
     By the paper a pixel that shows another part gives 0 (occlusion="paper"). By default that holds
@@ -109,13 +109,13 @@ def line_slope(
     """Derivative of the loss with respect to an edge's place on a line of pixels: choices 2 to 5.
 
     Args:
-        line: What is there.
-        part: The edge's label.
+        line: Labels, depths and gradients along the line.
+        part: Label of the edge's part.
         side: 1 where the part ends towards larger coordinates, -1 towards smaller ones.
-        crossing: x0, the edge's place [px].
-        edge_depth: Of the edge there [m].
-        rule: Options.
-        face: Of the edge, for ``edges="all"``.
+        crossing: Place x0 of the edge on the line [px].
+        edge_depth: Depth of the edge there [m].
+        rule: Options of the rule.
+        face: Index of the face that the edge belongs to, for ``edges="all"``.
     """
     positions = np.arange(len(line.shown)) + 0.5
     distances = np.abs(positions - crossing)

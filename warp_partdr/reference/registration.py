@@ -20,11 +20,11 @@ class DetailedSurface:
     """M^S, the posed mesh of a detailed model.
 
     Attributes:
-        vertices: v^S [m], shape (V, 3).
+        vertices: Vertices v^S [m], shape (V, 3).
         areas: Share of the skin that is around each vertex, 0 inside the body, shape (V,).
         parts: Ellipsoid 0 to 19 of each vertex, shape (V,).
-        faces: Shape (F, 3).
-        face_parts: The same of each face, shape (F,).
+        faces: Vertex indices of each face, shape (F, 3).
+        face_parts: Ellipsoid 0 to 19 of each face, shape (F,).
     """
 
     vertices: np.ndarray
@@ -48,14 +48,15 @@ def registration_loss(
     """Eq. 16: L_ICP(M^S, M^E) + L_PEN(v^S, M^E), which shape and pose of the detailed body minimise.
 
     Args:
-        surface: M^S.
-        ellipsoids: M^E.
-        samples: Points on M^E, N of each ellipsoid after another, shape (20 N, 3) [m].
-        sample_areas: Their shares of the area, 0 where another ellipsoid covers it, (20 N,).
+        surface: Mesh M^S of the detailed body.
+        ellipsoids: Ellipsoids M^E of the body.
+        samples: Points on M^E [m], shape (20 N, 3). Those of one ellipsoid follow those of another.
+        sample_areas: Share of the area of each point, 0 where another ellipsoid covers it, shape
+            (20 N,).
         scale: Distance from which on ICP counts less [m].
         reach: Distance beyond which a sample has no closest point [m].
-        icp_weight: Of L_ICP in square metres.
-        penetration_weight: Of L_PEN.
+        icp_weight: Weight of L_ICP in square metres.
+        penetration_weight: Weight of L_PEN.
 
     Distances are from surface to surface, both ways, and robust. ``register`` adds joints,
     measures and priors of shape and pose.
@@ -69,8 +70,8 @@ def radial_distance(vertices: np.ndarray, ellipsoid: PosedEllipsoid) -> np.ndarr
     """Eq. 17: e(v, E) = ‖2 d_x / l, 2 d_y / t1, 2 d_z / t2‖, 1 on the ellipsoid, less inside, shape (V,).
 
     Args:
-        vertices: v, shape (V, 3) [m].
-        ellipsoid: E, with d = R^-1 (v - C).
+        vertices: Vertices v [m], shape (V, 3).
+        ellipsoid: Ellipsoid E, with d = R^-1 (v - C).
     """
     axes, centre, *sizes = ellipsoid
     return np.linalg.norm(2 * ((vertices - centre) @ axes) / np.array(sizes), axis=1)
@@ -80,9 +81,10 @@ def penetration_loss(vertices: np.ndarray, ellipsoids: list[PosedEllipsoid], are
     """Eq. 18: L_PEN = sum over v and E of a (1 - e(v, E))², with a = 0 where v is outside E, else 1.
 
     Args:
-        vertices: v, shape (V, 3) [m].
-        ellipsoids: E.
-        areas: Weight of each vertex, shape (V,); the paper has none, so fine meshes count for more.
+        vertices: Vertices v [m], shape (V, 3).
+        ellipsoids: Ellipsoids E.
+        areas: Weight of each vertex, shape (V,). The paper has none, so that fine meshes count for
+            more.
     """
     weights = np.ones(len(vertices)) if areas is None else areas
     total = 0.0

@@ -35,7 +35,8 @@ class Seeing(NamedTuple):
         near_plane: Depth at or before which nothing is drawn [m].
         part_labels: Label that each part shows.
         locked: Parts that keep their rest rotation, as bits.
-        half_size: Of the crop that the cameras' numbers are of [px]; 0: they are in pixels.
+        half_size: Half of the crop's side, if the cameras' numbers are relative to a crop [px]. If it is 0, they are in
+            pixels.
     """
 
     perspective: bool
@@ -149,10 +150,10 @@ class BodyLoss:
         """Part maps of bodies, the same as ``draw(pose(*parameters), camera, image_size, num_maps=num_maps).maps``.
 
         Args:
-            parameters: As in ``body_loss``, like all that is not named here.
-            camera: One a body, or one for all.
-            image_size: (H, W) [px].
-            num_maps: K, from 1; maps of labels 1 to K are made.
+            parameters: Parameters of the bodies as in ``body_loss``, as is all that is not named here.
+            camera: Cameras, one for each body or one for all.
+            image_size: Height and width (H, W) of the picture [px].
+            num_maps: Number of maps K, 1 or more. Maps of the labels 1 to K are made.
             part_labels: Label that each part shows.
             validate: Look for NaN, infinity and matrices that are no rotations; on CUDA that waits for the device.
 

@@ -68,8 +68,8 @@ class BodyPasses:
     def _prepare(self, buffers: Buffers, prepare: Callable[[Buffers], Launch]) -> Launch:
         """Launches of kinematics, of what ``prepare`` gives for the renderer's buffers, and of the adjoint."""
         focal, centre, *parameters = buffers.inputs
-        place = self._prepare_mesh if isinstance(self.renderer, MeshPasses) else self._prepare_ellipsoids
-        (*ellipsoids, camera), (*adjoints, adj_camera), draw = place(buffers, prepare)
+        prepare_bodies = self._prepare_mesh if isinstance(self.renderer, MeshPasses) else self._prepare_ellipsoids
+        (*ellipsoids, camera), (*adjoints, adj_camera), draw = prepare_bodies(buffers, prepare)
         bones = BoneLaunches(parameters, self.locked, (focal, centre, camera), self.half_size)
         batch = len(focal)
         moved = focal.new_empty(batch, NUM_JOINTS, 3), focal.new_empty(batch, NUM_PARTS, 3, 3)

@@ -152,8 +152,8 @@ class EllipsoidPasses:
         Args:
             posed: Centres, axes, semi-axes and camera.
             target: Label images, if L_seg is asked for.
-            faults: As of ``Picture``, if they are asked for.
-            images: ``parts``, and if they are asked for ``labels`` and ``depth``, shape (B, H, W).
+            faults: Array as in ``Picture``, if faults are asked for.
+            images: ``parts``, and if they are asked for ``labels`` and ``depth``, each of shape (B, H, W).
         """
         device, shape = posed[0].device, images["parts"].shape
         seen, losses, nearest = _empty_seen(posed), _nothing(2, float, device.alias), _nothing(3, float, device.alias)

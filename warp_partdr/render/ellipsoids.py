@@ -47,10 +47,10 @@ class Ellipsoids(Movable):
     """B times P ellipsoids in the camera frame; ``Posed`` has the same fields and serves as well.
 
     Attributes:
-        centres: Shape (B, P, 3) [m].
+        centres: Centres [m], shape (B, P, 3).
         axes: Orthonormal axes as columns, shape (B, P, 3, 3): rotations, or reflections (determinant -1), which make
             the same ellipsoids.
-        semi_axes: Shape (B, P, 3) [m].
+        semi_axes: Semi-axes [m], shape (B, P, 3).
     """
 
     centres: torch.Tensor
@@ -76,13 +76,14 @@ def draw_ellipsoids(
     Gradients are first ones: a second, as under ``create_graph=True``, is an error, and so is ``torch.func``.
 
     Args:
-        ellipsoids: P of them a body, at most 255; ``Posed`` or ``Ellipsoids``. One that reaches the camera's near plane
-            is not drawn.
-        camera: Weak perspective or perspective, one a body or one for all.
-        image_size: (H, W) [px].
+        ellipsoids: ``Posed`` or ``Ellipsoids``, with P ellipsoids for each body, at most 255. An ellipsoid that reaches
+            the camera's near plane is not drawn.
+        camera: Weak-perspective or perspective cameras, one for each body or one for all.
+        image_size: Height and width (H, W) of the picture [px].
         part_labels: Label that each ellipsoid shows, 1 to 254, or 255: hides what is behind and shows nothing, or 0: is
             left out; P of them. 1 to P by default; ``LabelSet.part_groups[1:]`` draws groups.
-        num_maps: K; maps of labels 1 to K are made. 0 makes none, and nothing has a gradient.
+        num_maps: Number of maps K. Maps of the labels 1 to K are made. If it is 0, none are made, and nothing has a
+            gradient.
         gradient: "coverage", the derivative of the area that labels cover, which sees borders alone; "edges", the same
             from one crossing of a border between each two pixels that differ: fastest, and blind to what covers no
             pixel's centre; or "partdr", the paper's rule (eq. 10 to 12), with which far pixels pull.
@@ -122,15 +123,15 @@ def ellipsoid_label_loss(
     It is a first one: a second, as under ``create_graph=True``, is an error, and so is ``torch.func``.
 
     Args:
-        ellipsoids: As in ``draw_ellipsoids``, like all that is not named here.
-        camera: One a body, or one for all.
+        ellipsoids: Ellipsoids as in ``draw_ellipsoids``, as is all that is not named here.
+        camera: Cameras, one for each body or one for all.
         target: Target label of each pixel, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
         part_labels: Label that each ellipsoid shows.
         gradient: "coverage", "edges" or "partdr".
         max_distance: Reach of a pixel [px].
-        depth_weight: The paper's lambda of the z gradient.
+        depth_weight: Lambda of the paper's z gradient.
         samples_per_pixel: Density of the borders' samples.
-        validate: As in ``draw_ellipsoids``.
+        validate: Option to check the numbers, as in ``draw_ellipsoids``.
 
     Returns:
         The loss of each body [pixels of maps], shape (B,), and the picture, which is drawn when it is first looked at.

@@ -53,13 +53,14 @@ def draw_mesh(
     On CUDA they are added in any order, so two runs differ by rounding; pictures repeat to the bit.
 
     Args:
-        vertices: In the camera frame [m], shape (B, V, 3). A face with a vertex at or before the camera's near plane is
-            not drawn.
+        vertices: Vertices in the camera frame [m], shape (B, V, 3). A face with a vertex at or before the camera's near
+            plane is not drawn.
         mesh: Topology and labels, on the same device.
-        camera: Weak perspective or perspective, one a body or one for all; ``ScreenCamera`` of vertices that are in the
-            picture already.
-        image_size: (H, W) [px]; need not be square.
-        num_maps: K; part maps of labels 1 to K are made. 0 makes none, and nothing has a gradient.
+        camera: Weak-perspective or perspective cameras, one for each body or one for all. ``ScreenCamera`` is for
+            vertices that are in the picture already.
+        image_size: Height and width (H, W) of the picture [px]. It need not be square.
+        num_maps: Number of maps K. Part maps of the labels 1 to K are made. If it is 0, none are made, and nothing has
+            a gradient.
         gradient: "partdr", or "edges": the derivative of the covered area, sampled between each two pixels that show
             different labels, in the picture's plane alone.
         max_distance: "partdr": pixels farther than this from an edge do not move it [px]. The paper has no limit, which
@@ -98,9 +99,9 @@ def mesh_label_loss(
     It is a first one: a second, as under ``create_graph=True``, is an error, and so is ``torch.func``.
 
     Args:
-        vertices: In the camera frame [m], shape (B, V, 3).
+        vertices: Vertices in the camera frame [m], shape (B, V, 3).
         mesh: Topology and labels, on the same device.
-        camera: As in ``draw_mesh``, like all that is not named here.
+        camera: Cameras as in ``draw_mesh``, as is all that is not named here.
         target: Target label of each pixel, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
         gradient: "partdr" or "edges".
         max_distance: "partdr": pixels farther than this from an edge do not move it [px].

@@ -154,12 +154,12 @@ class MeshPasses:
         """Launch that fills ``grad_vertices``.
 
         Args:
-            vertices: Of some bodies.
-            images: Their images and faults.
-            gradients: Returns the loss gradient once for each label of the z pass.
-            grad_vertices: Shape (B, V, 3).
-            keys: A ``ZBuffer``'s, empty before and after.
-            hidden: ``hidden_blocks``.
+            vertices: Vertices of some of the bodies, shape (B, V, 3).
+            images: Images and faults of these bodies.
+            gradients: Function that returns the loss gradient once for each label of the z pass.
+            grad_vertices: Gradient of the vertices, shape (B, V, 3). It is filled.
+            keys: Keys of a ``ZBuffer``, empty before and after.
+            hidden: Scratch array that ``hidden_blocks`` makes.
         """
         arrays = self._arrays(vertices), _image_arrays(images)
         found_gradient, (batch, num_edges) = warp_array(grad_vertices), (vertices.shape[0], self.edges.shape[0])

@@ -43,9 +43,9 @@ def check_target(target: torch.Tensor, like: tuple[str, torch.Tensor], batch: in
     """Raise ValueError unless a label image (N, H, W) fits a batch: N is 1 or B, on the same device.
 
     Args:
-        target: Dtype uint8, three dimensions; that much was checked.
-        like: Name and tensor whose device it must be on.
-        batch: B.
+        target: Label image. Its dtype uint8 and its three dimensions have been checked.
+        like: Name and tensor on whose device it must be.
+        batch: Number of bodies B.
     """
     if target.device != like[1].device:
         raise ValueError(f"target: on {target.device}; expected {like[1].device}, as {like[0]}")

@@ -21,12 +21,12 @@ class PartMesh(Movable):
     Attributes:
         faces: Vertex indices, shape (F, 3), int32.
         face_labels: Label 1 to 254 that a face shows, shape (F,), uint8.
-        edges: (vertex, vertex, face, other face or -1, opposite vertex of either), shape (E, 6), int32. An edge between
-            two labels, a border and each part of a non-manifold edge stand alone (other face -1).
-        cull_backfaces: Draw no face from behind: half of the work. Nobody sees those of a closed surface whose faces
-            wind counterclockwise as seen from outside. Nothing is checked: a hole, or a surface turned inside out as in
-            a mirror, shows what lies behind it.
-        num_labels: The highest label of a face, 255 aside; 0 without faces.
+        edges: Vertex, vertex, face, other face or -1, and the opposite vertex of either face, shape (E, 6), int32. An
+            edge between two labels, a border and each part of a non-manifold edge stand alone (other face -1).
+        cull_backfaces: True draws no face from behind, which halves the work. Nobody sees those of a closed surface
+            whose faces wind counterclockwise as seen from outside. Nothing is checked: a hole, or a surface turned
+            inside out as in a mirror, shows what lies behind it.
+        num_labels: Highest label of a face, except 255. It is 0 without faces.
         num_vertices: Least number of vertices that the faces need.
     """
 
@@ -126,12 +126,12 @@ class PartMesh(Movable):
                 f"labels: {labels} a mesh, {count} of them; expected {self.num_labels} to {MAX_LABEL // count}"
             )
         faces, edges, shown = [], [], []
-        for place in range(count):
-            faces.append(self.faces + place * vertices)
+        for index in range(count):
+            faces.append(self.faces + index * vertices)
             moves = self.edges.new_tensor([vertices] * 2 + [len(self.faces)] * 2 + [vertices] * 2)
-            edges.append(torch.where(self.edges >= 0, self.edges + place * moves, self.edges))
+            edges.append(torch.where(self.edges >= 0, self.edges + index * moves, self.edges))
             shown.append(
-                torch.where(self.face_labels <= MAX_LABEL, self.face_labels + place * labels, self.face_labels)
+                torch.where(self.face_labels <= MAX_LABEL, self.face_labels + index * labels, self.face_labels)
             )
         return PartMesh(torch.cat(faces), torch.cat(shown).to(torch.uint8), torch.cat(edges), self.cull_backfaces)
 

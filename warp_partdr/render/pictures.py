@@ -26,10 +26,10 @@ class Picture(NamedTuple):
 
     Attributes:
         labels: Label at each pixel, 0 = background, uint8.
-        depth: Of what is nearest [m], inf = background, float32.
-        nearest: Index of the nearest face or ellipsoid; integers.
+        depth: Depth of the nearest surface [m], inf = background, float32.
+        nearest: Index of the nearest face or ellipsoid, integers.
         faults: NaN for a body with numbers that can't be drawn (NaN, infinity, sizes of 0 or less), else 0, shape (B,).
-        scratch: Of the launches that drew it, for the gradient; None if it is to be made again.
+        scratch: Scratch arrays of the launches that drew it, for the gradient. If it is None, they are made again.
     """
 
     labels: torch.Tensor

@@ -98,10 +98,10 @@ class RendererMesh(BodyLoss):
     """Renderer of EllipBody's mesh; with PartDR's gradient, it is the paper's.
 
     Attributes:
-        subdivisions: Level of the mesh, 0 to 3; "auto": the coarsest that keeps ``tolerance``.
-        tolerance: Of "auto": greatest distance of silhouettes from those of the ellipsoids [px].
-        max_distance: "partdr": greatest distance from an edge of a pixel that moves it [px].
-        depth_weight: "partdr": the paper's lambda of the z gradient (eq. 12); 0 leaves it out.
+        subdivisions: Level of the mesh, 0 to 3, or "auto" for the coarsest that keeps ``tolerance``.
+        tolerance: Greatest distance of silhouettes from those of the ellipsoids that "auto" allows [px].
+        max_distance: Greatest distance from an edge of a pixel that moves it with "partdr" [px].
+        depth_weight: Lambda of the paper's z gradient (eq. 12) with "partdr". If it is 0, z has no gradient.
         gradient: "partdr" or "edges", see ``draw_mesh``.
     """
 

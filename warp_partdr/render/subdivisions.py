@@ -23,9 +23,9 @@ def coarsest_subdivisions(parts: Ellipsoids | Posed, camera: Camera, *, toleranc
     """Coarsest level whose silhouettes lie nowhere farther than ``tolerance`` from those of the ellipsoids.
 
     Args:
-        parts: B bodies; one level serves them all.
-        camera: One a body, in the pixels that the tolerance is in.
-        tolerance: Of every part's silhouette, and so of the body's [px].
+        parts: B bodies. One level serves them all.
+        camera: Cameras, one for each body, in the pixels that the tolerance is in.
+        tolerance: Greatest distance of every part's silhouette, and so of the body's [px].
 
     Returns:
         0 to 3, for ``ellipbody_mesh`` and ``Posed.vertices``.

@@ -65,9 +65,9 @@ def time_kernels(run: Callable[[], None], device: str, budget: float) -> list[tu
     What clears memory counts for the kernel that follows.
 
     Args:
-        run: Launches kernels on fixed buffers, whatever is in them.
-        device: Where.
-        budget: [s] for each kernel.
+        run: Function that launches kernels on fixed buffers, whatever is in them.
+        device: Device on which it launches them.
+        budget: Time for each kernel [s].
     """
     launches = observe_launches(run)
     time_all = _time_pieces if wp.get_device(device).is_cpu else _time_beginnings

@@ -44,11 +44,11 @@ def make_table(
     """A table for the screen, without the columns that are empty in every row.
 
     Args:
-        title: Above it.
-        headings: Of the columns.
-        rows: A cell for each heading.
-        left: Columns with words in them, which are set left; numbers are set right.
-        sections: Whether a space divides rows with different first cells.
+        title: Title above the table.
+        headings: Headings of the columns.
+        rows: Rows with a cell for each heading.
+        left: Columns with words in them, which are set left. Numbers are set right.
+        sections: True puts a space between rows with different first cells.
     """
     from rich.box import SIMPLE_HEAD
     from rich.markup import escape  # "[ms]" is a unit

@@ -45,8 +45,8 @@ def run_savings(device: str, *, budget: float = 1.0, progress: Progress | None =
 
     Args:
         device: "cpu" or a CUDA device.
-        budget: Of each of the two or three figures of a row [s].
-        progress: Called with (name, rows done, rows in all).
+        budget: Time for each of the two or three figures of a row [s].
+        progress: Function that is called with (name, rows done, rows in all).
 
     Returns:
         For JSON, a row for each thing that need not be modelled. ``left`` is the time that is left, as a share of what

@@ -45,8 +45,8 @@ def repeat(sample: Callable[[], list[float]], budget: float) -> Timing:
     """Collect durations until the budget is spent, after a first sample that does not count.
 
     Args:
-        sample: Runs once or more and gives each run's duration [s].
-        budget: [s]; there are at least 3 durations in any case, and about 200 at most.
+        sample: Function that runs once or more and returns each run's duration [s].
+        budget: Time to spend [s]. There are at least 3 durations in any case, and about 200 at most.
     """
     sample()
     seconds: list[float] = []

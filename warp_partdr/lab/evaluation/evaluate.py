@@ -129,10 +129,10 @@ class Report:
     """All scores, in the order of samples and, for each, of methods; and what could not be fitted.
 
     Attributes:
-        scores: Of each sample and method.
+        scores: Scores of each sample and method.
         failures: Samples that a method could not fit.
         clusters: Name of the scores' clusters, for tables.
-        together: Pool all sources, too, as the source ``ALL``, if there are several.
+        together: True also pools all sources as the source ``ALL``, if there are several.
     """
 
     scores: tuple[Score, ...]
@@ -181,12 +181,12 @@ def evaluate(
     A method's first fit in a process is done twice, so that no time counted has the compiling of kernels in it.
 
     Args:
-        samples: Whom to fit.
-        methods: By name.
-        jobs: Fits at a time, in processes of their own with one thread each; they make one another slower. 1 stays in
-            this process.
+        samples: Samples to fit.
+        methods: Methods by name.
+        jobs: Number of fits at a time, in processes of their own with one thread each. They make one another slower.
+            With 1, fits stay in this process.
         device: "cpu" or a CUDA device.
-        progress: Called with ("fits", done, total).
+        progress: Function that is called with ("fits", done, total).
 
     Raises:
         InputError: If nothing could be fitted: why the first could not, or that no method serves.

@@ -26,8 +26,8 @@ def compare_pairs(report: Report, pairs: Sequence[tuple[str, str]]) -> Iterator[
     """Differences between two methods on the same samples, with 95 % intervals over people.
 
     Args:
-        report: Of ``evaluate``.
-        pairs: Names of methods: the first minus the second.
+        report: Report that ``evaluate`` returned.
+        pairs: Names of two methods each. The difference is the first minus the second.
 
     Yields:
         Source, and a sentence about a pair, for each pair that a source's samples were fitted by.
@@ -50,11 +50,11 @@ def _compare(pairs: list[list[Score]]) -> str:
         gains = factor * np.array([getattr(better, field) - getattr(worse, field) for better, worse in pairs])
         if np.isfinite(gains).all():
             sums = sum_clusters(np.stack([gains, np.ones(len(gains))], axis=1), clusters)
-            told = f"{name} {gains.mean():+.1f}"
+            text = f"{name} {gains.mean():+.1f}"
             if len(sums) > 1 or len(gains) == 1:
                 low, high = metrics.bootstrap_sum(sums, lambda sums: sums[..., 0] / sums[..., 1])
-                told = f"{told} ({low:+.1f} to {high:+.1f})"
-            parts.append(f"{told} {unit}")
+                text = f"{text} ({low:+.1f} to {high:+.1f})"
+            parts.append(f"{text} {unit}")
     counts = np.array([[score.pixels.parts for score in pair if score.pixels is not None] for pair in pairs])
     if counts.ndim == 4:
         gain = lambda sums: metrics.part_f1(sums[..., 0, :, :]) - metrics.part_f1(sums[..., 1, :, :])  # noqa: E731

@@ -45,7 +45,7 @@ class PhotoMethod:
         camera = sample.camera if self.camera else None
         found = fit_photo(sample.read_picture(), options=options, device=device, camera=camera)
         apart = {
-            place: _keypoint_distance(sample.keypoints, person.keypoints) for place, person in enumerate(found.people)
+            index: _keypoint_distance(sample.keypoints, person.keypoints) for index, person in enumerate(found.people)
         }
         nearest = min(apart, key=apart.__getitem__)
         share = apart[nearest] / max(person_height(sample.keypoints), 1.0)
@@ -77,13 +77,13 @@ def real_methods(
     Args:
         camera: A sample's is given.
         stature: A sample's is given, or one for all [m].
-        network: File of a label network of `partdr train`; None: the packaged one.
+        network: File of a label network of `partdr train`. If it is None, the packaged one is taken.
     """
     options = FitOptions(network=network, stature=None if isinstance(stature, bool) else stature)
-    told = stature is True
+    with_stature = stature is True
     return {
-        NETWORK: Method(no_labels, replace(options, stages=(), search=()), camera=camera, stature=told),
-        ELLIPSOIDS: Method(no_labels, options, camera=camera, stature=told),
-        MESH: Method(no_labels, options, fit_anny, camera=camera, stature=told),
-        PHOTO: PhotoMethod(options, camera=camera, stature=told),
+        NETWORK: Method(no_labels, replace(options, stages=(), search=()), camera=camera, stature=with_stature),
+        ELLIPSOIDS: Method(no_labels, options, camera=camera, stature=with_stature),
+        MESH: Method(no_labels, options, fit_anny, camera=camera, stature=with_stature),
+        PHOTO: PhotoMethod(options, camera=camera, stature=with_stature),
     }

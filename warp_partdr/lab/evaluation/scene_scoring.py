@@ -35,9 +35,10 @@ class SceneBodies:
     """Bodies of a scene's people: of one fit, or of several, each of some of the people or one of the frames.
 
     Attributes:
-        fits: In the order of people, or of frames.
-        smoothing: Standard deviation of the Gaussian by which all points are smoothed in time [frames]; 0: not at all.
-        by_frame: Fits are of one frame each.
+        fits: Fits in the order of people, or of frames.
+        smoothing: Standard deviation of the Gaussian by which all points are smoothed in time [frames]. If it is 0,
+            they are not smoothed.
+        by_frame: True if each fit is of one frame.
     """
 
     fits: Sequence[SceneFit]
@@ -170,7 +171,7 @@ def _keypoint_distances(sample: SceneSample, bodies: SceneBodies) -> np.ndarray:
     shares = []
     for sight in sights:
         view, keypoints = sample.scene.views[sight.view], sight.keypoints
-        seen = view.camera.project(view.to_camera(marked[sight.person, sight.frame])[None])[0, :, :2].numpy()
-        off = np.linalg.norm(seen - keypoints.points, axis=1)[keypoints.confident]
+        projected = view.camera.project(view.to_camera(marked[sight.person, sight.frame])[None])[0, :, :2].numpy()
+        off = np.linalg.norm(projected - keypoints.points, axis=1)[keypoints.confident]
         shares.append(off / max(person_height(keypoints), 1.0))
     return np.concatenate(shares)

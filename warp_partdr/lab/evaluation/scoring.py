@@ -91,15 +91,15 @@ def score_fit(
     Args:
         sample: The person.
         method: Name of the method.
-        result: Of ``Method.fit``.
+        result: Result of ``Method.fit``.
         seconds: Duration of the fit.
-        vertices: Of the result's mesh, if it and the sample have one, in its camera frame, shape (V, 3) [m].
+        vertices: Vertices of the result's mesh in its camera frame, if it and the sample have one, shape (V, 3) [m].
     """
-    sure = sample.keypoints.confident
+    confident = sample.keypoints.confident
     form = sample.keypoints.format
     landmarks = torch.from_numpy(_marked(result, form.marks, form.landmarks))[None]
-    seen = result.camera.project(landmarks.to(result.camera.intrinsics))[0, :, :2].cpu().numpy()
-    distances = np.linalg.norm(seen - sample.keypoints.points, axis=1)[sure]
+    projected = result.camera.project(landmarks.to(result.camera.intrinsics))[0, :, :2].cpu().numpy()
+    distances = np.linalg.norm(projected - sample.keypoints.points, axis=1)[confident]
     return Score(
         source=sample.source,
         sample=sample.name,
@@ -164,8 +164,8 @@ def _depth_figures(sample: Sample, result: FitResult | MeshFit) -> dict[str, flo
         most = int(np.abs(wrong - true).argmax())
         figures["order"] = float(abs(found[most] - true[most]) < abs(found[most] - wrong[most]))
     if isinstance(result, FitResult) and result.uncertainty is not None:
-        told = [name for name in names if name in JOINT_NAMES and name not in _HIPS]  # which lie by the pelvis
-        rows, columns = [names.index(name) for name in told], [JOINT_NAMES.index(name) - 1 for name in told]
+        scored = [name for name in names if name in JOINT_NAMES and name not in _HIPS]  # which lie by the pelvis
+        rows, columns = [names.index(name) for name in scored], [JOINT_NAMES.index(name) - 1 for name in scored]
         off = np.abs(found - true)[rows]
         known = np.isfinite(off)
         if known.any():

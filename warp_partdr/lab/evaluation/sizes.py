@@ -13,8 +13,8 @@ def trunk_and_legs(joints: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """Length from the ankles by the knees to the hips, mean of both legs, and from there up to mid shoulder.
 
     Args:
-        joints: Shape (..., J, 3) [m].
-        names: Their landmarks.
+        joints: Joints [m], shape (..., J, 3).
+        names: Landmarks of the joints.
 
     Returns:
         The lengths [m], shape (...), which depend on the pose by a bent back alone; NaN if one of these joints is

@@ -71,9 +71,9 @@ def measure_beside_real(
     for name in levels:
         samples = [make_sample(index, name) for index in people]
         if formats:
-            told = [sample for sample in samples if sample.keypoints.format in OTHER_FORMATS]
-            comparison.measure(f"{name}, told", told, alone)
-            comparison.measure(f"{name}, not told", [_untold(sample) for sample in told], alone)
+            with_format = [sample for sample in samples if sample.keypoints.format in OTHER_FORMATS]
+            comparison.measure(f"{name}, told", with_format, alone)
+            comparison.measure(f"{name}, not told", [_untold(sample) for sample in with_format], alone)
             continue
         comparison.measure(name, samples, alone | labelled)
         if name in LEVELS:

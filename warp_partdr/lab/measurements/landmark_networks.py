@@ -89,11 +89,11 @@ class _View:
 
     Attributes:
         picture: RGB, shape (H, W, 3), uint8.
-        moment: Number of the person, or of the moment; views of one are no independent samples.
-        joints: In the camera's frame [m], shape (12, 3).
-        points: In the picture [px], shape (12, 2).
-        height: The person's in the picture [px].
-        compared: Whether ``points`` are near enough to the truth to compare keypoints with them.
+        moment: Number of the person, or of the moment. Views with the same number are no independent samples.
+        joints: Joints in the camera's frame [m], shape (12, 3).
+        points: Joints in the picture [px], shape (12, 2).
+        height: Height of the person in the picture [px].
+        compared: True if ``points`` are near enough to the truth to compare keypoints with them.
     """
 
     picture: np.ndarray
@@ -121,9 +121,9 @@ class _FilmTruth:
     """Truth about the twelve joints in a film by C cameras.
 
     Attributes:
-        frames: Those that are taken as photos, shape (T,).
-        points: In the pictures, as they show them [px], shape (C, F, 12, 2).
-        joints: Likewise, in the cameras' frames [m], shape (C, F, 12, 3).
+        frames: Frames that are taken as photos, shape (T,).
+        points: Joints in the pictures, as they show them [px], shape (C, F, 12, 2).
+        joints: Joints in the cameras' frames [m], shape (C, F, 12, 3).
     """
 
     frames: np.ndarray
@@ -162,9 +162,9 @@ def _pose2sim_views(path: Path, videos: Path) -> Iterator[_View]:
 def _truth_heights(points: np.ndarray) -> np.ndarray:
     """Heights of the person [px], as of ``person_height``, of joints (T, 12, 2), shape (T,)."""
     everywhere = np.zeros((len(points), len(skeleton(SKELETON)), 2), np.float32)
-    sure = np.zeros(everywhere.shape[:2], np.float32)
-    everywhere[:, _PLACES], sure[:, _PLACES] = points, 1
-    return person_heights(SKELETON, everywhere, sure)
+    confidence = np.zeros(everywhere.shape[:2], np.float32)
+    everywhere[:, _PLACES], confidence[:, _PLACES] = points, 1
+    return person_heights(SKELETON, everywhere, confidence)
 
 
 _COLUMNS = {
@@ -190,8 +190,8 @@ def _measure_views(views: Iterator[_View]) -> Iterator[FigureTable | str]:
         if min(far, default=np.inf) > _FAR:
             missed += 1
             continue
-        place = int(np.argmin(far))
-        person, heavy = people[place], find_people(pyramid, landmarks="heavy")[place]
+        index = int(np.argmin(far))
+        person, heavy = people[index], find_people(pyramid, landmarks="heavy")[index]
         crop = replace(person.crop, pictures=np.zeros(1, np.int64))
         points = place_landmarks(see_landmarks(network, [pyramid], crop, mirror=False), crop)[0][0]
         alone = replace(person, keypoints=replace(person.keypoints, points=points.astype(np.float32)))
@@ -200,7 +200,7 @@ def _measure_views(views: Iterator[_View]) -> Iterator[FigureTable | str]:
             keypoints[name] += [view.errors(each)] * view.compared
         for landmarks in get_args(LandmarkNetwork):
             options = replace(FitOptions.at("balanced"), landmarks=landmarks)
-            bodies[landmarks].append(_body_errors(view, place, options))
+            bodies[landmarks].append(_body_errors(view, index, options))
         moments.append(view.moment)
     yield f"{len(moments)} views; the person was not found in {missed} more"
     table, first = FigureTable("Keypoints", _COLUMNS), np.array(keypoints["full"])
@@ -218,9 +218,9 @@ def _measure_views(views: Iterator[_View]) -> Iterator[FigureTable | str]:
     yield table
 
 
-def _body_errors(view: _View, place: int, options: FitOptions) -> np.ndarray:
+def _body_errors(view: _View, index: int, options: FitOptions) -> np.ndarray:
     """PA-MPJPE and MPJPE [mm] of the mesh of the person at this place, shape (2,)."""
-    body = fit_photo(view.picture, person=place, options=options).fits[place]
+    body = fit_photo(view.picture, person=index, options=options).fits[index]
     return _errors_of_joints(body.landmarks(_JOINTS), view.joints)
 
 
@@ -235,8 +235,8 @@ def _measure_films(truth: _FilmTruth, videos: Path, cameras: Sequence[int]) -> I
     table = FigureTable("Films", columns)
     for camera in cameras:
         for name in get_args(LandmarkNetwork):
-            seen = SeenFilm.of(find_film_people(_film_of(videos, camera - 1), landmarks=name))
-            motion = fit_film([seen], person=0).motions[0]
+            film = SeenFilm.of(find_film_people(_film_of(videos, camera - 1), landmarks=name))
+            motion = fit_film([film], person=0).motions[0]
             joints = motion.model.landmarks(motion.bodies().detailed, _JOINTS).numpy()
             aligned, centred = _errors_of_joints(joints, truth.joints[camera - 1, motion.frames]).mean(axis=0).tolist()
             table.add(camera, name, aligned, centred, len(joints))

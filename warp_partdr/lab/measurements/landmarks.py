@@ -82,7 +82,7 @@ def ellipbody_between(joints: torch.Tensor, posed: Posed, growth: torch.Tensor) 
 
     Args:
         joints: Joints of people [m], shape (B, 21, 3).
-        posed: Their bodies, whose turns the ellipsoids have.
+        posed: Bodies of these people, whose turns the ellipsoids have.
         growth: Factors of the mean thicknesses, shape (B,).
     """
     bones = joints[:, 1:] - joints[:, list(BONE_STARTS)]

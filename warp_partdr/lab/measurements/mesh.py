@@ -66,7 +66,7 @@ def measure_mesh(*, counts: Counts = (1, 8), device: Device = "auto") -> Iterato
     columns |= {f"{options.iterations} steps alone [ms]": ".0f", "likewise [ms]": ".0f"}
     table, clocks = FigureTable(f"Mesh stage on {where}", columns), []
     for people in counts:
-        results = [several[place % len(several)] for place in range(people)]
+        results = [several[index % len(several)] for index in range(people)]
         with one_torch_thread():
             steps = _timed(_all_steps(results, options, where), where)
         whole = _timed(partial(refine_meshes, results, options=options), where)

@@ -56,19 +56,21 @@ def measure_photo(folder: Path, /) -> Iterator[FigureTable]:
         started = time.perf_counter()
         everyone = fit_photo(photo)
         seconds = time.perf_counter() - started
-        sure = truth.confident
-        apart = [np.linalg.norm(each.keypoints.points - truth.points, axis=1)[sure].mean() for each in everyone.people]
-        place = int(np.argmin(apart))
-        others = [each.keypoints for index, each in enumerate(everyone.people) if index != place]
-        seen = weigh_evidence(truth, labels, others)[0]
+        confident = truth.confident
+        apart = [
+            np.linalg.norm(each.keypoints.points - truth.points, axis=1)[confident].mean() for each in everyone.people
+        ]
+        nearest = int(np.argmin(apart))
+        others = [each.keypoints for index, each in enumerate(everyone.people) if index != nearest]
+        evidence = weigh_evidence(truth, labels, others)[0]
         size = photo.shape[0], photo.shape[1]
-        drawn = everyone.fits[place].draw(size).labels[0].cpu().numpy()
+        drawn = everyone.fits[nearest].draw(size).labels[0].cpu().numpy()
         groups = regroup(labels.label_set, _COARSE)
         counts = confusion(
-            groups[labels.label_set.part_groups][drawn], groups[seen.target(size)], _COARSE.num_groups + 1
+            groups[labels.label_set.part_groups][drawn], groups[evidence.target(size)], _COARSE.num_groups + 1
         )
         pooled += counts
-        off = 100 * float(apart[place]) / person_height(truth)
+        off = 100 * float(apart[nearest]) / person_height(truth)
         table.add(path.stem, len(everyone.people), seconds, off, *_scores(counts))
     table.add("pooled", None, None, None, *_scores(pooled))
     yield table

@@ -60,8 +60,8 @@ def measure_precision(*pictures: Path, device: Device = "cpu") -> Iterator[Figur
 
 def _distances(person: FoundPerson, other: FoundPerson) -> np.ndarray:
     """Distances of sure keypoints as shares of the box's height."""
-    sure = person.keypoints.confident
-    return np.linalg.norm(person.keypoints.points - other.keypoints.points, axis=1)[sure] / _height(person)
+    confident = person.keypoints.confident
+    return np.linalg.norm(person.keypoints.points - other.keypoints.points, axis=1)[confident] / _height(person)
 
 
 def _height(person: FoundPerson) -> float:

@@ -144,9 +144,9 @@ def _stages(root: Path, quality: BulkQuality, device: str) -> Iterator[FigureTab
     source = open_source(root / "shards", labels=_LABELS)
     assert isinstance(source, PictureFiles)
     model = anny(device) if quality == "mesh" else None
-    how = replace(stages_of_quality(quality), half=multiplies_bfloat16(device))
+    options = replace(stages_of_quality(quality), half=multiplies_bfloat16(device))
     network, names = packaged_network(device), source.names[:_SOME]
-    cutter = Cutter(skeleton=source.skeleton, label_size=kept_label_size(how, network, meshes=model is not None))
+    cutter = Cutter(skeleton=source.skeleton, label_size=kept_label_size(options, network, meshes=model is not None))
     table = FigureTable("Stages alone", {"stage": "", "µs a person": ".1f"})
 
     def clocked(stage: str, people: int, work: Callable[[], Any], device: str = "cpu") -> Any:
@@ -165,7 +165,7 @@ def _stages(root: Path, quality: BulkQuality, device: str) -> Iterator[FigureTab
     many = source.names[: min(len(source.names), 1000 * cores)]
     yield _reading_speed(source, cutter, many, cores)
     people = CutPeople.joined([each for _, each in cut.people][:1])
-    fitter = PeopleFitter(how, network, model, device, _BATCH)
+    fitter = PeopleFitter(options, network, model, device, _BATCH)
     clocked("copied to the device", len(people), lambda: people.to(device), device)
     there = people.to(device)
     parts = clocked(f"fitted and described, {len(people)} at a time", len(people), lambda: fitter.bodies(there), device)

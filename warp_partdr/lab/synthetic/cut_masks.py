@@ -22,9 +22,9 @@ def cut_mask(mask: torch.Tensor, joints: torch.Tensor, statures: torch.Tensor, u
 
     Args:
         mask: Pixels of the person, shape (B, S, S), bool.
-        joints: ``JOINT_NAMES`` in crop coordinates, shape (B, 21, 2).
-        statures: Crop coordinates that a standing person spans, shape (B,).
-        unsure: Where pixels within parts that are no neighbours are to be unknown, shape (B,), bool.
+        joints: Joints ``JOINT_NAMES`` in crop coordinates, shape (B, 21, 2).
+        statures: Height of each person standing, in crop coordinates, shape (B,).
+        unsure: Flag for each person whose pixels become unknown within parts that are no neighbours, shape (B,), bool.
 
     Returns:
         Labels 0 to 20, or 255 for unknown, shape (B, S, S), uint8.

@@ -75,17 +75,17 @@ class DetectorErrors:
         Args:
             points: True places of ``LANDMARKS``, shape (B, 24, 2).
             states: ``SEEN``, ``HIDDEN`` or ``BEYOND``, shape (B, 24).
-            stature: Of the people as they are seen, in the unit of ``points``, shape (B,).
+            stature: Stature of the people as they are seen, in the unit of ``points``, shape (B,).
 
         Returns:
             Places and confidence, all 0 where missing, shape (B, 24, 3), and the errors, shape (B, 24, 2). Nothing that
             it knows is missing: what it can't see, it guesses.
         """
         features = _features(points / stature[:, None, None], states)
-        alike = torch.cat(
+        nearest = torch.cat(
             [torch.cdist(some, self._features).topk(_ALIKE, largest=False)[1] for some in features.split(_AT_ONCE)]
         )
-        row = alike.gather(1, self.rng.integers(_ALIKE, len(points), 1))[:, 0]
+        row = nearest.gather(1, self.rng.integers(_ALIKE, len(points), 1))[:, 0]
         errors, confidence = self._errors[row] * stature[:, None, None], self._confidence[row, :, None]
         return torch.cat([points + errors, confidence], dim=2) * (confidence > 0), errors
 

@@ -86,8 +86,8 @@ def dress(body: Detailed, shape: torch.Tensor, outfit: tuple[Worn, ...]) -> tupl
 
     Args:
         body: Anny, B = 1, any frame [m].
-        shape: Its shape values, shape (1, 20).
-        outfit: Of ``draw_outfit``.
+        shape: Shape values of the body, shape (1, 20).
+        outfit: Outfit that ``draw_outfit`` returned.
 
     Returns:
         Vertices [m], float32: the V of the body, the same moved out to the clothes, and those of a tube around the

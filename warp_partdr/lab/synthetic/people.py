@@ -66,9 +66,9 @@ def rotations_along(directions: torch.Tensor, orientation: torch.Tensor, world: 
     """Local rotations of EllipBody's parts along other bones, which lean a little otherwise, shape (B, 20, 3, 3).
 
     Args:
-        directions: Of the bones, unit vectors, shape (B, 20, 3).
+        directions: Directions of the bones, unit vectors, shape (B, 20, 3).
         orientation: Global orientation, shape (B, 3, 3).
-        world: Rotations of the parts that are to be turned until they point so, shape (B, 20, 3, 3).
+        world: Rotations of the parts, which are turned until they point along the bones, shape (B, 20, 3, 3).
     """
     rest, above = _rest_bones(world.device, world.dtype)
     turned = rotation_between((world @ rest[..., None])[..., 0], directions) @ world

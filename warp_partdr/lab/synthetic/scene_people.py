@@ -54,15 +54,16 @@ class SceneSample:
     """A scene and its truth.
 
     Attributes:
-        name: Such as "person 007", of PartBench.
-        scene: As it is seen, with noise.
-        joints: LSP's 14 joints in the world [m], shape (P, T, 14, 3).
-        vertices: Anny's in the world [m], shape (P, T, V, 3).
-        statures: Of people standing [m], shape (P,).
+        name: Name in PartBench, such as "person 007".
+        scene: Scene as it is seen, with noise.
+        joints: Joints of LSP, 14 of them, in the world [m], shape (P, T, 14, 3).
+        vertices: Vertices of Anny in the world [m], shape (P, T, V, 3).
+        statures: Height of each person standing [m], shape (P,).
         parts: True labels of each picture, shape (T V, H, W): person 20 + part, 0 = background.
         source: Group whose figures are pooled.
-        wrong_order: A fit is to start with the two exchanged in depth, as ``in_wrong_order`` does.
-        slots: People at most in scenes whose figures are pooled with its; 0: as many as here.
+        wrong_order: True if a fit is to start with the two exchanged in depth, as ``in_wrong_order`` does.
+        slots: Greatest number of people in scenes whose figures are pooled with its own. If it is 0, it is the number
+            here.
     """
 
     name: str
@@ -236,7 +237,7 @@ def _see(
     lasts = _LASTS ** (_PER_SECOND / frame_rate)
     lasting: dict[tuple[int, int], np.ndarray] = {}  # noise of keypoints one frame ago
     for frame in range(len(bodies[0])):
-        for place, view in enumerate(views):
+        for view_index, view in enumerate(views):
             now = [each[frame] for each in bodies]
             vertices = torch.cat([view.to_camera(body.vertices) for body in now], dim=1)
             drawn = draw_mesh(vertices, both, view.camera, _SIZE)
@@ -256,16 +257,16 @@ def _see(
                 groups[(shown > 0) & ~mine & (groups == 0)] = 255
                 true = pixels[0].numpy()
                 seen = noisy_keypoints(true, hidden, COCO.landmarks, height, _SIZE, level=level, rng=rng)
-                off = lasting.get((person, place))
+                off = lasting.get((person, view_index))
                 there = seen[:, 2:] > 0
-                lasting[person, place] = np.where(there, seen[:, :2] - true, 0.0)
+                lasting[person, view_index] = np.where(there, seen[:, :2] - true, 0.0)
                 if off is not None:
-                    lasting[person, place] *= math.sqrt(1 - lasts**2)
-                    lasting[person, place] += lasts * off
-                placed = np.where(there, true + lasting[person, place], 0.0).astype(np.float32)
+                    lasting[person, view_index] *= math.sqrt(1 - lasts**2)
+                    lasting[person, view_index] += lasts * off
+                placed = np.where(there, true + lasting[person, view_index], 0.0).astype(np.float32)
                 keypoints = Keypoints2D(COCO.name, placed, seen[:, 2].astype(np.float32))
                 if keypoints.visible.any():
-                    sights.append(Sight(keypoints, PartLabels(LABELS, groups), person, frame, place))
+                    sights.append(Sight(keypoints, PartLabels(LABELS, groups), person, frame, view_index))
     truth = [torch.cat([model.landmarks(body, MPJPE_JOINTS) for body in each]).numpy() for each in bodies]
     every = [torch.cat([body.vertices for body in each]).numpy() for each in bodies]
     scene = Scene(tuple(views), tuple(sights), frame_rate)

@@ -66,12 +66,12 @@ def _shade(rotations: torch.Tensor, ups: torch.Tensor, rng: TorchRng, first: int
     points = camera.project(model.landmarks(body, names) + away)[..., :2].cpu().numpy()
     joints = (model.landmarks(body, MPJPE_JOINTS) + away).cpu().numpy()
     parts = label_set("ellipbody20")
-    sure = np.ones(len(names), dtype=np.float32)
+    confidence = np.ones(len(names), dtype=np.float32)
     for k in range(count):
         yield Sample(
             source="shaded",
             name=f"person {first + k:04d}",
-            keypoints=Keypoints2D(_KEYPOINTS, points[k], sure),
+            keypoints=Keypoints2D(_KEYPOINTS, points[k], confidence),
             parts=PartLabels(parts, labels[k]),
             target=labels[k],
             joints=joints[k],

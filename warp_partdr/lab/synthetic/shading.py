@@ -41,10 +41,10 @@ def shade_people(
     """Shade people, each alone in a picture.
 
     Args:
-        vertices: Of Anny, and perhaps of more after it, in the camera frame [m], shape (B, V, 3).
-        mesh: Its faces begin with Anny's.
-        camera: One for each of them.
-        size: (H, W) of the pictures [px].
+        vertices: Vertices of Anny, and perhaps more vertices after them, in the camera frame [m], shape (B, V, 3).
+        mesh: Mesh whose first faces are Anny's.
+        camera: Cameras, one for each person.
+        size: Height and width (H, W) of the pictures [px].
         rng: Source of colours, light and backgrounds, on the device of ``vertices``.
 
     Returns:

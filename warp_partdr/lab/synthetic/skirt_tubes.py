@@ -49,11 +49,11 @@ def tube(
     """Rings of N tubes, each the hull of a disc about either leg.
 
     Args:
-        legs: Of ``leg_joints``.
-        levels: Of ``ring_levels``.
-        radii: Of the discs where they are widest [m], shape (B, 25).
-        shares: Of the left leg, least and largest, in each tube: 0.5 to 1 is the hull of its disc and of one between
-            the legs.
+        legs: Joints that ``leg_joints`` returned.
+        levels: Levels that ``ring_levels`` returned.
+        radii: Radii of the discs where they are widest [m], shape (B, 25).
+        shares: Least and largest share of the left leg in each tube: 0.5 to 1 is the hull of its disc and of one
+            between the legs.
 
     Returns:
         Vertices, shape (B, N * 25 * 48, 3) [m], and the left leg's share of each, shape (B, N * 25, 48).

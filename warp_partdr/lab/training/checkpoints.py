@@ -83,7 +83,7 @@ def list_checkpoints(folder: Path) -> list[Path]:
     )
 
 
-def load_checkpoint(place: Path) -> Checkpoint:
+def load_checkpoint(folder: Path) -> Checkpoint:
     """Read a checkpoint.
 
     Raises:
@@ -92,14 +92,14 @@ def load_checkpoint(place: Path) -> Checkpoint:
     from safetensors import SafetensorError
     from safetensors.torch import load_file
 
-    expected = f"{_EXPECTED}; without the folder {place.name} the run goes on from the one before"
+    expected = f"{_EXPECTED}; without the folder {folder.name} the run goes on from the one before"
     try:
-        about = parse_json((place / _STATE).read_text(encoding="utf-8"), f"{place / _STATE}: damaged", expected)
+        about = parse_json((folder / _STATE).read_text(encoding="utf-8"), f"{folder / _STATE}: damaged", expected)
         if not isinstance(about, dict) or about.get("format") != FORMAT:
-            raise InputError(f"{place}: of another format; expected {_EXPECTED}")
+            raise InputError(f"{folder}: of another format; expected {_EXPECTED}")
         tensors = {}
         for name, digest in about.pop("sha256").items():
-            path = place / f"{Path(name).name}.safetensors"
+            path = folder / f"{Path(name).name}.safetensors"
             if file_sha256(path) != digest:
                 raise InputError(f"{path}: damaged (its SHA-256 is another); expected {expected}")
             tensors[name] = load_file(path)
@@ -107,7 +107,7 @@ def load_checkpoint(place: Path) -> Checkpoint:
     except InputError:
         raise
     except (OSError, SafetensorError, KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"{place}: damaged ({cause(error)}); expected {expected}") from error
+        raise InputError(f"{folder}: damaged ({cause(error)}); expected {expected}") from error
     return Checkpoint(tensors, about, ranks)
 
 

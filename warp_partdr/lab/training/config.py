@@ -141,8 +141,8 @@ def read_config(source: str | Path, overrides: Sequence[str] = ()) -> TrainingCo
         InputError: If there is no such file, it is no TOML, or a key is unknown or has a wrong value.
     """
     name = str(source)
-    place = Path(name) if name.endswith(".toml") else _PACKAGED.joinpath(f"{name}.toml")
-    values = read_toml(place, name, f"a .toml file, or one of {', '.join(packaged_configs())}")
+    path = Path(name) if name.endswith(".toml") else _PACKAGED.joinpath(f"{name}.toml")
+    values = read_toml(path, name, f"a .toml file, or one of {', '.join(packaged_configs())}")
     for override in overrides:
         key = set_value(values, override)
         if key in ("steps", "epochs"):  # one takes the other's place

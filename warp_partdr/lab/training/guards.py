@@ -23,11 +23,11 @@ _LAG = 4  # steps that the device may be behind when a loss is looked at
 @contextmanager
 def signals() -> Iterator[list[int]]:
     """Collect SIGTERM and SIGINT instead of being ended by them, so that a step is finished; a second SIGINT ends."""
-    told: list[int] = []
+    received: list[int] = []
     before: dict[int, Any] = {}
 
     def tell(number: int, frame: FrameType | None) -> None:
-        told.append(number)
+        received.append(number)
         if number == signal.SIGINT:  # launchers send SIGTERM more than once
             signal.signal(number, before[number])
 
@@ -37,7 +37,7 @@ def signals() -> Iterator[list[int]]:
     except ValueError:
         pass  # not the main thread: whoever runs it handles signals
     try:
-        yield told
+        yield received
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)

@@ -275,14 +275,14 @@ def body_losses(predicted: Predicted, people: PeopleBatch) -> dict[str, torch.Te
     """
     size = people.parts.shape[-1]
     body, camera = _before_camera(predicted, people, size)
-    seen = camera.project(posed_landmarks(pose(*body, validate=False), LANDMARKS))[..., :2] * (2 / size) - 1
+    projected = camera.project(posed_landmarks(pose(*body, validate=False), LANDMARKS))[..., :2] * (2 / size) - 1
     seg = RendererEllipsoids("edges").body_loss(body, camera, people.parts, validate=False)
     joints = predicted.posed().joints
     mean_thicknesses = mean_sizes(joints.device, joints.dtype)[1]
     return {
         "joints": (joints - people.joints).abs().mean(),
         "rotations": (_turns(predicted) - _turns(people)).square().sum((2, 3)).mean(),
-        "proj": (seen - people.points).abs().clamp_max(_ASTRAY).mean(),
+        "proj": (projected - people.points).abs().clamp_max(_ASTRAY).mean(),
         "seg": seg.mean() / size**2,
         "lengths": (predicted.lengths / people.lengths).log().abs().mean(),
         "thicknesses": (predicted.thicknesses / mean_thicknesses).log().square().mean(),

@@ -52,10 +52,10 @@ def run_training(config: TrainingConfig, *, resume: bool = False, device: str = 
     Started by ``torchrun`` or ``accelerate launch`` it is one of several processes that train together.
 
     Args:
-        config: All numbers.
-        resume: Go on from the newest checkpoint in ``config.out``, where there is one.
-        device: "auto", "cpu" or "cuda".
-        bits: Of the trained network's weights in their file, 32, 16 or 8; see ``NetworkFiles.save``.
+        config: Numbers of the run.
+        resume: True goes on from the newest checkpoint in ``config.out``, where there is one.
+        device: Device, "auto", "cpu" or "cuda".
+        bits: Bits of each weight of the trained network in its file, 32, 16 or 8, see ``NetworkFiles.save``.
 
     Raises:
         InputError: If the folder holds a run and ``resume`` is not set; if a checkpoint is damaged or of another
@@ -193,11 +193,11 @@ class _Run:
     def _agree(self) -> None:
         """Let all processes know how much is over, and whether one of them was told to stop."""
         limit = self.config.minutes
-        told = [self.elapsed / (60 * limit) if limit else 0.0, max(self.told, default=0)]
+        gathered = [self.elapsed / (60 * limit) if limit else 0.0, max(self.told, default=0)]
         if self.processes > 1:
-            told = self.accelerator.gather(torch.tensor([told], device=self.device)).amax(0).tolist()
-        self.share = max(self.step / self.steps, told[0])
-        self.stopped = int(told[1]) or None
+            gathered = self.accelerator.gather(torch.tensor([gathered], device=self.device)).amax(0).tolist()
+        self.share = max(self.step / self.steps, gathered[0])
+        self.stopped = int(gathered[1]) or None
 
     def _train_step(self) -> None:
         config = self.config
@@ -287,20 +287,20 @@ class _Run:
             about |= {"seconds": self.elapsed, "config": self.config.to_json()}
             save_checkpoint(self.checkpoints, Checkpoint(tensors, about, ranks), self.config.keep)
 
-    def _resume(self, place: Path, rank: int) -> list[str]:
+    def _resume(self, folder: Path, rank: int) -> list[str]:
         """Take over a checkpoint; says what of the config has changed."""
-        checkpoint = load_checkpoint(place)
+        checkpoint = load_checkpoint(folder)
         wrong, changed = self.config.changes(checkpoint.about["config"])
         if wrong:
-            raise InputError(f"{place}: {wrong[0]}; expected the same")
+            raise InputError(f"{folder}: {wrong[0]}; expected the same")
         if len(checkpoint.ranks) != self.processes:
-            raise InputError(f"{place}: of {len(checkpoint.ranks)} processes; expected as many, not {self.processes}")
+            raise InputError(f"{folder}: of {len(checkpoint.ranks)} processes; expected as many, not {self.processes}")
         try:
             self.bare.load_state_dict(checkpoint.tensors["model"])
             self.mean.module.load_state_dict(checkpoint.tensors["mean"])
             load_optimizer(self.optimizer, self.names, checkpoint.tensors["optimizer"])
         except (RuntimeError, ValueError, KeyError) as error:
-            raise InputError(f"{place}: {cause(error)}; expected a checkpoint of this network") from error
+            raise InputError(f"{folder}: {cause(error)}; expected a checkpoint of this network") from error
         for name in ("seconds", *_KEPT):
             setattr(self, name, checkpoint.about[name])
         self.mean.steps = self.step

@@ -57,11 +57,11 @@ class Muon(torch.optim.Optimizer):
             torch._foreach_lerp_(means, gradients, 1 - _MOMENTUM)
             ways = torch._foreach_lerp(gradients, means, _MOMENTUM)  # Nesterov's
             torch._foreach_mul_(given, 1 - group["lr"] * group["weight_decay"])
-            alike: dict[tuple[torch.Size, bool], list[int]] = defaultdict(list)
-            for place, way in enumerate(ways):
-                alike[way.shape, way.is_contiguous()].append(place)
-            for places in alike.values():
-                _step_alike([given[place] for place in places], [ways[place] for place in places], group["lr"])
+            groups: dict[tuple[torch.Size, bool], list[int]] = defaultdict(list)
+            for index, way in enumerate(ways):
+                groups[way.shape, way.is_contiguous()].append(index)
+            for indices in groups.values():
+                _step_alike([given[index] for index in indices], [ways[index] for index in indices], group["lr"])
         return loss
 
 

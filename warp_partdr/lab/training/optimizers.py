@@ -73,6 +73,6 @@ class _Joined:
         for each in self._optimizers:
             groups = each.state_dict()["param_groups"]
             last = first + sum(len(group["params"]) for group in groups)
-            own = {place - first: value for place, value in state["state"].items() if first <= place < last}
+            own = {index - first: value for index, value in state["state"].items() if first <= index < last}
             each.load_state_dict({"state": own, "param_groups": groups})
             first = last

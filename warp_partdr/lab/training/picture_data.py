@@ -210,8 +210,8 @@ class Feed:
     """Batches without end, made by so many ``workers``; 0 makes them here.
 
     Attributes:
-        consumed: How many samples process ``rank`` of so many ``processes`` has had by now.
-        skipped: What could not be read, and why.
+        consumed: Number of samples that process ``rank`` of ``processes`` has had by now.
+        skipped: Sentences about what could not be read, and why.
     """
 
     def __init__(

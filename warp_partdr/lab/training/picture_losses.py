@@ -38,7 +38,7 @@ def body_terms(prediction: PicturePrediction, examples: Examples) -> dict[str, t
     apart = rooted(posed_landmarks(posed, MPJPE_JOINTS)) - rooted(examples.joints)
     plain, marks = (posed_landmarks(posed, names) for names in (LANDMARKS, annotated(LANDMARKS)))
     marked = torch.where(examples.annotated[:, None, None], marks, plain)
-    seen = bodies.camera(REFERENCE_SIZE).project(marked)[..., :2]
+    projected = bodies.camera(REFERENCE_SIZE).project(marked)[..., :2]
     expected = (examples.keypoints[..., :2] + 1) * (REFERENCE_SIZE / 2)
     constants = template()
 
@@ -47,7 +47,7 @@ def body_terms(prediction: PicturePrediction, examples: Examples) -> dict[str, t
 
     return {
         "joints": (((apart * _CENTIMETRES).square().sum(2) * known).sum(1) / known.sum(1).clamp_min(1.0)).mean(),
-        "proj": ((seen - expected).abs().sum(2) * examples.keypoints[..., 2]).sum(1).mean(),
+        "proj": ((projected - expected).abs().sum(2) * examples.keypoints[..., 2]).sum(1).mean(),
         "lengths": deviation(bodies.lengths, constants.mean_lengths),
         "thicknesses": deviation(bodies.thicknesses, constants.mean_thicknesses),
     }

@@ -27,10 +27,11 @@ class PeopleNetworks:
     """The networks, on one device.
 
     Attributes:
-        detector: Pictures from -1 to 1 to "boxes" (B, 2254, 12) [px] about anchors, and "scores" (B, 2254, 1), logits.
-        landmarks: Pictures from 0 to 1 to "landmarks" (B, 195), five numbers each of 39 [px], "presence" (B, 1), 0 to
-            1, "mask" (B, 1, 256, 256) and "heat" (B, 39, 64, 64), logits.
-        heavy: The same to the "landmarks" and "heat" of a larger network, which are nearer to the truth; None: those of
+        detector: Network from pictures, from -1 to 1, to "boxes" (B, 2254, 12) [px] about anchors, and "scores" (B,
+            2254, 1), logits.
+        landmarks: Network from pictures, from 0 to 1, to "landmarks" (B, 195), which are five numbers for each of 39
+            [px], "presence" (B, 1), 0 to 1, "mask" (B, 1, 256, 256) and "heat" (B, 39, 64, 64), logits.
+        heavy: Larger network to "landmarks" and "heat", which are nearer to the truth. If it is None, those of
             ``landmarks`` are taken.
     """
 
@@ -73,8 +74,8 @@ def packaged_people_networks(device: str, *, half: bool = False, landmarks: Land
 
     Args:
         device: Device to run on.
-        half: In float16.
-        landmarks: Whose landmarks are taken; "heavy" loads that network, too.
+        half: True for networks in float16.
+        landmarks: Network whose landmarks are taken. "heavy" loads that network, too.
     """
     return replace(_packaged(device, half), heavy=_packaged_heavy(device, half) if landmarks == "heavy" else None)
 

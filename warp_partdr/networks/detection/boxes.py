@@ -39,13 +39,13 @@ def decode(boxes: torch.Tensor, scores: torch.Tensor, size: int, min_score: floa
     Returns:
         Boxes [px], shape (N, 6, 2), scores from 0 to 1, shape (N,), and the picture of each, shape (N,), in order.
     """
-    sure = scores.double().sigmoid()
-    chosen = sure > min_score
+    confidence = scores.double().sigmoid()
+    chosen = confidence > min_score
     pictures, kept = (each.cpu().numpy() for each in chosen.nonzero(as_tuple=True))
     found = boxes[chosen].double().cpu().numpy().reshape(-1, NUM_POINTS, 2)
     moved = np.arange(NUM_POINTS) != 1  # all but the size
     found = found + anchors(size)[kept, None] * moved[:, None]
-    return found, sure[chosen].cpu().numpy(), pictures
+    return found, confidence[chosen].cpu().numpy(), pictures
 
 
 def overlap(box: np.ndarray, boxes: np.ndarray) -> np.ndarray:
@@ -61,9 +61,9 @@ def average_boxes(boxes: np.ndarray, scores: np.ndarray, pictures: np.ndarray) -
     """One box a person: the mean, by score, of those that overlap the best of them.
 
     Args:
-        boxes: Shape (N, 6, 2).
-        scores: Shape (N,).
-        pictures: Which picture each is of, shape (N,).
+        boxes: Boxes, shape (N, 6, 2).
+        scores: Score of each box, shape (N,).
+        pictures: Index of each box's picture, shape (N,).
 
     Returns:
         Boxes, shape (M, 6, 2), the best score of each, shape (M,), and its picture, shape (M,): picture by picture,

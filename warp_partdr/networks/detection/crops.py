@@ -40,11 +40,11 @@ class TurnedCrops:
     """N crops of pictures, square unless ``aspect`` says else.
 
     Attributes:
-        centres: [px], shape (N, 2), float64.
+        centres: Centres [px], shape (N, 2), float64.
         sides: Heights [px], shape (N,).
-        angles: Turn of the crop's x axis from the picture's, clockwise as seen [rad], shape (N,).
-        pictures: Index of the picture that each is of, shape (N,), int64.
-        aspect: Width of all, as a share of the height.
+        angles: Angle from the picture's x axis to the crop's, clockwise as seen [rad], shape (N,).
+        pictures: Index of each crop's picture, shape (N,), int64.
+        aspect: Width of every crop, as a share of the height.
     """
 
     centres: np.ndarray
@@ -137,7 +137,7 @@ class _Pictures:
     """Pictures of one size at their full size and at halves of it, on one device.
 
     Args:
-        pixels: Shape (N, H, W, 3), uint8.
+        pixels: Colours of the pictures, shape (N, H, W, 3), uint8.
     """
 
     def __init__(self, pixels: torch.Tensor) -> None:
@@ -190,14 +190,14 @@ class Pyramid:
             return [cls(picture, device) for picture in pictures]
         found: dict[int, Pyramid] = {}
         for shape in dict.fromkeys(picture.shape for picture in pictures):
-            places = [place for place, picture in enumerate(pictures) if picture.shape == shape]
+            indices = [index for index, picture in enumerate(pictures) if picture.shape == shape]
             step = max(1, _UPLOAD // math.prod(shape))
-            for some in (places[start : start + step] for start in range(0, len(places), step)):
-                together = _Pictures(_uploaded([pictures[place] for place in some], device))
-                for row, place in enumerate(some):
-                    found[place] = cls.__new__(cls)
-                    found[place]._place(together, row, pictures[place])
-        return [found[place] for place in range(len(pictures))]
+            for some in (indices[start : start + step] for start in range(0, len(indices), step)):
+                together = _Pictures(_uploaded([pictures[index] for index in some], device))
+                for row, index in enumerate(some):
+                    found[index] = cls.__new__(cls)
+                    found[index]._place(together, row, pictures[index])
+        return [found[index] for index in range(len(pictures))]
 
     def _place(self, pictures: _Pictures, row: int, picture: np.ndarray) -> None:
         self.size = picture.shape[0], picture.shape[1]
@@ -245,8 +245,8 @@ def cut_crops(
     Args:
         pyramids: The pictures.
         crops: N crops of them.
-        size: (H, W) [px] that the crops get, or the side of a square.
-        beyond: "zeros": it is black beyond the picture; "border": the border goes on.
+        size: Height and width (H, W) that the crops get [px], or the side of a square.
+        beyond: Filling beyond the picture: "zeros" is black, and "border" repeats the border.
 
     Returns:
         0 to 1, shape (N, 3, H, W).

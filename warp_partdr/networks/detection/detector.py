@@ -17,9 +17,9 @@ def tiles(size: tuple[int, int], levels: int, smallest: int, picture: int = 0) -
     """The squares that the detector looks at: one about the whole picture, then smaller ones that overlap by half.
 
     Args:
-        size: (H, W) of the picture.
+        size: Height and width (H, W) of the picture [px].
         levels: Number of sizes, each half of the one before.
-        smallest: Least side of a tile [px], the first one's aside.
+        smallest: Least side of a tile, except the first one [px].
         picture: Index of the picture.
     """
     height, width = size

@@ -44,15 +44,15 @@ class FilmPeople:
     """People of a film.
 
     Attributes:
-        image_size: (H, W) of the film [px].
-        rate: Frames a second of most of it.
-        times: Of the frames since the first [s], rising, shape (F,).
-        rows: A row a sight, of fields ``SEEN``; ``tracks`` is the person, 0 = the most and largest seen, ``places`` the
-            place in ``owners`` of the frame.
-        packed: ``owners`` of the frames, compressed.
-        fault: Why the film ended before its end; empty if it did not.
+        image_size: Height and width (H, W) of the film [px].
+        rate: Frame rate of most of the film [frames/s].
+        times: Time of each frame since the first [s], rising, shape (F,).
+        rows: Row for each sight of a person, with the fields ``SEEN``. ``tracks`` is the person, where 0 is the one
+            seen most and largest, and ``places`` is the index in ``owners`` of the frame.
+        packed: Compressed ``owners`` of each frame.
+        fault: Reason why the film ended before its end, empty if it did not.
         warnings: Sentences about frames that are missing, and about times that are guesses.
-        cuts: First frames of all shots but the first, in order. Nobody is followed through a cut.
+        cuts: First frame of each shot but the first, in order. Nobody is followed through a cut.
     """
 
     image_size: tuple[int, int]
@@ -77,8 +77,8 @@ class FilmPeople:
         """Returns a copy of the film with some of its frames.
 
         Args:
-            numbers: Of these frames in this film, rising, -1 where it has none, shape (T,), int64.
-            times: Of these frames [s], shape (T,).
+            numbers: Index of each new frame in this film, rising, and -1 where the film has none, shape (T,), int64.
+            times: Time of each new frame [s], shape (T,).
         """
         rows = self.rows[np.isin(self.rows["frames"], numbers)].copy()
         rows["frames"] = frame_places(rows["frames"], numbers)
@@ -162,8 +162,8 @@ def find_film_people(
             packed.append(_pack(list(found.values()), size))
             times.append(frame.time)
             guessed.append(frame.guessed)
-            for place, (number, person) in enumerate(found.items()):
-                rows.append(np.array([(*seen_values(person, frame.index, frame.time), number, place)], _ROW))
+            for index, (number, person) in enumerate(found.items()):
+                rows.append(np.array([(*seen_values(person, frame.index, frame.time), number, index)], _ROW))
             if watch is not None:
                 watch(frame, followed.pyramid, list(found.values()))
             if progress is not None:
@@ -177,8 +177,8 @@ def find_film_people(
     if not len(numbered):
         raise InputError(fault or f"{path}: nobody found in {len(times)} frames; expected people")
     rate = usual_rate(times, facts.rate)
-    told = time_warnings(str(path), times, guessed, rate)
-    return FilmPeople(size, rate, np.array(times), numbered, tuple(packed), fault, told, tuple(cuts))
+    warnings = time_warnings(str(path), times, guessed, rate)
+    return FilmPeople(size, rate, np.array(times), numbered, tuple(packed), fault, warnings, tuple(cuts))
 
 
 @dataclass(frozen=True)
@@ -187,9 +187,9 @@ class FollowedFrame:
 
     Attributes:
         frame: The frame.
-        pyramid: Its picture, to cut crops from.
-        people: By numbers that stay through a shot.
-        cut: Whether another shot begins with it.
+        pyramid: Pyramid of its picture, to cut crops from.
+        people: People by numbers that stay through a shot.
+        cut: True if another shot begins with it.
     """
 
     frame: Frame
@@ -259,7 +259,7 @@ def _by_size(rows: np.ndarray, shots: Sequence[range]) -> np.ndarray:
     kept = [track for track in tracks if lasting(track["frames"], shots)]
     sizes = [-areas(track["boxes"]).sum() for track in kept]
     order = np.argsort(sizes, kind="stable").tolist()
-    table = {int(kept[each]["tracks"][0]): place for place, each in enumerate(order)}
+    table = {int(kept[each]["tracks"][0]): rank for rank, each in enumerate(order)}
     known = rows[np.isin(rows["tracks"], list(table))].copy()
     known["tracks"] = [table[track] for track in known["tracks"].tolist()]
     return known

@@ -33,13 +33,13 @@ class BoxNetwork:
     """Network that finds people's boxes in a whole picture.
 
     Attributes:
-        size: (H, W) of the pictures that it takes [px].
-        predict: From a picture, RGB from 0 to 1, shape (1, 3, H, W), to left, top, right and bottom of each box, from 0
-            to 1 across the picture, and the confidence that there is a person, from 0 to 1, shape (N, 5).
-        longest: Where pictures keep their shape, the most that the longer side may have [px], the shorter one having
-            that of ``size``; None: they are stretched to ``size``.
-        about: Its name and size, for people.
-        name: Its name or folder, for reports.
+        size: Height and width (H, W) of the pictures that it takes [px].
+        predict: Function from a picture, RGB from 0 to 1, shape (1, 3, H, W), to left, top, right and bottom of each
+            box, from 0 to 1 across the picture, and the confidence that there is a person, from 0 to 1, shape (N, 5).
+        longest: Greatest length of the longer side, for pictures that keep their shape [px]. The shorter side then has
+            that of ``size``. If it is None, pictures are stretched to ``size``.
+        about: Name and size of the network, to be shown.
+        name: Name or folder of the network, for reports.
     """
 
     size: tuple[int, int]
@@ -105,8 +105,8 @@ def find_people_in_boxes(
     (``FoundPerson.seen``), and so of all but the best box of those whose landmarks coincide.
 
     Args:
-        network: Finds the boxes.
-        picture: On the network's device.
+        network: Network that finds the boxes.
+        picture: Picture on the network's device.
         min_score: Least confidence of a box, and of the landmarks.
         landmarks: Network whose keypoints are taken, as in ``find_people``.
 

@@ -23,13 +23,13 @@ class Node:
         kind: Name of the operator, one of ``KINDS``.
         inputs: Numbers of the values that it takes.
         output: Number of the value that it makes, and of its weights.
-        stride: Of a convolution.
-        groups: Of a convolution; as many as channels if each goes by itself.
-        zeros: Around a convolution's input: left, right, above, below.
-        activation: "none", "relu" or "relu6", after a convolution or a sum.
+        stride: Stride of a convolution.
+        groups: Groups of a convolution. There are as many as channels if each channel goes by itself.
+        zeros: Padding with zeros around a convolution's input: left, right, above, below.
+        activation: Activation after a convolution or a sum: "none", "relu" or "relu6".
         size: Side of pooled squares or of the blocks that channels become, number of channels of zeros that are
             appended, or (H, W) of a resized picture.
-        shape: Of the rows that a picture becomes, without the batch.
+        shape: Shape of the rows that a picture becomes, without the batch.
     """
 
     kind: str
@@ -150,10 +150,10 @@ class OperatorGraph(nn.Module):
             self.register_buffer(name.replace(".", "_"), tensor.float().contiguous(memory_format=form))
         self._captured: dict[tuple[int, int], tuple[torch.Tensor, CapturedStep[dict[str, torch.Tensor]]]] = {}
         self._lock = threading.Lock()  # of the captured graphs' buffers
-        last = {number: place for place, node in enumerate(self.nodes) for number in node.inputs}
+        last = {number: index for index, node in enumerate(self.nodes) for number in node.inputs}
         self._done = [
-            [number for number in set(node.inputs) if last[number] == place and number not in self.outputs.values()]
-            for place, node in enumerate(self.nodes)
+            [number for number in set(node.inputs) if last[number] == index and number not in self.outputs.values()]
+            for index, node in enumerate(self.nodes)
         ]
 
     def most_captured(self, device: torch.device) -> int:

@@ -26,7 +26,7 @@ class HalfGraph(OperatorGraph):
     cuts off what these products have left uncut (``activation``).
 
     Args:
-        graph: In float32.
+        graph: Graph in float32.
     """
 
     def __init__(self, graph: OperatorGraph) -> None:

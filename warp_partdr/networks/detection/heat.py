@@ -30,5 +30,5 @@ def refine_landmarks(places: torch.Tensor, heat: torch.Tensor) -> torch.Tensor:
     index = near.nan_to_num().clamp(min=0).minimum(extent - 1).long()
     shares = heat.flatten(2).gather(2, index[..., 1] * width + index[..., 0]).sigmoid() * there
     centres = (shares[..., None] * near).sum(dim=2) / shares.sum(dim=2).clamp_min(1e-9)[..., None] / extent
-    sure = inside & (shares.amax(dim=2) >= _SURE)
-    return torch.where(sure[..., None], centres, places)
+    confident = inside & (shares.amax(dim=2) >= _SURE)
+    return torch.where(confident[..., None], centres, places)

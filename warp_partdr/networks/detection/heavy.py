@@ -58,10 +58,11 @@ def see_landmarks(
     """Landmarks in crops, as of ``read_landmarks``, but without the last four, shape (N, 35, 5).
 
     Args:
-        network: As in ``with_heavy_landmarks``.
+        network: Network as in ``with_heavy_landmarks``.
         pyramids: The pictures.
-        crops: Of which at least one.
-        mirror: Return the means of those in a crop and in its mirror image, which lie nearer to the truth.
+        crops: Crops of the pictures, at least one.
+        mirror: True returns the means of the landmarks in a crop and in its mirror image, which lie nearer to the
+            truth.
     """
     hips, top = NUM_LANDMARKS, NUM_LANDMARKS + 1
     mirrored = torch.tensor([*skeleton(SKELETON).mirror.tolist(), hips, top])

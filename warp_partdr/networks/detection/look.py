@@ -23,12 +23,12 @@ class FoundLandmarks:
     """People in their crops, as the landmark network says them.
 
     Attributes:
-        crops: Where it looked.
+        crops: Crops in which the network looked.
         points: Landmarks [px], shape (N, 33, 2).
-        confidence: That a landmark is in the picture and not hidden, shape (N, 33).
+        confidence: Confidence that a landmark is in the picture and not hidden, shape (N, 33).
         presence: Confidence that there is a person, shape (N,).
-        next_crops: The crops that the landmarks place about the people.
-        masks: Logits, shape (N, 256, 256), on the network's device.
+        next_crops: Crops that the landmarks place around the people.
+        masks: Logits of the masks, shape (N, 256, 256), on the network's device.
     """
 
     crops: TurnedCrops

@@ -30,8 +30,8 @@ def draw_mask(person: FoundPerson, size: tuple[int, int]) -> np.ndarray:
     """Probability that a pixel of the picture shows the person, 0 outside the crop.
 
     Args:
-        person: Of ``find_people``.
-        size: (H, W) of the picture.
+        person: Person that ``find_people`` returned.
+        size: Height and width (H, W) of the picture [px].
 
     Returns:
         Shape (H, W), float32.
@@ -46,8 +46,8 @@ def instance_map(people: Sequence[FoundPerson], size: tuple[int, int], *, thresh
     """Map of the people in a picture: each pixel shows the person whose mask is strongest there.
 
     Args:
-        people: Of ``find_people``.
-        size: (H, W) of the picture.
+        people: People that ``find_people`` returned.
+        size: Height and width (H, W) of the picture [px].
         threshold: Least probability of a pixel that shows a person.
 
     Returns:
@@ -134,10 +134,10 @@ def spread_maps(
     """Maps across one crop, at the centres of the picture's pixels.
 
     Args:
-        maps: Shape (C, h, w), on CPU.
-        crop: Of which they are.
-        window: The rows and columns of the picture to draw, of ``crop_window``.
-        mode: "bilinear" or "nearest".
+        maps: Maps of the crop, shape (C, h, w), on CPU.
+        crop: Crop that the maps belong to.
+        window: Rows and columns of the picture to draw, which ``crop_window`` returns.
+        mode: Interpolation, "bilinear" or "nearest".
 
     Returns:
         The maps, 0 outside the crop, shape (C, R, S), float32; and the pixels within it, shape (R, S), bool.

@@ -76,13 +76,13 @@ def find_people_in(
     """Find everyone in several pictures of any sizes, in batches.
 
     Args:
-        pictures: Each as in ``find_people``.
+        pictures: Pictures, each as in ``find_people``.
         device: Device to run on.
-        min_score: As in ``find_people``.
-        levels: As in ``find_people``.
-        previous: People of the frame before each picture; None of all.
-        half: On CUDA, ask the networks in float16 (``HalfGraph``).
-        landmarks: As in ``find_people``.
+        min_score: Least confidence, as in ``find_people``.
+        levels: Number of sizes of tiles, as in ``find_people``.
+        previous: People of the frame before each picture. If it is None, no picture has any.
+        half: True asks the networks in float16 on CUDA (``HalfGraph``).
+        landmarks: Network whose keypoints are taken, as in ``find_people``.
 
     Returns:
         The people of each picture.
@@ -178,10 +178,10 @@ def _scores(detected: np.ndarray, first: FoundLandmarks, second: FoundLandmarks)
     return np.sqrt(detected) * np.minimum(first.presence, second.presence) * agreement
 
 
-def _distinct(seen: FoundLandmarks, scores: np.ndarray, min_score: float) -> np.ndarray:
+def _distinct(found: FoundLandmarks, scores: np.ndarray, min_score: float) -> np.ndarray:
     """Rows of people whose score is enough, each person once."""
     rows = np.flatnonzero(scores >= min_score)
-    some = seen.select(rows)
+    some = found.select(rows)
     quality = scores[rows] * some.confidence.mean(axis=1)
     kept = first_of_each(some.points, some.confidence, some.next_crops.sides, some.crops.pictures, quality)
     return rows[kept]

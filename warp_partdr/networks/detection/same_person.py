@@ -32,10 +32,10 @@ def first_of_each(
 
     Args:
         points: Landmarks [px], shape (N, K, 2).
-        confidence: Shape (N, K).
-        sides: Of the crops [px], shape (N,).
+        confidence: Confidence of each landmark, shape (N, K).
+        sides: Sides of the crops [px], shape (N,).
         pictures: Index of each one's picture, shape (N,).
-        quality: The higher the better, shape (N,).
+        quality: Quality of each look, where higher is better, shape (N,).
     """
     kept = []
     for left in _by_picture(np.argsort(-quality, kind="stable"), pictures):

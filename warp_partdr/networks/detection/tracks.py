@@ -9,7 +9,6 @@ new shot, everybody gets a new number.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
 
 import numpy as np
 import torch
@@ -42,13 +41,13 @@ class PeopleTracker:
 
     Args:
         device: Device to run on.
-        min_score: As of ``find_people``.
-        every: Frames from one look of the detector to the next, fewer until it sees somebody; others only follow those
-            who are there.
-        landmarks: As of ``find_people``.
+        min_score: Least confidence, as in ``find_people``.
+        every: Frames from one look of the detector to the next. There are fewer until it sees somebody. In the frames
+            between, people who are there are only followed.
+        landmarks: Network whose keypoints are taken, as in ``find_people``.
 
     Attributes:
-        cut: Whether the last frame was the first of another shot.
+        cut: True if the last frame was the first of another shot.
     """
 
     def __init__(
@@ -72,10 +71,10 @@ class PeopleTracker:
         """Find the people of the next frame.
 
         Args:
-            picture: As in ``find_people``, of one size in all frames.
-            change: From the last frame to this one. People who can't be followed into a flash are looked for after it.
-                Of a jump, and where all is new, it is seen here whether it is a cut; if nobody was there, the detector
-                looks at once.
+            picture: Picture as in ``find_people``, of one size in all frames.
+            change: Change from the last frame to this one. People who can't be followed into a flash are looked for
+                after it. When there is a jump, or when all is new, this method finds whether it is a cut. If nobody was
+                there, the detector looks at once.
 
         Returns:
             People by their numbers.
@@ -120,8 +119,14 @@ class PeopleTracker:
         return dict(followed)
 
     def _find(self, picture: np.ndarray | Pyramid, previous: list[FoundPerson]) -> list[FoundPerson]:
-        how: dict[str, Any] = {"device": self._device, "min_score": self._min_score, "landmarks": self._landmarks}
-        return find_people(picture, levels=_LEVELS, previous=previous, **how)
+        return find_people(
+            picture,
+            device=self._device,
+            min_score=self._min_score,
+            levels=_LEVELS,
+            previous=previous,
+            landmarks=self._landmarks,
+        )
 
     def _come_back(self, people: list[FoundPerson]) -> dict[int, FoundPerson]:
         """People who were lost and are where they may have got to since, by their numbers."""

@@ -35,7 +35,7 @@ def load_part_network(
 
     Args:
         name: A folder, a name of the Hub that is in the local cache, or ``hf:`` and a name, which may be downloaded.
-        labels: Label set of its classes; None: the known one with the same names.
+        labels: Label set of its classes. If it is None, it is the known set with the same names.
         device: Device to run on.
         say: Told what is downloaded and loaded.
 
@@ -50,16 +50,16 @@ def load_part_network(
                 f"{name}: a {config.model_type}; expected a network of semantic segmentation, as segformer"
             )
         chosen = _label_set(name, dict(config.id2label), labels)
-        seen = read_input(folder, name)
+        picture_input = read_input(folder, name)
         model = _load(library.AutoModelForSemanticSegmentation, name, folder, device)
 
     def predict(pictures: torch.Tensor) -> torch.Tensor:
-        return model(pixel_values=_prepared(pictures, seen)).logits.softmax(1)
+        return model(pixel_values=_prepared(pictures, picture_input)).logits.softmax(1)
 
     about = f"{_about(name, model, folder)}, labels {chosen.name}"
     (say or _silent)(f"parts from {about}")
-    height, width = seen.size
-    return PartNetwork(chosen, seen.size, predict, _STRETCH if height == width else 1.0, about, name)
+    height, width = picture_input.size
+    return PartNetwork(chosen, picture_input.size, predict, _STRETCH if height == width else 1.0, about, name)
 
 
 def load_keypoint_network(
@@ -72,10 +72,11 @@ def load_keypoint_network(
     """Load a ViTPose or ViTPose+ network for keypoints.
 
     Args:
-        name: As of ``load_part_network``; "NAME+NAME" has the name of a ``load_box_network`` behind it.
-        skeleton: Keypoint format of its points; None: the one that their number tells.
+        name: Name or folder as in ``load_part_network``. "NAME+NAME" names a ``load_box_network``, too, behind the plus
+            sign.
+        skeleton: Keypoint format of its points. If it is None, their number tells it.
         device: Device to run on.
-        say: Told what is downloaded and loaded.
+        say: Function that is told what is downloaded and loaded.
 
     Raises:
         InputError: If there is no such checkpoint, it has another task, or its keypoints are of no known format.
@@ -89,13 +90,13 @@ def load_keypoint_network(
             raise InputError(f"{name}: a {config.model_type}; expected a vitpose, whose keypoints are read")
         form = format_of(config.num_labels, None if skeleton is None else given_format(skeleton), name)
         height, width = config.backbone_config.image_size
-        seen = read_input(folder, name)._replace(size=(height, width))
+        picture_input = read_input(folder, name)._replace(size=(height, width))
         model = _load(library.VitPoseForPoseEstimation, name, folder, device)
     experts = config.backbone_config.num_experts > 1
 
     def predict(pictures: torch.Tensor) -> torch.Tensor:
         chosen = torch.full((len(pictures),), _COCO, device=pictures.device) if experts else None
-        heat = model(pixel_values=_prepared(pictures, seen), dataset_index=chosen).heatmaps
+        heat = model(pixel_values=_prepared(pictures, picture_input), dataset_index=chosen).heatmaps
         peaks = find_peaks(heat)
         cells = peaks.new_tensor([heat.shape[-1], heat.shape[-2]])
         pixels = peaks.new_tensor([width, height])
@@ -105,16 +106,16 @@ def load_keypoint_network(
 
     about = f"{_about(name, model, folder)}, keypoints {form.name}"
     (say or _silent)(f"keypoints from {about}")
-    return KeypointNetwork(form, seen.size, predict, about, name, boxes)
+    return KeypointNetwork(form, picture_input.size, predict, about, name, boxes)
 
 
 def load_box_network(name: str, *, device: torch.device | str = "cpu", say: Say | None = None) -> BoxNetwork:
     """Load a network with a class "person" that ``transformers.AutoModelForObjectDetection`` knows, such as RT-DETR.
 
     Args:
-        name: As of ``load_part_network``.
+        name: Name or folder as in ``load_part_network``.
         device: Device to run on.
-        say: Told what is downloaded and loaded.
+        say: Function that is told what is downloaded and loaded.
 
     Raises:
         InputError: If there is no such checkpoint, it has another task, or no class "person".
@@ -129,20 +130,20 @@ def load_box_network(name: str, *, device: torch.device | str = "cpu", say: Say 
         if len(people) != 1:
             names = ", ".join(list(classes.values())[:4])
             raise InputError(f"{name}: {len(people)} of its classes {shown(names)}, ... are {_PERSON!r}; expected one")
-        seen = read_input(folder, name)
+        picture_input = read_input(folder, name)
         model = _load(library.AutoModelForObjectDetection, name, folder, device)
 
     def predict(picture: torch.Tensor) -> torch.Tensor:
-        said = model(pixel_values=_prepared(picture, seen))
+        said = model(pixel_values=_prepared(picture, picture_input))
         logits, boxes = said.logits[0].float(), said.pred_boxes[0].float()
         # One more than there are classes: the last one is "nothing", and they exclude each other.
-        sure = logits.softmax(1) if logits.shape[1] == len(classes) + 1 else logits.sigmoid()
+        confidence = logits.softmax(1) if logits.shape[1] == len(classes) + 1 else logits.sigmoid()
         middle, half = boxes[:, :2], boxes[:, 2:] / 2
-        return torch.cat([middle - half, middle + half, sure[:, people]], dim=1)
+        return torch.cat([middle - half, middle + half, confidence[:, people]], dim=1)
 
     about = _about(name, model, folder)
     (say or _silent)(f"boxes from {about}")
-    return BoxNetwork(seen.size, predict, seen.longest, about, name)
+    return BoxNetwork(picture_input.size, predict, picture_input.longest, about, name)
 
 
 def split_names(name: str) -> tuple[str, str | None]:
@@ -207,8 +208,10 @@ def _load(kind: Any, name: str, folder: Path, device: torch.device | str) -> Any
     return model.eval().to(device)
 
 
-def _prepared(pictures: torch.Tensor, seen: PictureInput) -> torch.Tensor:
-    mean, deviation = (pictures.new_tensor(values)[:, None, None] for values in (seen.mean, seen.deviation))
+def _prepared(pictures: torch.Tensor, picture_input: PictureInput) -> torch.Tensor:
+    mean, deviation = (
+        pictures.new_tensor(values)[:, None, None] for values in (picture_input.mean, picture_input.deviation)
+    )
     return (pictures - mean) / deviation
 
 

@@ -27,11 +27,11 @@ class PictureInput(NamedTuple):
     """Form in which a network takes pictures.
 
     Attributes:
-        size: (H, W) [px].
-        mean: Of each colour, taken from it; colours are from 0 to 1.
-        deviation: What it is divided by then.
-        longest: Where whole pictures keep their shape, the most that the longer side may have [px], the shorter one
-            being that of ``size``; None: it says nothing of this.
+        size: Height and width (H, W) of the pictures [px].
+        mean: Mean of each colour, which is subtracted. Colours are from 0 to 1.
+        deviation: Standard deviation of each colour, by which the difference is divided.
+        longest: Greatest length of the longer side, for whole pictures that keep their shape [px]. The shorter side
+            then has that of ``size``. If it is None, the file says nothing of this.
     """
 
     size: tuple[int, int]

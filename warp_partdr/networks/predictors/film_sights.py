@@ -35,8 +35,8 @@ class GivenNetworks:
     """Networks of others for films; None: the packaged one's keypoints, or its masks, serve.
 
     Attributes:
-        parts_from: For part labels instead of masks, of ``load_part_network`` or of your own.
-        keypoints_from: For keypoints, likewise.
+        parts_from: Network for part labels instead of masks, which ``load_part_network`` returns or you make.
+        keypoints_from: Network for keypoints, which ``load_keypoint_network`` returns or you make.
     """
 
     parts_from: PartNetwork | None = None
@@ -58,11 +58,12 @@ class FilmSights:
 
     Attributes:
         networks: The networks.
-        frames: Of the rows, shape (N,), int64.
-        places: Of the rows, shape (N,), int64.
-        keypoints: x, y [px] and confidence, shape (N, K, 3), float32; 0 where the network sees nobody. K may be 0.
-        size: (H, W) of the labels: ``kept_size`` of the film.
-        packed: Labels of groups, uint8, compressed; empty where the network sees no part.
+        frames: Frame of each row, shape (N,), int64.
+        places: Index of the person in the frame's ``owners``, for each row, shape (N,), int64.
+        keypoints: Points x, y [px] and confidence, shape (N, K, 3), float32. They are 0 where the network sees nobody.
+            K may be 0.
+        size: Height and width (H, W) of the labels: ``kept_size`` of the film.
+        packed: Compressed labels of groups, uint8. They are empty where the network sees no part.
     """
 
     networks: GivenNetworks
@@ -72,17 +73,17 @@ class FilmSights:
     size: tuple[int, int]
     packed: tuple[bytes, ...]
 
-    def keypoints_of(self, frame: int, place: int) -> Keypoints2D | None:
+    def keypoints_of(self, frame: int, index: int) -> Keypoints2D | None:
         """Keypoints of somebody in a frame; None: the packaged ones are to be taken."""
-        values = self.keypoints[self._rows[frame, place]]
+        values = self.keypoints[self._rows[frame, index]]
         network = self.networks.keypoints_from
         if network is None or not (values[:, 2] > 0).any():
             return None
         return Keypoints2D(network.skeleton, values[:, :2].copy(), values[:, 2].copy())
 
-    def parts_of(self, frame: int, place: int) -> PartLabels | None:
+    def parts_of(self, frame: int, index: int) -> PartLabels | None:
         """Labels of somebody in a frame, others' pixels ignored; None if there are none."""
-        groups = self.groups(self._rows[frame, place])
+        groups = self.groups(self._rows[frame, index])
         network = self.networks.parts_from
         return None if network is None or groups is None else PartLabels(network.labels, groups)
 
@@ -101,14 +102,14 @@ class FilmSights:
     @property
     def gaps(self) -> list[str]:
         """Sentences about networks that saw nothing of somebody in some frames."""
-        total, told = len(self.frames), []
+        total, warnings = len(self.frames), []
         blank = total - int((self.keypoints[..., 2] > 0).any(1).sum())
         if self.networks.keypoints_from is not None and blank:
-            told.append(f"no keypoints of the given network in {blank} of {total} sights; the packaged one's taken")
+            warnings.append(f"no keypoints of the given network in {blank} of {total} sights; the packaged one's taken")
         bare = total - sum(map(bool, self.packed))
         if self.networks.parts_from is not None and bare:
-            told.append(f"no labels of the given network in {bare} of {total} sights; keypoints alone taken")
-        return told
+            warnings.append(f"no labels of the given network in {bare} of {total} sights; keypoints alone taken")
+        return warnings
 
     def arrays(self) -> dict[str, np.ndarray]:
         """All but the networks, for files."""
@@ -159,10 +160,11 @@ def find_film_sights(
     Args:
         path: The film.
         networks: The networks, on the device.
-        min_score: As of ``find_film_people``, like what follows.
+        min_score: Least confidence, as in ``find_film_people``.
         device: Device to run on.
-        progress: Told frames done and in all.
-        landmarks: As of ``find_film_people``; where the networks say keypoints, these serve where they see nobody.
+        progress: Function that is told the frames done and their total number.
+        landmarks: Network whose keypoints are taken, as in ``find_film_people``. If the given networks find keypoints,
+            these serve where they see nobody.
 
     Raises:
         InputError: As of ``find_film_people``, or if a network gives something else than it says.
@@ -198,10 +200,10 @@ class _Waiting:
     """Person about whom the networks are to be asked.
 
     Attributes:
-        key: Frame and place.
-        person: In the film's pixels.
-        parts: Places the labels in the frame.
-        pictures: Of the person, by the network's name, (1, 3, H, W).
+        key: Frame, and index in the frame's ``owners``.
+        person: Person in the film's pixels.
+        parts: Object that places the labels in the frame.
+        pictures: Pictures of the person, by the network's name, each of shape (1, 3, H, W).
     """
 
     key: tuple[int, int]
@@ -216,10 +218,10 @@ class _Asked:
 
     Attributes:
         networks: The networks.
-        device: Theirs.
+        device: Device of the networks.
         waiting: People who wait until there are enough of them.
-        keypoints: What was found, by frame and place.
-        packed: Likewise, of labels.
+        keypoints: Keypoints that were found, by frame and index.
+        packed: Labels that were found, by frame and index.
     """
 
     networks: GivenNetworks
@@ -237,13 +239,13 @@ class _Asked:
             size = kept_size(picture.size)
             small = [_smaller(person, size[1] / picture.size[1]) for person in people]
             parts = PlacedParts(network, small, instance_map(small, size), keeps_maps=False)
-        for place, person in enumerate(people):
+        for index, person in enumerate(people):
             pictures: dict[str, torch.Tensor] = {}
             if network is not None:
                 pictures["parts"] = cut_upright(picture, person, network.size, stretch=network.stretch)
             if (other := self.networks.keypoints_from) is not None:
                 pictures["keypoints"] = cut_upright(picture, person, other.size)
-            self.waiting.append(_Waiting((frame, place), person, parts, pictures))
+            self.waiting.append(_Waiting((frame, index), person, parts, pictures))
         while len(self.waiting) >= _TOGETHER[self.device.type]:
             self._ask(_TOGETHER[self.device.type])
 

@@ -18,7 +18,7 @@ def find_peaks(heat: torch.Tensor) -> torch.Tensor:
     top (Zhang et al. 2020, "Distribution-Aware Coordinate Representation").
 
     Args:
-        heat: Shape (N, K, h, w).
+        heat: Heat maps, shape (N, K, h, w).
 
     Returns:
         Column and row [cells], the first cell's centre being 0, and heat, shape (N, K, 3).

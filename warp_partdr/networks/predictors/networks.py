@@ -29,13 +29,14 @@ class PartNetwork:
 
     Attributes:
         labels: Label set of its results.
-        size: (H, W) of the pictures that it takes [px].
-        predict: From pictures, RGB from 0 to 1, shape (N, 3, H, W), to probabilities, one map per id of
-            ``labels.channel_ids``, shape (N, K, h, w), which sum to 1, or to ids, integers (N, h, w). Both may be
-            smaller than the pictures.
-        stretch: Most that a picture may be stretched in one direction to have that size; 1 keeps its shape.
-        about: Its name and size, for people.
-        name: Its name or folder, for reports.
+        size: Height and width (H, W) of the pictures that it takes [px].
+        predict: Function from pictures, RGB from 0 to 1, shape (N, 3, H, W), to probabilities or to ids. Probabilities
+            are one map per id of ``labels.channel_ids``, shape (N, K, h, w), and sum to 1. Ids are integers (N, h, w).
+            Both may be smaller than the pictures.
+        stretch: Greatest factor by which a picture may be stretched in one direction to have that size. A factor of 1
+            keeps its shape.
+        about: Name and size of the network, to be shown.
+        name: Name or folder of the network, for reports.
     """
 
     labels: LabelSet
@@ -58,12 +59,12 @@ class KeypointNetwork:
 
     Attributes:
         skeleton: Keypoint format of its results, by name, or one's own.
-        size: (H, W) of the pictures that it takes [px].
-        predict: From pictures, RGB from 0 to 1, shape (N, 3, H, W), to x and y, from 0 to 1 across the picture, and a
-            confidence from 0 to 1, of each point of the format, shape (N, count, 3).
-        about: Its name and size, for people.
-        name: Its name or folder, for reports.
-        boxes: Network that finds the people, in photos; None: the packaged one.
+        size: Height and width (H, W) of the pictures that it takes [px].
+        predict: Function from pictures, RGB from 0 to 1, shape (N, 3, H, W), to x and y, from 0 to 1 across the
+            picture, and a confidence from 0 to 1, for each point of the format, shape (N, count, 3).
+        about: Name and size of the network, to be shown.
+        name: Name or folder of the network, for reports.
+        boxes: Network that finds the people in photos. If it is None, the packaged one does.
     """
 
     skeleton: str | Skeleton
@@ -88,8 +89,8 @@ def upright_crop(person: FoundPerson, size: tuple[int, int], *, stretch: float =
     pixels = (person.mask > _SHOWN).nonzero().cpu().numpy()
     shown = (pixels[:, ::-1] + 0.5) / person.mask.shape[::-1]
     keypoints = person.keypoints
-    sure = person.crop.from_picture(keypoints.points[None, keypoints.confident].astype(np.float64))[0]
-    places = np.concatenate([shown, sure])
+    confident = person.crop.from_picture(keypoints.points[None, keypoints.confident].astype(np.float64))[0]
+    places = np.concatenate([shown, confident])
     if not len(places):  # nobody was seen in another detector's box
         places = person.crop.from_picture(np.array(person.box, dtype=np.float64).reshape(1, 2, 2))[0]
     low, high = places.min(axis=0), places.max(axis=0)

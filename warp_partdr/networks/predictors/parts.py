@@ -29,8 +29,8 @@ class SaidParts:
     """Answer of a network about one person's crop.
 
     Attributes:
-        maps: Of background and groups, shape (G + 1, h, w), on CPU.
-        soft: True of probabilities, False of ids.
+        maps: Maps of the background and the groups, shape (G + 1, h, w), on CPU.
+        soft: True for probabilities, False for ids.
     """
 
     maps: torch.Tensor
@@ -41,10 +41,10 @@ class PlacedParts:
     """Part labels of people in one picture, from what a network said about each one's crop.
 
     Args:
-        network: Said them.
-        people: Everyone there, in pixels of ``owners``.
-        owners: Whom each pixel shows, of ``instance_map``, shape (H, W).
-        keeps_maps: Keep probabilities beside the labels.
+        network: Network that made the labels.
+        people: All people in the picture, in pixels of ``owners``.
+        owners: Number of the person that each pixel shows, as in ``instance_map``, shape (H, W).
+        keeps_maps: True keeps probabilities beside the labels.
     """
 
     def __init__(
@@ -54,21 +54,21 @@ class PlacedParts:
         size = owners.shape[0], owners.shape[1]
         self._nearest = instance_map(people, size, threshold=_WEAK)
 
-    def of(self, place: int, said: SaidParts) -> PartLabels | None:
+    def of(self, index: int, said: SaidParts) -> PartLabels | None:
         """Labels of the one at a place in ``people``; None if the network sees no part.
 
         Pixels of others' masks are ignored, and so is a part where another's mask is stronger, however weak. Beyond
         the crop there is background.
         """
         network, size = self._network, self._owners.shape
-        crop = upright_crop(self._people[place], network.size, stretch=network.stretch)
+        crop = upright_crop(self._people[index], network.size, stretch=network.stretch)
         window = crop_window(crop, size)
         drawn, within = spread_maps(said.maps, crop, window, mode="bilinear" if said.soft else "nearest")
         maps = np.zeros((len(drawn), *size), dtype=np.float32)
         maps[BACKGROUND] = 1.0
         maps[:, window[0], window[1]][:, within] = drawn[:, within]
         parts = parts_from_maps(maps, network.labels)
-        mine, groups = place + 1, parts.groups
+        mine, groups = index + 1, parts.groups
         theirs = (self._owners != BACKGROUND) & (self._owners != mine)
         theirs |= (groups != BACKGROUND) & (self._nearest != BACKGROUND) & (self._nearest != mine)
         groups[theirs] = IGNORE
@@ -82,11 +82,11 @@ class PeopleParts:
     """Part labels of people in one picture.
 
     Args:
-        network: Says them.
-        picture: On the network's device.
-        people: Everyone there.
-        owners: Whom each pixel shows, of ``instance_map``, shape (H, W).
-        count: People whose labels are wanted.
+        network: Network that makes the labels.
+        picture: Picture on the network's device.
+        people: All people in the picture.
+        owners: Number of the person that each pixel shows, as in ``instance_map``, shape (H, W).
+        count: Number of people whose labels are wanted.
     """
 
     def __init__(
@@ -101,15 +101,15 @@ class PeopleParts:
         keeps_maps = count * (network.labels.num_groups + 1) * owners.size <= _MOST_VALUES
         self._placed = PlacedParts(network, people, owners, keeps_maps=keeps_maps)
 
-    def of(self, place: int) -> PartLabels | None:
+    def of(self, index: int) -> PartLabels | None:
         """Labels of the one at a place in ``people``, as of ``PlacedParts``.
 
         Raises:
             InputError: If the network gives something else than ``PartNetwork`` says.
         """
         network = self.network
-        seen = cut_upright(self._picture, self._people[place], network.size, stretch=network.stretch)
-        return self._placed.of(place, ask_parts(network, seen)[0])
+        seen = cut_upright(self._picture, self._people[index], network.size, stretch=network.stretch)
+        return self._placed.of(index, ask_parts(network, seen)[0])
 
 
 @torch.no_grad()

@@ -150,8 +150,8 @@ def _make_backbone(config: EllipBodyNetConfig) -> tuple[nn.Module, dict[str, Any
             raise ValueError(f"{count:,} weights; expected at most {_MOST_WEIGHTS:,}")
         backbone = AutoBackbone.from_config(architecture)
         if config.pretrained:  # by its own class: AutoBackbone asks the hub first, also about a folder
-            place = Path(config.backbone).expanduser()
-            backbone = type(backbone).from_pretrained(str(place), config=architecture)
+            folder = Path(config.backbone).expanduser()
+            backbone = type(backbone).from_pretrained(str(folder), config=architecture)
     except Exception as error:  # of many kinds: of the connection, the files, and each model's own
         reason = _no_files("weights") if config.pretrained else cause(error)
         raise InputError(f"backbone: {config.backbone!r} ({architecture.model_type}): {reason}") from error
@@ -175,11 +175,11 @@ def _architecture(config: EllipBodyNetConfig) -> PreTrainedConfig:
     elif config.backbone == RESNET50:
         found = ResNetConfig()
     else:
-        place = Path(config.backbone).expanduser()
-        if str(place).startswith((".", "/")) and not place.is_dir():
+        folder = Path(config.backbone).expanduser()
+        if str(folder).startswith((".", "/")) and not folder.is_dir():
             raise InputError(f"backbone: {config.backbone}: no such folder; expected one with a config.json")
         try:
-            found = AutoConfig.from_pretrained(str(place))
+            found = AutoConfig.from_pretrained(str(folder))
         except Exception as error:  # as above
             raise InputError(f"backbone: {config.backbone!r}: {_no_files('config.json')}") from error
     if not hasattr(found, "stage_names"):

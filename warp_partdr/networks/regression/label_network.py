@@ -78,8 +78,8 @@ class LabelNetworkConfig:
         check_whole("attention_width", self.attention_width, 1, 1024)
         side = self.size >> len(self.channels)
         if self.places * side**2 > _MOST_FEATURES:
-            told = f"{self.places}, of {side} x {side} places"
-            raise ValueError(f"places: {told}; expected at most {_MOST_FEATURES} numbers in all")
+            fault = f"{self.places}, of {side} x {side} places"
+            raise ValueError(f"places: {fault}; expected at most {_MOST_FEATURES} numbers in all")
 
 
 def label_table(labels: LabelSet) -> torch.Tensor:
@@ -100,8 +100,8 @@ def label_shares(groups: torch.Tensor, tables: torch.Tensor, which: torch.Tensor
 
     Args:
         groups: Group ids, shape (B, S, S), of any number type.
-        tables: Of N label sets, shape (N, 256, 22).
-        which: The set of each image, shape (B,), int64.
+        tables: Tables of N label sets, shape (N, 256, 22).
+        which: Index of each image's label set, shape (B,), int64.
 
     Returns:
         Shape (B, 22, S, S), channels last in memory, the dtype of ``tables``.
@@ -122,9 +122,9 @@ def map_shares(maps: torch.Tensor, known: torch.Tensor, table: torch.Tensor) -> 
     """Shares of the parts, background and unknown from probability maps.
 
     Args:
-        maps: Of the groups 1 to G, shape (B, G, S, S).
-        known: What is missing to 1 is unknown, shape (B, S, S).
-        table: Of the label set, shape (256, 22).
+        maps: Probability maps of the groups 1 to G, shape (B, G, S, S).
+        known: Share of each pixel that is known, shape (B, S, S). The rest, up to 1, is unknown.
+        table: Table of the label set, shape (256, 22).
     """
     known = known[:, None]
     background = (known - maps.sum(1, keepdim=True)).clamp_min(0.0)
@@ -143,7 +143,7 @@ def network_conditions(
     Args:
         lenses: Focal length and principal point in crop coordinates, shape (B, 3).
         certainty: Certainty of each lens: ``KNOWN_LENS``, ``USUAL_LENS``, or 0 where nothing is known, shape (B,).
-        statures: Known statures [m], 0 where unknown, shape (B,); None: none is known.
+        statures: Known statures [m], 0 where unknown, shape (B,). If it is None, none is known.
 
     Returns:
         Shape (B, 6): the certainty; the tangents of the crop's half side, as from ``_FARTHEST`` at most, and of its
@@ -207,9 +207,10 @@ class LabelNetwork(nn.Module):
         """Bodies.
 
         Args:
-            shares: From ``label_shares`` or ``map_shares``, shape (B, 22, S, S); more channels, of zeros, may follow.
+            shares: Shares that ``label_shares`` or ``map_shares`` returns, shape (B, 22, S, S). More channels, of
+                zeros, may follow.
             keypoints: Crop coordinates and confidence, all 0 where missing (``network_keypoints``), shape (B, 24, 3).
-            conditions: From ``network_conditions``, shape (B, 6).
+            conditions: Conditions that ``network_conditions`` returns, shape (B, 6).
         """
         return self.bodies(self.features(shares, keypoints, conditions), keypoints)
 
@@ -223,10 +224,10 @@ class LabelNetwork(nn.Module):
             seen = stage(seen)
             if index in self._shown:
                 maps.append(seen)
-        told = conditions[:, : self._conditions]
-        found = [seen, self.keypoints(torch.cat([keypoints.flatten(1), told], dim=1))]
+        known = conditions[:, : self._conditions]
+        found = [seen, self.keypoints(torch.cat([keypoints.flatten(1), known], dim=1))]
         if self.config.attention_layers:
-            found.append(self.attention(maps, keypoints, told))
+            found.append(self.attention(maps, keypoints, known))
         return torch.cat([each.to(seen) for each in found], dim=1)
 
     def bodies(self, features: torch.Tensor, keypoints: torch.Tensor) -> Predicted:

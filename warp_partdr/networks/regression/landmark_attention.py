@@ -36,12 +36,13 @@ class LandmarkAttention(nn.Module):
         """Features.
 
         Args:
-            maps: Of any sizes, each (B, C, H, W).
+            maps: Feature maps of any sizes, each of shape (B, C, H, W).
             keypoints: Crop coordinates and confidence, all 0 where missing, shape (B, 24, 3).
-            conditions: Of ``network_conditions``, shape (B, C); a landmark is told these and its keypoint.
+            conditions: Conditions that ``network_conditions`` returns, shape (B, C). Each landmark is given these and
+                its keypoint.
         """
-        told = torch.cat([keypoints, conditions[:, None].expand(-1, keypoints.shape[1], -1)], dim=2)
-        tokens = self.shown(at_keypoints(maps, keypoints)) + self.told(told) + self.names
+        inputs = torch.cat([keypoints, conditions[:, None].expand(-1, keypoints.shape[1], -1)], dim=2)
+        tokens = self.shown(at_keypoints(maps, keypoints)) + self.told(inputs) + self.names
         features: torch.Tensor = self.said(self.layers(tokens)).flatten(1)
         return features
 

@@ -28,9 +28,9 @@ def network_keypoints(names: Sequence[str], points: torch.Tensor, confidence: to
     """Keypoints of any format in the order of ``LANDMARKS``; what networks don't know is left out.
 
     Args:
-        names: L landmarks.
-        points: In a crop of side 2, shape (L, 2).
-        confidence: 0 to 1, shape (L,).
+        names: Names of L landmarks.
+        points: Points in a crop of side 2, shape (L, 2).
+        confidence: Confidence of each point, 0 to 1, shape (L,).
 
     Returns:
         Coordinates and confidence, all 0 where missing, shape (24, 3).

@@ -38,35 +38,36 @@ REAL_PEOPLE = 1.2
 REAL_SIZE = 1.015
 
 
-def network_inputs(seen: Observations, size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def network_inputs(observations: Observations, size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Input of a label network for N people: shares (N, 22, size, size), keypoints (N, 24, 3) and conditions (N, 6)."""
-    return _shares(seen, size), *_numbers(seen)
+    return _shares(observations, size), *_numbers(observations)
 
 
-def _numbers(seen: Observations) -> tuple[torch.Tensor, torch.Tensor]:
+def _numbers(observations: Observations) -> tuple[torch.Tensor, torch.Tensor]:
     """Keypoints and conditions of ``network_inputs``."""
-    keypoints = format_keypoints(seen.landmarks, seen.visible, seen.points, seen.confidence)
-    lenses = keypoints.new_ones(len(seen), 3) if seen.lens is None else seen.lens
-    certainty = keypoints.new_full((len(seen),), _certainty(seen))
-    return keypoints, network_conditions(lenses, certainty, seen.statures)
+    names, visible = observations.landmarks, observations.visible
+    keypoints = format_keypoints(names, visible, observations.points, observations.confidence)
+    lenses = keypoints.new_ones(len(observations), 3) if observations.lens is None else observations.lens
+    certainty = keypoints.new_full((len(observations),), _certainty(observations))
+    return keypoints, network_conditions(lenses, certainty, observations.statures)
 
 
-def _certainty(seen: Observations) -> float:
-    if seen.lens is None:
+def _certainty(observations: Observations) -> float:
+    if observations.lens is None:
         return 0.0
-    return USUAL_LENS if seen.lens_assumed else KNOWN_LENS
+    return USUAL_LENS if observations.lens_assumed else KNOWN_LENS
 
 
-def _shares(seen: Observations, size: int) -> torch.Tensor:
+def _shares(observations: Observations, size: int) -> torch.Tensor:
     """Shares of the parts in each pixel, shape (N, 22, size, size)."""
-    if seen.label_set is None or seen.labels is None:
-        unknown = torch.zeros(1, NUM_CHANNELS, 1, 1, device=seen.points.device)
+    if observations.label_set is None or observations.labels is None:
+        unknown = torch.zeros(1, NUM_CHANNELS, 1, 1, device=observations.points.device)
         unknown[:, -1] = 1.0
-        return unknown.expand(len(seen), -1, size, size)
-    table = label_table(seen.label_set).to(seen.points.device)
-    if seen.maps is not None and seen.known is not None:
-        return map_shares(resize_nearest(seen.maps, size), resize_nearest(seen.known, size), table)
-    return _shares_of_ids(resize_nearest(seen.labels, size), table)
+        return unknown.expand(len(observations), -1, size, size)
+    table = label_table(observations.label_set).to(observations.points.device)
+    if observations.maps is not None and observations.known is not None:
+        return map_shares(resize_nearest(observations.maps, size), resize_nearest(observations.known, size), table)
+    return _shares_of_ids(resize_nearest(observations.labels, size), table)
 
 
 def _shares_of_ids(labels: torch.Tensor, table: torch.Tensor) -> torch.Tensor:
@@ -75,16 +76,16 @@ def _shares_of_ids(labels: torch.Tensor, table: torch.Tensor) -> torch.Tensor:
 
 
 def upright_inputs(
-    seen: Observations, size: int, *, half: bool = False
+    observations: Observations, size: int, *, half: bool = False
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Inputs of N people, turned upright, and by how much they lean, (N,); with ``half``, shares may be bfloat16."""
-    keypoints, conditions = _numbers(seen)
+    keypoints, conditions = _numbers(observations)
     angles = leans(keypoints)
-    if seen.labels is None or seen.label_set is None or seen.maps is not None:
-        return *turn_inputs(_shares(seen, size), keypoints, conditions, -angles), angles
-    labels = resize_nearest(seen.labels, size)[:, None].float()  # to be turned: a number a pixel, not 22
+    if observations.labels is None or observations.label_set is None or observations.maps is not None:
+        return *turn_inputs(_shares(observations, size), keypoints, conditions, -angles), angles
+    labels = resize_nearest(observations.labels, size)[:, None].float()  # to be turned: a number a pixel, not 22
     labels, keypoints, conditions = turn_inputs(labels, keypoints, conditions, -angles)
-    table = label_table(seen.label_set).to(labels.device)
+    table = label_table(observations.label_set).to(labels.device)
     if half:
         table = torch.nn.functional.pad(table, (0, EVEN_CHANNELS - table.shape[1])).bfloat16()
     return _shares_of_ids(labels[:, 0], table), keypoints, conditions, angles
@@ -97,7 +98,7 @@ def predict_bodies(observations: Sequence[Observation], network: LabelNetwork) -
 
     Args:
         observations: N people, on the network's device; ``observe`` makes them.
-        network: In evaluation mode.
+        network: Label network in evaluation mode.
 
     Returns:
         N bodies in their crops.
@@ -117,9 +118,9 @@ def ask_about_each(observations: Sequence[Observation], network: LabelNetwork, *
     """Return ``ask_network`` of N people in their order, who need not be alike: it is asked about each kind at once."""
     rows: list[int] = []
     predicted: list[Predicted] = []
-    for own, seen in group_alike(observations):
+    for own, some in group_alike(observations):
         rows += own
-        predicted.append(ask_network(seen, network, mirror=mirror))
+        predicted.append(ask_network(some, network, mirror=mirror))
     if len(predicted) == 1:
         return predicted[0]
     joined = Predicted.joined(predicted)

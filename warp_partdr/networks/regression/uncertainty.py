@@ -24,9 +24,11 @@ class Uncertainty(Movable):
     """Spreads of B predicted bodies, half widths of intervals that hold the truth in 68 % of cases; and a distance.
 
     Attributes:
-        depths: Of ``JOINT_NAMES`` but the pelvis, relative to it, along the view [m], shape (B, 20).
-        turns: Of the global orientation and of the rotations of ``FREE_PARTS``: angle between [rad], shape (B, 19).
-        nearness: 1 / distance of the camera from the pelvis, 0 = far [1/m], shape (B,).
+        depths: Uncertainty of the depth of ``JOINT_NAMES`` except the pelvis, relative to the pelvis, along the view
+            [m], shape (B, 20).
+        turns: Uncertainty of the global orientation and of the rotations of ``FREE_PARTS``, as angles [rad], shape (B,
+            19).
+        nearness: Inverse of the camera's distance from the pelvis, 0 = far [1/m], shape (B,).
     """
 
     depths: torch.Tensor

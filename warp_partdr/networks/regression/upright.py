@@ -26,7 +26,7 @@ def leans(keypoints: torch.Tensor) -> torch.Tensor:
     """Angles by which people lean in the picture, clockwise, 0 if by less than 30 degrees or if not known.
 
     Args:
-        keypoints: As networks see them (``network_keypoints``), shape (B, 24, 3).
+        keypoints: Keypoints as networks see them (``network_keypoints``), shape (B, 24, 3).
 
     Returns:
         From -π to π [rad], shape (B,).

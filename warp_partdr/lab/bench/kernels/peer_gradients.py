@@ -29,8 +29,8 @@ def measure_gradients(size: int, device: str, remarks: list[str]) -> Iterator[di
 
     Args:
         size: Side of the picture [px].
-        device: Where to draw.
-        remarks: Takes a line about each peer that fails.
+        device: Device to draw on.
+        remarks: List to which a line is added about each peer that fails.
     """
     scene = BenchScene.random(BODIES, size, device)
     for level in LEVELS:

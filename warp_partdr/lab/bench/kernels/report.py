@@ -40,13 +40,13 @@ def make_row(
     """One thing that was timed, for JSON: seconds, bytes and shares.
 
     Args:
-        group: One of ``GROUPS``.
-        run: What was run; B and the picture are 0 where they mean nothing.
-        how: "graph", "call", "kernel" or "process", see ``NOTES``.
-        timing: Its durations.
+        group: Group, one of ``GROUPS``.
+        run: Run that was timed. B and the picture are 0 where they mean nothing.
+        how: Way of timing: "graph", "call", "kernel" or "process", see ``NOTES``.
+        timing: Durations of the run.
         moved: Size of the arrays given to kernels, each once a kernel [bytes].
-        memory: Size of the same arrays, each once in all; of calls into torch, its peak [bytes].
-        agreement: Share of pixels with the same label as our picture of the same mesh: of peers.
+        memory: Size of the same arrays, each once in all. For calls into torch, it is its peak [bytes].
+        agreement: Share of pixels with the same label as our picture of the same mesh, for peers.
     """
     name, renderer, batch, size = run
     median = timing.median

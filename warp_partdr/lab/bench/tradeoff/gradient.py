@@ -25,8 +25,8 @@ def gradient_error(
     Args:
         setting: Renderer and picture.
         people: N people.
-        bodies: A body for each.
-        true: As ``true_gradient`` returns it.
+        bodies: Bodies, one for each person.
+        true: True gradient, as ``true_gradient`` returns it.
 
     Returns:
         ``angle_deg`` between the two gradients and ``length_ratio``, shape (N,) each.

@@ -34,9 +34,9 @@ class Setting:
         """The object that draws."""
         return RENDERERS[self.name]
 
-    def energy(self, seen: Observations, prior: PosePrior, weights: Weights | None = None) -> Energy:
+    def energy(self, observations: Observations, prior: PosePrior, weights: Weights | None = None) -> Energy:
         """The energy that the refinement minimises."""
-        return Energy(seen, self.size, weights or Weights(), prior, self.renderer)
+        return Energy(observations, self.size, weights or Weights(), prior, self.renderer)
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ def read_hdf5(
 
     Args:
         path: The file.
-        required: Names that must be there.
-        optional: Names that may be there.
-        expected: What file this should be, for messages.
+        required: Names of arrays that must be there.
+        optional: Names of arrays that may be there.
+        expected: Description of the file, for messages.
 
     Raises:
         InputError: If h5py is not installed, the file can't be read, or an array is missing or holds no numbers.

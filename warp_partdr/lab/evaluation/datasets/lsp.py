@@ -41,13 +41,13 @@ def read_lsp(
     """The people of LSP, or of UP-3D by way of an annotation file.
 
     Args:
-        path: The folder ``lsp_dataset``; or an ``.npz`` file in the layout of ``datasets.spin``.
+        path: Folder ``lsp_dataset``, or an ``.npz`` file in the layout of ``datasets.spin``.
         parts: Folder of ``im1001_part_segmentation.png`` and, if silhouettes are to count apart from them,
             ``im1001_segmentation.png``; of an ``.npz`` file, the folder that its partname is relative to. Without it
             there are no labels, neither to fit nor to score.
-        labels: Their label set; by default lsp6.
+        labels: Label set of the parts. By default, it is lsp6.
         pictures: Folder that an ``.npz`` file's imgname is relative to.
-        test_only: Leave out the pictures for training, 1 to 1000.
+        test_only: True leaves out the pictures for training, 1 to 1000.
 
     Raises:
         InputError: If a file or an array that is needed is missing or wrong.

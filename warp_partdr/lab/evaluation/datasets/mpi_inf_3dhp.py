@@ -66,11 +66,11 @@ class _Recording:
     def views(self, joints: np.ndarray, keypoints: np.ndarray, frames: list[str]) -> Views:
         """Views of each frame, of joints (T, J, 3) [mm] and keypoints (T, J, 2) [px]."""
         count = len(frames)
-        kept = [place for place, name in enumerate(self.landmarks) if name]
+        kept = [index for index, name in enumerate(self.landmarks) if name]
         joints, keypoints = joints[:, kept] / 1000, keypoints[:, kept].astype(np.float64)
         focal, centre = find_lens(joints, keypoints)
         return Views(
-            joint_names=np.array([self.landmarks[place] for place in kept]),
+            joint_names=np.array([self.landmarks[index] for index in kept]),
             joints_camera=joints,
             keypoints=keypoints,
             person=np.full(count, self.person),

@@ -28,10 +28,10 @@ def read_real(
     """Read views of real people with 3D truth, of whatever kind the file or folder is.
 
     Args:
-        path: As docs/evaluation.md lists them.
-        cameras: Calibrated cameras that see joints over time, which need them.
+        path: File or folder, as docs/evaluation.md lists them.
+        cameras: Calibrated cameras, which joints over time need.
         films: Folder of the films of these cameras.
-        axes: As of ``read_trajectories``.
+        axes: Axes of the joints, as in ``read_trajectories``.
 
     Raises:
         InputError: If it is of no kind that is known, or can't be read.

@@ -92,11 +92,11 @@ def read_spin(
 
     Args:
         path: The ``.npz`` file.
-        source: What the samples' source is called.
-        expected: What file this should be and who makes it, for errors.
-        pictures: The data set's folder; pictures that are not there are left out.
-        keypoints: Folder of JSON files, one a picture, which are taken instead of the file's own keypoints.
-        parts: Folder of the PNGs that partname and maskname name; by default labels are not read.
+        source: Name of the samples' source.
+        expected: Description of the file and of the program that makes it, for errors.
+        pictures: Folder of the data set. Pictures that are not there are left out.
+        keypoints: Folder of JSON files, one for each picture. They are taken instead of the file's own keypoints.
+        parts: Folder of the PNGs that partname and maskname name. By default, labels are not read.
         labels: The label set of the PNGs.
 
     Raises:

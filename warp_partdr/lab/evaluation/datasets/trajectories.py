@@ -33,8 +33,8 @@ class Trajectories:
     """Joints of one person over time.
 
     Attributes:
-        names: Of J joints or markers.
-        points: In the world [m], shape (T, J, 3); NaN where unknown.
+        names: Names of the J joints or markers.
+        points: Points in the world [m], shape (T, J, 3). They are NaN where unknown.
         frames: Number of each moment, rising, shape (T,), whole numbers.
 
     Raises:
@@ -51,9 +51,9 @@ class Trajectories:
         if np.isinf(self.points).any():
             raise InputError("points: infinite; expected numbers, or NaN where unknown")
         if (np.diff(self.frames) <= 0).any():
-            place = int((np.diff(self.frames) <= 0).argmax())
-            told = f"{self.frames[place + 1]} after {self.frames[place]}"
-            raise InputError(f"frames: {told}; expected rising numbers")
+            row = int((np.diff(self.frames) <= 0).argmax())
+            fault = f"{self.frames[row + 1]} after {self.frames[row]}"
+            raise InputError(f"frames: {fault}; expected rising numbers")
 
 
 def read_trc(path: str | Path) -> Trajectories:
@@ -79,15 +79,15 @@ def read_trc(path: str | Path) -> Trajectories:
     width = 3 * len(names)
     numbers = np.full((len(rows), width), np.nan)
     frames = np.zeros(len(rows), dtype=np.int64)
-    for place, cells in enumerate(rows):
+    for row, cells in enumerate(rows):
         try:
-            frames[place] = int(cells[0])
+            frames[row] = int(cells[0])
             values = [float(cell) if cell.strip() else np.nan for cell in cells[2 : 2 + width]]
         except ValueError as error:
-            raise InputError(f"{path}: frame {place}: {cause(error)}; expected numbers between tabs") from error
+            raise InputError(f"{path}: frame {row}: {cause(error)}; expected numbers between tabs") from error
         if len(values) % 3:  # cells at a row's end may be missing, those of whole joints
-            raise InputError(f"{path}: frame {frames[place]}: {len(values)} numbers; expected {width}")
-        numbers[place, : len(values)] = values
+            raise InputError(f"{path}: frame {frames[row]}: {len(values)} numbers; expected {width}")
+        numbers[row, : len(values)] = values
     with told_of(path):
         return Trajectories(names, _METRES[unit] * numbers.reshape(len(rows), len(names), 3), frames)
 
@@ -103,8 +103,8 @@ def read_joint_arrays(path: str | Path) -> Trajectories:
     if names.dtype.kind != "U" or names.ndim != 1 or points.dtype.kind not in "fiu":
         raise InputError(f"{path}: joint_names, joints_world: {names.dtype}, {points.dtype}; expected {_EXPECTED_NPZ}")
     if points.ndim != 3 or points.shape[1:] != (len(names), 3):
-        told = f"joint_names, joints_world: {names.shape}, {points.shape}"
-        raise InputError(f"{path}: {told}; expected {_EXPECTED_NPZ}")
+        fault = f"joint_names, joints_world: {names.shape}, {points.shape}"
+        raise InputError(f"{path}: {fault}; expected {_EXPECTED_NPZ}")
     frames = arrays.get("frames", np.arange(len(points)))
     if frames.shape != points.shape[:1] or frames.dtype.kind not in "iu":
         raise InputError(f"{path}: frames: {frames.dtype} {frames.shape}; expected {len(points)} whole numbers")
@@ -122,8 +122,8 @@ def read_trajectories(
         cameras: File of calibrated cameras (``read_cameras``), in the world of the joints.
         films: Folder of the cameras' films, whose names tell the cameras. Their first frame is the first row's, and
             where the file leaves out a frame's number, the films' frame is left out as well.
-        axes: Axes of the file that are x, y and z of the cameras' world, such as "x -z y"; None: as it is, or as
-            Pose2Sim turns it ("z x y"), whichever puts more joints into pictures.
+        axes: Axes of the file that are x, y and z of the cameras' world, such as "x -z y". If it is None, the file is
+            taken as it is, or as Pose2Sim turns it ("z x y"), whichever puts more joints into pictures.
 
     Raises:
         InputError: If a file can't be read, names are no landmarks, or no camera sees a joint.
@@ -183,13 +183,13 @@ def _views(points: np.ndarray, cameras: Mapping[str, CalibratedCamera]) -> tuple
     joints = np.stack([points @ each.rotation.T + each.translation for each in cameras.values()], axis=1)
     focal, principal = (np.array([getattr(each, name) for each in cameras.values()]) for name in ("focal", "principal"))
     with np.errstate(all="ignore"):
-        seen = joints[..., :2] / joints[..., 2:] * focal[:, None] + principal[:, None]
-        before = (joints[..., 2] > 0) & (np.abs(seen) <= LARGEST_PLACE).all(axis=-1)
+        projected = joints[..., :2] / joints[..., 2:] * focal[:, None] + principal[:, None]
+        before = (joints[..., 2] > 0) & (np.abs(projected) <= LARGEST_PLACE).all(axis=-1)
         size = np.array([each.size or (np.inf, np.inf) for each in cameras.values()])[:, None, ::-1]
-        inside = before & ((seen >= 0) & (seen < size)).all(axis=-1)
-    seen[~before] = np.nan
+        inside = before & ((projected >= 0) & (projected < size)).all(axis=-1)
+    projected[~before] = np.nan
     count = points.shape[1]
-    return joints.reshape(-1, count, 3), seen.reshape(-1, count, 2), inside.reshape(-1, count)
+    return joints.reshape(-1, count, 3), projected.reshape(-1, count, 2), inside.reshape(-1, count)
 
 
 def _films(folder: Path, cameras: Sequence[str]) -> np.ndarray:
@@ -198,4 +198,4 @@ def _films(folder: Path, cameras: Sequence[str]) -> np.ndarray:
     if len(found) != len(cameras):
         raise InputError(f"{folder}: {len(found)} films; expected {len(cameras)}, one a camera")
     of_film = assign_cameras(found, cameras).cameras
-    return np.array([str(found[of_film.index(place)].resolve()) for place in range(len(cameras))])
+    return np.array([str(found[of_film.index(index)].resolve()) for index in range(len(cameras))])

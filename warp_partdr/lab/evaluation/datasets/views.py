@@ -85,25 +85,28 @@ class Views:
 
     Attributes:
         joint_names: Landmarks of the J joints, text.
-        joints_camera: True joints in the camera frame [m], shape (N, J, 3); NaN where unknown.
-        keypoints: Keypoints in the picture without lens distortion, the middle of the first pixel at (0.5, 0.5) [px],
-            shape (N, K, 2); NaN where missing.
+        joints_camera: True joints in the camera frame [m], shape (N, J, 3). They are NaN where unknown.
+        keypoints: Keypoints in the picture without lens distortion, where the middle of the first pixel is at (0.5,
+            0.5) [px], shape (N, K, 2). They are NaN where missing.
         person: Name or number of the person within the set, shape (N,).
-        keypoint_names: Names of the K keypoints, as a detector's; None: those of the joints, at the same points.
-        confidence: Of keypoints, 0 to 1, shape (N, K); None: 1.
-        set: Name of the data set, shape (N,), text; None: that of the folder.
+        keypoint_names: Names of the K keypoints, as a detector has them. If it is None, they are the joints' names, at
+            the same points.
+        confidence: Confidence of the keypoints, 0 to 1, shape (N, K). If it is None, it is 1.
+        set: Name of the data set, shape (N,), text. If it is None, it is the name of the folder.
         frame: Name or number of the moment, shape (N,).
         camera: Name or number of the camera, shape (N,).
-        convention: Whose points of the body joints mark, such as "coco", shape (N,); "" where they are the body's own.
-            None: the set's name up to its first "_", such as "h36m"; Panoptic's are COCO's, and Campus's are Shelf's.
-        focal: Focal lengths (f_x, f_y) [px], shape (N, 2), and
-        centre: principal points [px], shape (N, 2); None: unknown.
-        picture_size: (H, W) of the pictures [px], shape (N, 2), whole numbers; None: unknown.
-        stature: Height of the person standing [m], shape (N,), NaN where unknown; None: told by the bones.
-        baseline: Rows of a selection that is always the same, shape (N,), bool.
-        picture: File of the picture, shape (N,), text; "" where there is none.
-        film: File of the film that the picture is from, shape (N,), text, "" where there is none; and
-        film_frame: its number in the film, 0 for the first, shape (N,).
+        convention: Convention whose points of the body the joints mark, such as "coco", shape (N,), or "" where they
+            are the body's own. If it is None, it is the set's name up to its first "_", such as "h36m". Panoptic's are
+            COCO's, and Campus's are Shelf's.
+        focal: Focal lengths (f_x, f_y) [px], shape (N, 2). If it is None, they are unknown.
+        centre: Principal points [px], shape (N, 2). If it is None, they are unknown.
+        picture_size: Height and width (H, W) of the pictures [px], shape (N, 2), whole numbers. If it is None, they are
+            unknown.
+        stature: Height of the person standing [m], shape (N,), NaN where unknown. If it is None, the bones tell it.
+        baseline: Mask of the rows of a selection that is always the same, shape (N,), bool.
+        picture: File of the picture, shape (N,), text. It is "" where there is none.
+        film: File of the film that the picture is from, shape (N,), text. It is "" where there is none.
+        film_frame: Number of the picture in its film, 0 for the first, shape (N,).
         folder: Folder that files are relative to.
 
     Raises:
@@ -305,12 +308,13 @@ def view_samples(
     """Make samples of some rows; keypoints that are out of the picture are missing, as no detector sees them.
 
     Args:
-        views: Of ``read_views``, or of a data set's reader.
-        rows: Their numbers.
-        convention: Instead of that of the rows, such as "coco" or "h36m"; "": joints mark the body's own.
-        keypoints: Format, such as "coco17". Views that know all of its keypoints give these alone, at its own marks;
-            others, or all for None, give what they know.
-        clusters: Samples of one of these are not independent: "people", or people's "moments".
+        views: Views that ``read_views`` returns, or a data set's reader.
+        rows: Indices of the rows.
+        convention: Convention that replaces that of the rows, such as "coco" or "h36m". "" means that joints mark the
+            body's own points.
+        keypoints: Format of the keypoints, such as "coco17". Views that know all of its keypoints give these alone, at
+            the format's own marks. Other views give what they know, as do all views if it is None.
+        clusters: Kind of the groups within which samples are not independent: "people", or people's "moments".
 
     Raises:
         InputError: If there are no such clusters, convention or format, or names of keypoints tell nothing.
@@ -324,7 +328,7 @@ def view_samples(
     times: Counter[str] = Counter()
     samples = []
     for row in rows.tolist():
-        told = _convention(views, row) if convention is None else convention
+        own_convention = _convention(views, row) if convention is None else convention
         person, moment = str(people[row]), f"{people[row]}/{frames[row]}"
         name = f"{moment}/{cameras[row]}"
         times[name] += 1
@@ -334,9 +338,9 @@ def view_samples(
             Sample(
                 source="people" if views.set is None else str(views.set[row]),
                 name=name,
-                keypoints=_keypoints(views, row, inside[row], told, keypoints),
+                keypoints=_keypoints(views, row, inside[row], own_convention, keypoints),
                 joints=_take(views.joints_camera[row], _landmarks(views.joint_names), MPJPE_JOINTS),
-                joint_marks=annotated(MPJPE_JOINTS, convention=told),
+                joint_marks=annotated(MPJPE_JOINTS, convention=own_convention),
                 picture=_picture(views, row),
                 camera=_camera(views, row),
                 stature=None if np.isnan(statures[row]) else float(statures[row]),
@@ -350,9 +354,9 @@ def _check_array(name: str, values: object, sizes: dict[str, int]) -> None:
     kinds, shape, least, most = _ARRAYS[name]
     expected = tuple(sizes[each] if isinstance(each, str) else each for each in shape)
     if not isinstance(values, np.ndarray) or values.dtype.kind not in kinds:
-        told = {_TEXT: "text", _FLAGS: "true or false", _NAMES: "text or whole numbers", _WHOLE: "whole numbers"}
+        kind_names = {_TEXT: "text", _FLAGS: "true or false", _NAMES: "text or whole numbers", _WHOLE: "whole numbers"}
         raise InputError(
-            f"{name}: {getattr(values, 'dtype', type(values).__name__)}; expected {told.get(kinds, 'numbers')}"
+            f"{name}: {getattr(values, 'dtype', type(values).__name__)}; expected {kind_names.get(kinds, 'numbers')}"
         )
     if values.shape != expected:
         raise InputError(f"{name}: shape {values.shape}; expected {expected}, ({', '.join(map(str, shape))})")
@@ -513,11 +517,11 @@ def _camera(views: Views, row: int) -> Perspective | None:
 
 def _statures(views: Views) -> np.ndarray:
     """Height of each row's person [m]: as given, or as the person's bones tell it in the mean; NaN: unknown."""
-    told = np.full(len(views), np.nan) if views.stature is None else views.stature.astype(np.float64)
+    statures = np.full(len(views), np.nan) if views.stature is None else views.stature.astype(np.float64)
     names, people = _landmarks(views.joint_names), views.people()
     bones = trunk_and_legs(views.joints_camera, names) / _STANDING_SHARE
     for person in dict.fromkeys(people.tolist()):
         own = people == person
         if np.isfinite(bones[own]).any():
-            told[own & np.isnan(told)] = np.nanmean(bones[own])
-    return told
+            statures[own & np.isnan(statures)] = np.nanmean(bones[own])
+    return statures

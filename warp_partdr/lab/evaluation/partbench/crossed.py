@@ -49,8 +49,8 @@ class CrossedSample(Sample):
     """Body of which keypoints tell all but the depth order of a limb.
 
     Attributes:
-        truth: The body, in the picture of side 2.
-        wrong: The same with the limb mirrored in depth.
+        truth: Body in the picture of side 2.
+        wrong: Body with the limb mirrored in depth.
     """
 
     truth: BodyParameters = field(default_factory=lambda: BodyParameters.mean(1))
@@ -79,8 +79,8 @@ class CrossedMethod(Method):
 def _in_crop(body: BodyParameters, crop: Crop) -> BodyParameters:
     """Body of the picture of side 2 in a crop of it."""
     half = crop.size[0] / 2
-    place = crop.to_crop((body.shift + 1) * (_SIDE / 2)) / half - 1
-    return replace(body, log_scale=body.log_scale + float(np.log(crop.zoom * _SIDE / 2 / half)), shift=place)
+    shift = crop.to_crop((body.shift + 1) * (_SIDE / 2)) / half - 1
+    return replace(body, log_scale=body.log_scale + float(np.log(crop.zoom * _SIDE / 2 / half)), shift=shift)
 
 
 def _refined(renderer: RendererEllipsoids, *, depth_flips: bool = False) -> CrossedMethod:

@@ -56,8 +56,8 @@ _STYLE = "body{font:15px sans-serif;margin:2em;max-width:1500px}pre{font-size:12
 
 def compare_methods(report: Report) -> Iterator[str]:
     """Differences between methods on the same people, with 95 % intervals: a sentence for each level and pair."""
-    for source, told in compare_pairs(report, ORDER):
-        yield f"{source.removeprefix(source_name(''))}: {told}"
+    for source, sentence in compare_pairs(report, ORDER):
+        yield f"{source.removeprefix(source_name(''))}: {sentence}"
 
 
 def write_report(
@@ -72,11 +72,11 @@ def write_report(
     """Write tables, findings and the worst fits, which are fitted once more to be drawn, as HTML.
 
     Args:
-        path: Of the file.
-        report: Of ``evaluate`` on ``samples`` by ``methods``.
-        samples: People fitted.
-        methods: By name.
-        measured_with: Machine, versions and so on.
+        path: Path of the file.
+        report: Report that ``evaluate`` returned for ``samples`` and ``methods``.
+        samples: People that were fitted.
+        methods: Methods by name.
+        measured_with: Facts about the machine, versions and so on.
         device: "cpu" or a CUDA device.
     """
     console = Console(width=170, record=True, file=io.StringIO(), highlight=False)

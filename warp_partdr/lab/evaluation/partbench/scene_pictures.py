@@ -25,11 +25,11 @@ def draw_scene_case(sample: SceneSample, bodies: SceneBodies) -> Image.Image:
     fitted = draw_scene(sample, bodies.vertices)
     joints = bodies.landmarks(MPJPE_JOINTS)
     last = len(sample.parts) - 1
-    return Image.fromarray(np.vstack([_row(sample, fitted, joints, place) for place in sorted({0, last})]))
+    return Image.fromarray(np.vstack([_row(sample, fitted, joints, index) for index in sorted({0, last})]))
 
 
-def _row(sample: SceneSample, fitted: np.ndarray, joints: np.ndarray, place: int) -> np.ndarray:
-    frame, view = divmod(place, len(sample.scene.views))
+def _row(sample: SceneSample, fitted: np.ndarray, joints: np.ndarray, index: int) -> np.ndarray:
+    frame, view = divmod(index, len(sample.scene.views))
     sights = [each for each in sample.scene.sights if (each.frame, each.view) == (frame, view)]
     colours = group_colours(LABELS.part_groups)
     groups = np.zeros(sample.parts.shape[1:], dtype=np.uint8)
@@ -39,7 +39,7 @@ def _row(sample: SceneSample, fitted: np.ndarray, joints: np.ndarray, place: int
     seen = Image.fromarray(colours[groups])
     for sight in sights:
         draw_keypoints(seen, sight.keypoints)
-    pictures = [np.asarray(seen), _coloured(sample.parts[place]), _coloured(fitted[place])]
+    pictures = [np.asarray(seen), _coloured(sample.parts[index]), _coloured(fitted[index])]
     return np.hstack([*pictures, np.asarray(_from_above(sample, joints, frame, seen.height))])
 
 

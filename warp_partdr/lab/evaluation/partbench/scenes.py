@@ -39,9 +39,10 @@ def partbench_scenes(
     """Scenes of these people at each level, at the noise of "realistic".
 
     Args:
-        indices: Whom; of a clip, whose shape, of "pairs" and "groups", the first of them.
-        levels: Of ``SCENES``.
-        mocap: The folder of motion capture (``lab.synthetic.mocap_files``) that "clip" needs.
+        indices: Numbers of the people. In a clip they have the shapes, and in "pairs" and "groups" they are the first
+            person.
+        levels: Levels among ``SCENES``.
+        mocap: Folder of motion capture (``lab.synthetic.mocap_files``), which "clip" needs.
 
     Raises:
         InputError: If there are not so many people, or "clip" has no motion capture.
