@@ -76,7 +76,7 @@ def test_network_and_refinement_read_the_same(people: list[CutPerson], device: s
         for given, found in zip(network_inputs(alone, 64), together, strict=True):
             assert torch.equal(given[0], found[row])
         of_one, own = Batch.of(Energy(alone, 64, prior=prior)), of_all.select(slice(row, row + 1))
-        assert_same(replace(of_one, seen=own.seen), own)
+        assert_same(replace(of_one, visible=own.visible), own)
 
 
 def test_people_whose_observations_differ_in_kind_are_stacked_apart(device: str) -> None:

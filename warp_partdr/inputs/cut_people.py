@@ -26,6 +26,12 @@ class Kind(NamedTuple):
     with_lens: bool
     lens_assumed: bool
 
+    @classmethod
+    def of(cls, skeleton: str | Skeleton, observed: Observation | Observations) -> Kind:
+        """Kind of people with keypoints of this format."""
+        with_lens = observed.lens is not None
+        return cls(skeleton, observed.label_set, observed.maps is not None, with_lens, observed.lens_assumed)
+
 
 @dataclass(frozen=True)
 class CutPerson:
@@ -44,9 +50,7 @@ class CutPerson:
     @property
     def kind(self) -> Kind:
         """Key of the person: people with equal keys are alike, and can be stacked."""
-        seen = self.observation
-        keypoints = self.evidence.keypoints
-        return Kind(keypoints.skeleton, seen.label_set, seen.maps is not None, seen.lens is not None, seen.lens_assumed)
+        return Kind.of(self.evidence.keypoints.skeleton, self.observation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +105,7 @@ class CutPeople(Sequence[CutPerson]):
     @property
     def kind(self) -> Kind:
         """Key of the people, as ``CutPerson.kind``: people with equal keys are alike."""
-        seen = self.observations
-        return Kind(self.skeleton, seen.label_set, seen.maps is not None, seen.lens is not None, seen.lens_assumed)
+        return Kind.of(self.skeleton, self.observations)
 
     def __len__(self) -> int:
         """Number of people, N."""
@@ -116,8 +119,8 @@ class CutPeople(Sequence[CutPerson]):
         """One person, or some as arrays."""
         if isinstance(index, slice):
             own = (getattr(self, name)[index] for name in ("crops", "windows", "warnings"))
-            seen = self.observations.select(index)
-            return CutPeople(self.skeleton, self.points[index], self.confidence[index], seen, *own)
+            observations = self.observations.select(index)
+            return CutPeople(self.skeleton, self.points[index], self.confidence[index], observations, *own)
         row = range(len(self))[index]
         keypoints = Keypoints2D(self.skeleton, self.points[row], self.confidence[row])
         evidence = Evidence(keypoints, None, self.windows[row], None, self.warnings[row])

@@ -64,31 +64,31 @@ class Observations(Movable):
     statures: torch.Tensor | None = None
 
     @classmethod
-    def of(cls, seen: Sequence[Observation], form: Skeleton | None = None) -> Observations:
+    def of(cls, observations: Sequence[Observation], form: Skeleton | None = None) -> Observations:
         """Stack observations of people who are alike.
 
         Args:
-            seen: N observations.
+            observations: N observations.
             form: Format of the keypoints that these observations show. None: the landmarks are those that anybody
                 shows.
 
         Raises:
             ValueError: If the observations differ in their label set, or in what is missing.
         """
-        _check_alike(seen)
-        first, device = seen[0], seen[0].points.device
-        marks = _marks_of(seen) if form is None else dict(zip(form.landmarks, form.marks, strict=True))
+        _check_alike(observations)
+        first, device = observations[0], observations[0].points.device
+        marks = _marks_of(observations) if form is None else dict(zip(form.landmarks, form.marks, strict=True))
         landmarks = tuple(marks)
-        columns = [_indices(each.landmarks, landmarks) for each in seen]
-        visible = np.zeros((len(seen), len(landmarks)), dtype=bool)
+        columns = [_indices(each.landmarks, landmarks) for each in observations]
+        visible = np.zeros((len(observations), len(landmarks)), dtype=bool)
         for row, own in enumerate(columns):
             visible[row, own] = True
-        people = torch.from_numpy(np.repeat(np.arange(len(seen)), [len(own) for own in columns])).to(device)
+        people = torch.from_numpy(np.repeat(np.arange(len(observations)), [len(own) for own in columns])).to(device)
         places = torch.from_numpy(np.concatenate(columns)).to(device)
         points = torch.zeros(*visible.shape, 2, device=device)
-        points[people, places] = torch.cat([each.points for each in seen])
+        points[people, places] = torch.cat([each.points for each in observations])
         confidence = torch.zeros(visible.shape, device=device)
-        confidence[people, places] = torch.cat([each.confidence for each in seen])
+        confidence[people, places] = torch.cat([each.confidence for each in observations])
         return cls(
             landmarks,
             tuple(marks.values()),
@@ -97,9 +97,9 @@ class Observations(Movable):
             confidence,
             label_set=first.label_set,
             lens_assumed=first.lens_assumed,
-            statures=_statures(seen),
-            **{name: _stacked(_at_one_side([getattr(each, name) for each in seen])) for name in _PICTURES},
-            **{name: _stacked([getattr(each, name) for each in seen]) for name in _EXPECTED},
+            statures=_statures(observations),
+            **{name: _stacked(_at_one_side([getattr(each, name) for each in observations])) for name in _PICTURES},
+            **{name: _stacked([getattr(each, name) for each in observations]) for name in _EXPECTED},
         )
 
     @classmethod
@@ -160,10 +160,10 @@ class Observations(Movable):
 _ROWS = (*_KEYPOINTS, *_PICTURES, *_EXPECTED, "statures")  # all tensors, a row a person
 
 
-def _statures(seen: Sequence[Observation]) -> torch.Tensor | None:
-    if all(each.stature is None for each in seen):
+def _statures(observations: Sequence[Observation]) -> torch.Tensor | None:
+    if all(each.stature is None for each in observations):
         return None
-    return torch.tensor([each.stature or 0.0 for each in seen], device=seen[0].points.device)
+    return torch.tensor([each.stature or 0.0 for each in observations], device=observations[0].points.device)
 
 
 def _stacked(rows: Sequence[torch.Tensor | None]) -> torch.Tensor | None:
@@ -184,9 +184,9 @@ def _at_one_side(pictures: Sequence[torch.Tensor | None]) -> list[torch.Tensor |
     return [each if each is None or each.shape[-1] == side else resize_nearest(each, side) for each in pictures]
 
 
-def _marks_of(seen: Sequence[Observation]) -> dict[str, str]:
+def _marks_of(observations: Sequence[Observation]) -> dict[str, str]:
     """Landmarks that anybody shows, with their marks."""
-    return {name: mark for each in seen for name, mark in zip(each.landmarks, each.body_points, strict=True)}
+    return {name: mark for each in observations for name, mark in zip(each.landmarks, each.body_points, strict=True)}
 
 
 @lru_cache(maxsize=1024)
@@ -195,10 +195,10 @@ def _indices(names: tuple[str, ...], landmarks: tuple[str, ...]) -> np.ndarray:
     return np.array([landmarks.index(name) for name in names], dtype=np.int64)
 
 
-def _check_alike(seen: Sequence[Observation]) -> None:
+def _check_alike(observations: Sequence[Observation]) -> None:
     """Raise ValueError unless observations can be stacked."""
-    first = seen[0]
-    for each in seen[1:]:
+    first = observations[0]
+    for each in observations[1:]:
         for name in (*_PICTURES, *_EXPECTED):
             if (getattr(each, name) is None) != (getattr(first, name) is None):
                 raise ValueError(f"observations: some with {name}, some without; expected the same of all")
@@ -208,24 +208,24 @@ def _check_alike(seen: Sequence[Observation]) -> None:
             raise ValueError("observations: some lenses are assumed, others known; expected the same of all")
 
 
-def group_alike(seen: Sequence[Observation]) -> list[tuple[list[int], Observations]]:
+def group_alike(observations: Sequence[Observation]) -> list[tuple[list[int], Observations]]:
     """Group observations that can be stacked, and return each group's indices beside it.
 
     Observations are alike whose landmarks have the same marks, which have labels of one set and one size, and which
     lack the same things.
     """
     groups: list[list[int]] = []
-    for index, each in enumerate(seen):
-        own = next((rows for rows in groups if _alike(seen[rows[0]], each)), None)
+    for index, each in enumerate(observations):
+        own = next((rows for rows in groups if _alike(observations[rows[0]], each)), None)
         if own is None:
             groups.append([index])
         else:
             own.append(index)
-    return [(rows, Observations.of([seen[row] for row in rows])) for rows in groups]
+    return [(rows, Observations.of([observations[row] for row in rows])) for rows in groups]
 
 
-def _shapes(seen: Observation) -> list[torch.Size | None]:
-    tensors = [getattr(seen, name) for name in (*_PICTURES, *_EXPECTED)]
+def _shapes(observations: Observation) -> list[torch.Size | None]:
+    tensors = [getattr(observations, name) for name in (*_PICTURES, *_EXPECTED)]
     return [None if each is None else each.shape for each in tensors]
 
 

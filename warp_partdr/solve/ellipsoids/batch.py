@@ -28,7 +28,7 @@ class Batch:
         depth_scales: 1 / the uncertainty of these depths [1/m], shape (N, 20).
         lenses: Focal lengths and principal points, shape (N, 3); 0 without.
         targets: Label images, shape (N, size, size), uint8; None if nothing is drawn.
-        seen: Names of the landmarks that anybody has.
+        visible: Names of the landmarks that anybody has.
     """
 
     points: torch.Tensor
@@ -39,7 +39,7 @@ class Batch:
     depth_scales: torch.Tensor
     lenses: torch.Tensor
     targets: torch.Tensor | None
-    seen: frozenset[str]
+    visible: frozenset[str]
 
     @classmethod
     def of(cls, energy: Energy) -> Batch:
@@ -59,7 +59,7 @@ class Batch:
             depth_scales=energy.depth_scales,
             lenses=votes.new_zeros(len(people), 3) if people.lens is None else people.lens,
             targets=energy.target,
-            seen=frozenset(np.array(people.marks)[people.visible.any(axis=0)].tolist()),
+            visible=frozenset(np.array(people.marks)[people.visible.any(axis=0)].tolist()),
         )
 
     def __len__(self) -> int:
@@ -69,7 +69,7 @@ class Batch:
     @property
     def kind(self) -> Hashable:
         """Numbers, pictures and landmarks: batches that agree in it can take one another's place in a graph."""
-        return self.seen, tuple((name, tuple(each.shape)) for name, each in self._named().items())
+        return self.visible, tuple((name, tuple(each.shape)) for name, each in self._named().items())
 
     def tensors(self) -> list[torch.Tensor]:
         """All that a refinement reads."""

@@ -155,7 +155,7 @@ class CapturedRefinement:
         problem.half_size = energy.size / 2
         problem.lenses = warp_array(people.lenses, wp.vec3)
         points, votes = warp_array(people.points, wp.vec2), warp_array(people.votes)
-        problem.landmarks = landmark_arrays(where, people.seen, points, votes)
+        problem.landmarks = landmark_arrays(where, people.visible, points, votes)
         usual = (people.lengths, people.thicknesses, people.depths, people.depth_scales)
         problem.rules = rule_arrays(where, energy.prior, *map(warp_array, usual))
         problem.mixture = mixture_arrays(where, energy.prior)

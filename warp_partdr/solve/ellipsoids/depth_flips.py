@@ -72,7 +72,7 @@ class DepthOrder:
 
 
 def repair_depth_orders(
-    bodies: BodyParameters, observations: Observations, prior: PosePrior, *, said: Uncertainty | None = None
+    bodies: BodyParameters, observations: Observations, prior: PosePrior, *, uncertainty: Uncertainty | None = None
 ) -> tuple[BodyParameters, list[DepthOrder]]:
     """Return the body of each person, or the flip of it that labels prefer by far.
 
@@ -85,7 +85,7 @@ def repair_depth_orders(
         bodies: N bodies, one of each person.
         observations: N people with labels.
         prior: Prior of poses.
-        said: Uncertainty of the network about its bodies, which leaves out flips that it does not believe.
+        uncertainty: Uncertainty of the network about its bodies, which leaves out flips that it does not believe.
     """
     count = bodies.batch_size
     if count == 0:
@@ -93,7 +93,7 @@ def repair_depth_orders(
     energy = Energy(observations, FLIP_SIZE, FLIP_WEIGHTS, prior, renderer=RendererEllipsoids("edges"))
     hidden = _hidden_limbs(bodies, Batch.of(energy), observations.label_set)
     lenses = observations.lens
-    flips, owners, names = _propose(bodies, prior, lenses, said, hidden)
+    flips, owners, names = _propose(bodies, prior, lenses, uncertainty, hidden)
     tried: list[list[str]] = [[] for _ in range(count)]
     for name, owner in zip(names, owners.tolist(), strict=True):
         tried[owner].append(name)
@@ -153,12 +153,12 @@ def _propose(
     bodies: BodyParameters,
     prior: PosePrior,
     lenses: torch.Tensor | None,
-    said: Uncertainty | None = None,
+    uncertainty: Uncertainty | None = None,
     hidden: torch.Tensor | None = None,
 ) -> tuple[BodyParameters, torch.Tensor, list[str]]:
     """Flips of B bodies, whose each is, (F,), in their order, and names.
 
-    What the network ``said`` leaves no flips out of limbs that are ``hidden``, shape (B, limbs).
+    What the network says leaves no flips out of limbs that are ``hidden``, shape (B, limbs).
     """
     posed = bodies.posed()
     view = posed.joints.new_tensor([0.0, 0.0, 1.0]).expand(bodies.batch_size, 3)
@@ -173,8 +173,9 @@ def _propose(
         for flipped in ((True, False), (False, True), (True, True)):
             mirror = _mirror(posed, parts, flipped, view)
             good = over & mirror.steep
-            if said is not None:  # depths leave out the pelvis, so those of a part's end have the part's own index
-                believed = (mirror.moves <= _BELIEVED * said.depths[:, list(parts[:2])]).all(1)
+            if uncertainty is not None:
+                # Depths leave out the pelvis, so those of a part's end have the part's own index.
+                believed = (mirror.moves <= _BELIEVED * uncertainty.depths[:, list(parts[:2])]).all(1)
                 good = good & (believed if hidden is None else believed | hidden[:, number])
             rows = good.nonzero()[:, 0]
             if not len(rows):

@@ -170,27 +170,29 @@ class Energy:
         check_type("observation", self.observation, Observation | Observations, "of observe")
         self.size = check_whole("size", self.size, 1)
         given = self.observation
-        self.observations = seen = Observations.of([given]) if isinstance(given, Observation) else given
-        count, device = len(seen), seen.points.device
-        self.votes = split_votes(seen.confidence, _landmark_parts(seen.landmarks, device).expand(count, -1))
+        self.observations = people = Observations.of([given]) if isinstance(given, Observation) else given
+        count, device = len(people), people.points.device
+        self.votes = split_votes(people.confidence, _landmark_parts(people.landmarks, device).expand(count, -1))
         mean = BodyParameters.mean(1, device=device)
-        self.usual_lengths = mean.lengths.expand(count, -1) if seen.lengths is None else seen.lengths
-        self.usual_thicknesses = mean.thicknesses.expand(count, -1) if seen.thicknesses is None else seen.thicknesses
-        self.depths: torch.Tensor | None = seen.depths
+        self.usual_lengths = mean.lengths.expand(count, -1) if people.lengths is None else people.lengths
+        self.usual_thicknesses = (
+            mean.thicknesses.expand(count, -1) if people.thicknesses is None else people.thicknesses
+        )
+        self.depths: torch.Tensor | None = people.depths
         self.depth_scales = torch.full((count, NUM_PARTS), _MILLIMETRES, device=device)
-        if seen.depth_spreads is not None:
-            self.depth_scales = 1 / seen.depth_spreads
+        if people.depth_spreads is not None:
+            self.depth_scales = 1 / people.depth_spreads
         self.target: torch.Tensor | None = None
         self.key = object()
         self._fixed: Renderer | None = None
         self._part_labels: list[int] = []
-        if seen.labels is not None and seen.label_set is not None and self.weights.seg > 0:
-            self._part_labels = [int(group) for group in seen.label_set.part_groups[1:]]
-            if seen.label_set.num_groups == 1:
+        if people.labels is not None and people.label_set is not None and self.weights.seg > 0:
+            self._part_labels = [int(group) for group in people.label_set.part_groups[1:]]
+            if people.label_set.num_groups == 1:
                 self.renderer = replace(self.renderer, depth_weight=0.0)
-            self.target = resize_nearest(seen.labels, self.size)
-        self._maps = None if seen.maps is None else resize_nearest(seen.maps, self.size)
-        self._known = None if seen.known is None else resize_nearest(seen.known, self.size)
+            self.target = resize_nearest(people.labels, self.size)
+        self._maps = None if people.maps is None else resize_nearest(people.maps, self.size)
+        self._known = None if people.known is None else resize_nearest(people.known, self.size)
 
     def select(self, rows: torch.Tensor | slice) -> Energy:
         """Return the energy of some of the N people, without the pictures from which targets were made.

@@ -49,11 +49,15 @@ def explain(
         InputError: As ``fit_body``.
     """
     options = options or FitOptions()
-    seen, crop = observe(keypoints, parts, others=others, trust_background=options.trust_background)
+    observation, crop = observe(keypoints, parts, others=others, trust_background=options.trust_background)
     stages = stages_of(options, parts)
     choices = [
         _keypoints(keypoints),
-        _camera(camera, assumed=seen.lens_assumed and options.guess_camera, labelled=shows_parts(seen.label_set)),
+        _camera(
+            camera,
+            assumed=observation.lens_assumed and options.guess_camera,
+            labelled=shows_parts(observation.label_set),
+        ),
         _size(options.stature),
         _start(options),
     ]
@@ -75,7 +79,7 @@ def explain(
             f"{100 * (1 - covered):.0f} % of it" if covered < 1 else "",
             "the rest shows nothing of the person" if covered < 1 else "the person fills it",
         ),
-        *_labels(seen, max(stage.size for stage in drawn)),
+        *_labels(observation, max(stage.size for stage in drawn)),
         *_parts(parts),
         _depth_order(parts, options),
         _depth(parts, drawn, options),
@@ -145,12 +149,12 @@ def _start(options: FitOptions) -> Choice:
     return Choice("start", "the label network's body", f"up to {options.search[0].bodies} hypotheses", why)
 
 
-def _labels(seen: Observation, size: int) -> Iterator[Choice]:
-    assert seen.label_set is not None
-    assert seen.labels is not None
-    groups = seen.label_set.num_groups
+def _labels(observation: Observation, size: int) -> Iterator[Choice]:
+    assert observation.label_set is not None
+    assert observation.labels is not None
+    groups = observation.label_set.num_groups
     megabytes = 4 * groups * size**2 / 1e6
-    if seen.maps is None:
+    if observation.maps is None:
         yield Choice(
             "L_seg",
             f"one byte a pixel: {size**2 / 1e3:.0f} KB",
@@ -161,7 +165,7 @@ def _labels(seen: Observation, size: int) -> Iterator[Choice]:
         yield Choice(
             "L_seg", f"{groups} maps of probabilities: {megabytes:.1f} MB a body", "", "probabilities were given"
         )
-    labels = seen.labels.cpu().numpy()
+    labels = observation.labels.cpu().numpy()
     ignored = np.mean(labels == IGNORE)
     yield Choice(
         "pixels of the crop",
@@ -172,10 +176,10 @@ def _labels(seen: Observation, size: int) -> Iterator[Choice]:
         else "every pixel's label is known",
     )
     present = set(np.unique(labels).tolist()) - {BACKGROUND, IGNORE}
-    absent = [name for group, name in enumerate(seen.label_set.group_names, start=1) if group not in present]
+    absent = [name for group, name in enumerate(observation.label_set.group_names, start=1) if group not in present]
     yield Choice(
         "groups of parts",
-        f"{len(present)} of {groups} ({seen.label_set.name}) are present",
+        f"{len(present)} of {groups} ({observation.label_set.name}) are present",
         f"the pull on {_list(absent)}" if absent else "",
         "no pixel of the crop shows them: they can only be wrong" if absent else "all are in the crop",
     )

@@ -20,28 +20,33 @@ MUCH_FARTHER = 2.0  # times the distance of an assumed lens; the lenses of usual
 _FARTHEST = 10.0  # [m]; bodies look the same from all distances beyond, so what the network says there means nothing
 
 
-def with_longer_lens(seen: Observations, predicted: Predicted) -> Observations | None:
+def with_longer_lens(observations: Observations, predicted: Predicted) -> Observations | None:
     """Returns the observations with a longer lens for each person who is much farther away than assumed.
 
     The longer lens shows the person as large as before, at the distance that the network says.
 
     Args:
-        seen: N people.
+        observations: N people.
         predicted: What the label network says of them, N bodies.
 
     Returns:
         None if all lenses stay: those that are known, and of people who have no labels of parts.
     """
-    if seen.lens is None or not seen.lens_assumed or not shows_parts(seen.label_set) or predicted.uncertainty is None:
+    if (
+        observations.lens is None
+        or not observations.lens_assumed
+        or not shows_parts(observations.label_set)
+        or predicted.uncertainty is None
+    ):
         return None
-    lenses = seen.lens
+    lenses = observations.lens
     # A lens shows one metre, at a distance of one metre, as long as its focal length.
     focal = predicted.log_scale.exp() / predicted.uncertainty.nearness.clamp_min(1 / _FARTHEST)
     far = focal > MUCH_FARTHER * lenses[:, 0]
     if not bool(far.any()):
         return None
     longer = torch.cat([torch.where(far, focal, lenses[:, 0])[:, None], lenses[:, 1:]], dim=1)
-    return replace(seen, lens=longer)
+    return replace(observations, lens=longer)
 
 
 def shows_parts(labels: LabelSet | None) -> bool:

@@ -205,8 +205,8 @@ def _fit_alike(people: CutPeople, plan: _Plan) -> Sequence[FitResult]:
         return fits
     stages = drawn_or_not(options.search, labels)
     some = people.select(rows)
-    seen = given.select(torch.tensor(rows, device=given.points.device))
-    better = _better(fits, rows, _search(some, seen, stages, plan), seen, plan)
+    observations = given.select(torch.tensor(rows, device=given.points.device))
+    better = _better(fits, rows, _search(some, observations, stages, plan), observations, plan)
     return [better[row] if row in better else fits[row] for row in range(len(fits))]
 
 
@@ -243,33 +243,35 @@ def _fit_from_network(people: CutPeople, plan: _Plan) -> tuple[BatchFits, Observ
     return fits, start.given
 
 
-def _search(people: CutPeople, seen: Observations, stages: Sequence[Stage], plan: _Plan) -> list[FitResult]:
+def _search(people: CutPeople, observations: Observations, stages: Sequence[Stage], plan: _Plan) -> list[FitResult]:
     """Fit from many hypotheses of each person, lifted in the first stage."""
     options, prior = plan.options, plan.prior
-    hypotheses = [hypothesize(seen[row], stages[0].bodies, seed=options.seed) for row in range(len(seen))]
-    counts = torch.tensor([len(each.targets) for each in hypotheses], device=seen.points.device)
-    owners = torch.arange(len(seen), device=seen.points.device).repeat_interleave(counts)
+    hypotheses = [
+        hypothesize(observations[row], stages[0].bodies, seed=options.seed) for row in range(len(observations))
+    ]
+    counts = torch.tensor([len(each.targets) for each in hypotheses], device=observations.points.device)
+    owners = torch.arange(len(observations), device=observations.points.device).repeat_interleave(counts)
     bodies = BodyParameters.joined([each.bodies for each in hypotheses])
     bodies = replace(bodies, rotations=prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
-    of_bodies = seen.without_pictures().select(owners)
+    of_bodies = observations.without_pictures().select(owners)
     bodies = sized(turned_to_lenses(bodies, of_bodies), of_bodies.statures)
-    if seen.statures is not None:
-        first = torch.searchsorted(owners, torch.arange(len(seen), device=owners.device))
-        seen = replace(seen, lengths=bodies.lengths[first], thicknesses=bodies.thicknesses[first])
+    if observations.statures is not None:
+        first = torch.searchsorted(owners, torch.arange(len(observations), device=owners.device))
+        observations = replace(observations, lengths=bodies.lengths[first], thicknesses=bodies.thicknesses[first])
     targets = torch.cat([each.targets for each in hypotheses])
     known = torch.stack([each.known for each in hypotheses])[owners]
     refined = refine_stages(
         bodies,
         owners,
-        seen,
+        observations,
         stages,
         options,
         prior,
         first_energy=lambda energy: LiftEnergy(energy, targets, known),
         progress=plan.progress,
     )
-    warnings = _warnings(refined.bodies, seen, people, prior)
-    statures, found = seen.statures, []
+    warnings = _warnings(refined.bodies, observations, people, prior)
+    statures, found = observations.statures, []
     parameters = sized(refined.bodies, statures)
     before = None if refined.before_outline is None else sized(refined.before_outline, statures)
     for row, person in enumerate(people):
@@ -278,7 +280,7 @@ def _search(people: CutPeople, seen: Observations, stages: Sequence[Stage], plan
             FitResult(
                 parameters=parameters.select(own),
                 crop=person.crop,
-                observation=seen[row],
+                observation=observations[row],
                 stages=tuple(stages),
                 energy={name: float(term[row]) for name, term in refined.terms.items()},
                 history=[rows[row] for rows in refined.history],
@@ -289,25 +291,27 @@ def _search(people: CutPeople, seen: Observations, stages: Sequence[Stage], plan
                 evidence=person.evidence,
                 warnings=(*person.evidence.warnings, *warnings.get(row, ())),
                 before_outline=None if before is None else before.select(own),
-                stature=seen[row].stature,
+                stature=observations[row].stature,
             )
         )
     return found
 
 
-def _warnings(bodies: BodyParameters, seen: Observations, people: CutPeople, prior: PosePrior) -> dict[int, list[str]]:
+def _warnings(
+    bodies: BodyParameters, observations: Observations, people: CutPeople, prior: PosePrior
+) -> dict[int, list[str]]:
     """Warnings of bodies that lie elsewhere than keypoints and labels, by rows. All keypoints count as they are."""
-    misfits = far_bodies(bodies, seen, prior, skeleton(people.skeleton))
-    poor = find_poor_labels(bodies, seen)
+    misfits = far_bodies(bodies, observations, prior, skeleton(people.skeleton))
+    poor = find_poor_labels(bodies, observations)
     return {row: misfits.get(row, []) + poor.get(row, []) for row in misfits | poor}
 
 
 def _better(
-    fits: BatchFits, rows: Sequence[int], searched: Sequence[FitResult], seen: Observations, plan: _Plan
+    fits: BatchFits, rows: Sequence[int], searched: Sequence[FitResult], observations: Observations, plan: _Plan
 ) -> dict[int, FitResult]:
     """Fit with the lower energy, from the network or from the search, of each row; with the times of both."""
-    judge = Energy(seen, weights=plan.options.weights, prior=plan.prior, renderer=plan.options.renderer)
-    network = fits.parameters.select(torch.tensor(rows, device=seen.points.device))
+    judge = Energy(observations, weights=plan.options.weights, prior=plan.prior, renderer=plan.options.renderer)
+    network = fits.parameters.select(torch.tensor(rows, device=observations.points.device))
     losses = []
     for bodies in (network, BodyParameters.joined([each.parameters for each in searched])):
         with torch.no_grad():

@@ -45,7 +45,7 @@ class NetworkStart:
 
 
 def start_from_network(
-    seen: Observations,
+    observations: Observations,
     network: LabelNetwork,
     prior: PosePrior,
     options: FitOptions,
@@ -58,7 +58,7 @@ def start_from_network(
     """Ask the label network about N people, and begin where it sees them.
 
     Args:
-        seen: N people.
+        observations: N people.
         network: Label network in evaluation mode, on their device.
         prior: Prior of poses.
         options: Options of the fit.
@@ -69,44 +69,48 @@ def start_from_network(
     """
     seconds: dict[str, float] = {}
     started = time.perf_counter()
-    given, predicted = _predict(seen, network, options, longer_lenses=longer_lenses)
+    given, predicted = _predict(observations, network, options, longer_lenses=longer_lenses)
     uncertainty = predicted.uncertainty
     assert uncertainty is not None
     seconds["network"] = time.perf_counter() - started
     starts = turned_to_lenses(predicted.parameters(), given) if bodies is None else sized(bodies, given.statures)
-    seen = doubt_keypoints(given, predicted) if doubting else given
-    seen = replace(seen, lengths=starts.lengths, thicknesses=starts.thicknesses)
-    orders: Sequence[DepthOrder | None] = [None] * len(seen)
-    if flips and options.depth_flips and shows_parts(seen.label_set):  # within one part, nothing hides another
+    observations = doubt_keypoints(given, predicted) if doubting else given
+    observations = replace(observations, lengths=starts.lengths, thicknesses=starts.thicknesses)
+    orders: Sequence[DepthOrder | None] = [None] * len(observations)
+    if flips and options.depth_flips and shows_parts(observations.label_set):  # within one part, nothing hides another
         started = time.perf_counter()
         # The network's uncertainty is about its own bodies.
-        starts, orders = repair_depth_orders(starts, seen, prior, said=uncertainty if bodies is None else None)
+        starts, orders = repair_depth_orders(
+            starts, observations, prior, uncertainty=uncertainty if bodies is None else None
+        )
         seconds["depth order"] = time.perf_counter() - started
     depths = starts.posed().centres[..., 2]
-    seen = replace(seen, depths=depths, depth_spreads=uncertainty.centre_depths())
-    return NetworkStart(starts, given, seen, uncertainty, orders, seconds)
+    observations = replace(observations, depths=depths, depth_spreads=uncertainty.centre_depths())
+    return NetworkStart(starts, given, observations, uncertainty, orders, seconds)
 
 
 def _predict(
-    seen: Observations, network: LabelNetwork, options: FitOptions, *, longer_lenses: bool
+    observations: Observations, network: LabelNetwork, options: FitOptions, *, longer_lenses: bool
 ) -> tuple[Observations, Predicted]:
     """Ask about N people, and again about those who are far away, with a longer lens."""
-    predicted = ask_network(seen, network, mirror=options.mirror, half=options.half)
-    longer = with_longer_lens(seen, predicted) if longer_lenses else None
+    predicted = ask_network(observations, network, mirror=options.mirror, half=options.half)
+    longer = with_longer_lens(observations, predicted) if longer_lenses else None
     if longer is not None:
-        assert seen.lens is not None  # it was lengthened
+        assert observations.lens is not None  # it was lengthened
         assert longer.lens is not None
-        changed = (longer.lens != seen.lens).any(1).nonzero()[:, 0]
-        if seen.points.is_cuda:  # all of them again: for as many people as before, a captured graph is there
-            changed = torch.arange(len(seen), device=changed.device)
+        changed = (longer.lens != observations.lens).any(1).nonzero()[:, 0]
+        if observations.points.is_cuda:  # all of them again: for as many people as before, a captured graph is there
+            changed = torch.arange(len(observations), device=changed.device)
         again = ask_network(longer.select(changed), network, mirror=options.mirror, half=options.half)
-        seen, predicted = longer, predicted.with_rows(changed, again)
-    return seen, predicted if seen.statures is None else predicted.resized(_growth(predicted.lengths, seen.statures))
+        observations, predicted = longer, predicted.with_rows(changed, again)
+    return observations, predicted if observations.statures is None else predicted.resized(
+        _growth(predicted.lengths, observations.statures)
+    )
 
 
-def turned_to_lenses(bodies: BodyParameters, seen: Observations) -> BodyParameters:
+def turned_to_lenses(bodies: BodyParameters, observations: Observations) -> BodyParameters:
     """Return bodies, which are made as if the camera looked at the person, before the cameras that are known."""
-    return bodies if seen.lens is None else turn_to_rays(bodies, seen.lens)
+    return bodies if observations.lens is None else turn_to_rays(bodies, observations.lens)
 
 
 def sized(bodies: BodyParameters, statures: torch.Tensor | None) -> BodyParameters:

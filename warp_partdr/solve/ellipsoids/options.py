@@ -97,12 +97,12 @@ class FitOptions:
         """Renderer of the last stage; exact ellipsoids where there is none."""
         return self.stages[-1].renderer if self.stages else RendererEllipsoids()
 
-    def energy(self, stage: Stage, seen: Observations, prior: PosePrior) -> Energy:
+    def energy(self, stage: Stage, observations: Observations, prior: PosePrior) -> Energy:
         """Energy of N people in one of the stages."""
         weights = stage.weights or self.weights
         if stage.size == 0:
             weights = replace(weights, seg=0.0)
-        return Energy(seen, max(stage.size, 1), weights, prior, renderer=stage.renderer)
+        return Energy(observations, max(stage.size, 1), weights, prior, renderer=stage.renderer)
 
     def labels_first(self) -> FitOptions:
         """Options whose last stage follows the labels' outlines as far as it can, at the cost of the joints.

@@ -34,19 +34,21 @@ _FACE = ("nose", "left_eye", "right_eye")
 _EARS = ("left_ear", "right_ear")
 
 
-def far_bodies(bodies: BodyParameters, seen: Observations, prior: PosePrior, form: Skeleton) -> dict[int, list[str]]:
+def far_bodies(
+    bodies: BodyParameters, observations: Observations, prior: PosePrior, form: Skeleton
+) -> dict[int, list[str]]:
     """Find the bodies that are too far from keypoints or labels.
 
     Args:
         bodies: N bodies, one of each person.
-        seen: N people.
+        observations: N people.
         prior: Prior of poses.
         form: Format of the keypoints.
 
     Returns:
         Warnings of the bodies that are too far, by their rows; no other rows.
     """
-    energy = Energy(seen, JUDGED_SIZE, prior=prior)
+    energy = Energy(observations, JUDGED_SIZE, prior=prior)
     terms = descend(bodies, energy, Descent(iterations=0)).terms
     offs = terms["proj"] / energy.weights.proj / energy.votes.sum(1)
     bad, wrongs = ~(offs < MOST_OFF), None
@@ -79,17 +81,19 @@ def describe_misfit(off: float, wrong: float | None, form: Skeleton) -> list[str
     return told
 
 
-def find_poor_labels(bodies: BodyParameters, seen: Observations) -> dict[int, list[str]]:
+def find_poor_labels(bodies: BodyParameters, observations: Observations) -> dict[int, list[str]]:
     """Warnings of the bodies whose parts lie elsewhere than the labels, by their rows, of N people."""
-    if seen.labels is None or seen.label_set is None:
+    if observations.labels is None or observations.label_set is None:
         return {}
-    placed = place_bodies(bodies, bodies.posed(), seen.lens, JUDGED_SIZE)
+    placed = place_bodies(bodies, bodies.posed(), observations.lens, JUDGED_SIZE)
     parts = draw_ellipsoids(*placed, (JUDGED_SIZE, JUDGED_SIZE)).parts
-    groups = torch.from_numpy(seen.label_set.part_groups).to(parts.device)
-    target = resize_nearest(seen.labels, JUDGED_SIZE)
-    scores = metrics.part_f1(metrics.confusion(groups[parts.long()], target, seen.label_set.num_groups + 1))
-    said = f"expected {LEAST_PART_F1:g} or more; are these ids of {seen.label_set.name}?"
-    return {int(row): [f"labels: part F1 {scores[row]:.2f}; {said}"] for row in np.flatnonzero(scores < LEAST_PART_F1)}
+    groups = torch.from_numpy(observations.label_set.part_groups).to(parts.device)
+    target = resize_nearest(observations.labels, JUDGED_SIZE)
+    scores = metrics.part_f1(metrics.confusion(groups[parts.long()], target, observations.label_set.num_groups + 1))
+    expected = f"expected {LEAST_PART_F1:g} or more; are these ids of {observations.label_set.name}?"
+    return {
+        int(row): [f"labels: part F1 {scores[row]:.2f}; {expected}"] for row in np.flatnonzero(scores < LEAST_PART_F1)
+    }
 
 
 def implausibility(result: FitResult) -> float:

@@ -45,7 +45,7 @@ class RefinedStages:
 def refine_stages(
     bodies: BodyParameters,
     owners: torch.Tensor,
-    seen: Observations,
+    observations: Observations,
     stages: Sequence[Stage],
     options: FitOptions,
     prior: PosePrior,
@@ -58,14 +58,14 @@ def refine_stages(
     Args:
         bodies: B bodies, at least one of each person.
         owners: Person of each body, in ascending order, shape (B,), int64.
-        seen: N people.
+        observations: N people.
         stages: Stages, of which each but the first one first keeps each person's best bodies that are distinct.
         options: Weights of the energy, where a stage has none of its own.
         prior: Prior of poses.
         first_energy: Makes the first stage's energy from the usual one of the B bodies.
         progress: Called after each iteration.
     """
-    count = len(seen)
+    count = len(observations)
     energies = torch.zeros(bodies.batch_size, device=owners.device)
     terms: dict[str, torch.Tensor] = {}
     seconds: dict[str, float] = {}
@@ -82,7 +82,7 @@ def refine_stages(
             before_outline = None if before_outline is None else before_outline.select(kept)
         if stage.name == OUTLINE:
             before_outline = bodies
-        energy = options.energy(stage, seen, prior)
+        energy = options.energy(stage, observations, prior)
         if count > 1 and len(owners) > count:
             energy = energy.select(owners)
 

@@ -58,13 +58,13 @@ class Hypotheses(NamedTuple):
     known: torch.Tensor
 
 
-def hypothesize(seen: Observation, count: int, *, seed: int = 0) -> Hypotheses:
+def hypothesize(observation: Observation, count: int, *, seed: int = 0) -> Hypotheses:
     """Make starts for a fit: cameras, orientations, and target depths of the joints.
 
     At most ``count`` hypotheses: a random choice (``seed``) of all combinations where there are more.
     """
-    rest = rest_positions(seen.points.device)
-    flat = _joints_in_picture(seen)
+    rest = rest_positions(observation.points.device)
+    flat = _joints_in_picture(observation)
     scale = _estimate_scale(flat, rest)
     depths = _depth_choices(flat, rest, scale, count, seed)
 
@@ -74,7 +74,7 @@ def hypothesize(seen: Observation, count: int, *, seed: int = 0) -> Hypotheses:
         if name in flat:
             targets[:, j, :2] = flat[name]
             targets[:, j, 2] = [depth[name] for depth in depths]
-    device = seen.points.device
+    device = observation.points.device
     bodies = BodyParameters.mean(len(depths), device=device)
     orientation = [_turn_trunk(target, known, rest) for target in targets]
     origin = flat.get("mid_hip", next(iter(flat.values())))
@@ -112,11 +112,11 @@ class LiftEnergy:
         return {"lift": self._energy.weights.proj * lift, **terms}
 
 
-def _joints_in_picture(seen: Observation) -> dict[str, np.ndarray]:
+def _joints_in_picture(observation: Observation) -> dict[str, np.ndarray]:
     """Positions of the joints that hypotheses are made of, as far as keypoints show them, crop coordinates."""
-    points = seen.points.cpu().numpy()
-    sure = confident(seen.confidence.cpu().numpy()[None])[0]
-    flat = {name: points[i] for i, name in enumerate(seen.landmarks) if sure[i]}
+    points = observation.points.cpu().numpy()
+    sure = confident(observation.confidence.cpu().numpy()[None])[0]
+    flat = {name: points[i] for i, name in enumerate(observation.landmarks) if sure[i]}
     for middle, (left, right) in zip(_TRUNK, _ACROSS, strict=True):
         if left in flat and right in flat:
             flat.setdefault(middle, (flat[left] + flat[right]) / 2)

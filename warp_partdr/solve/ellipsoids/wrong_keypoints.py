@@ -17,19 +17,19 @@ from ...networks.regression.predicted import Predicted, landmarks_in_crop
 GROSS_ERROR = 30.0  # [px of a crop of 256 px], about 15 cm of an adult; a keypoint this far off counts a quarter
 
 
-def doubt_keypoints(seen: Observations, predicted: Predicted) -> Observations:
+def doubt_keypoints(observations: Observations, predicted: Predicted) -> Observations:
     """Returns the observations with lower confidence in keypoints that lie far from the predicted bodies.
 
     The factor is that of Geman and McClure's robust function, (1 + (distance / GROSS_ERROR)²)⁻².
 
     Args:
-        seen: N people.
+        observations: N people.
         predicted: What the label network says of them, N bodies.
 
     Reference:
         Geman and McClure, "Statistical methods for tomographic image reconstruction", 1987.
     """
-    ways = landmarks_in_crop(predicted, seen.marks, seen.lens) - seen.points
+    ways = landmarks_in_crop(predicted, observations.marks, observations.lens) - observations.points
     distances = ways.norm(dim=-1) * (REFERENCE_SIZE / 2)
     factors = (1 + (distances / GROSS_ERROR) ** 2) ** -2
-    return replace(seen, confidence=seen.confidence * factors)
+    return replace(observations, confidence=observations.confidence * factors)
