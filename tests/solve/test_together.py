@@ -27,7 +27,7 @@ PARTS = example_parts()
 FAST = replace(FitOptions.at("fast"), search=())
 # Rates so low that rounding, by which batches differ, does not turn small gradients, and with them Adam's steps.
 _STAGES = replace(FAST.stages[0], iterations=5, size=64, learning_rate=5e-4), Stage(OUTLINE, 1, 3, 5e-4, 48)
-QUICK = replace(FAST, stages=_STAGES)
+SMALL_STEPS = replace(FAST, stages=_STAGES)
 
 
 def cut(keypoints: Keypoints2D, parts: PartLabels | None, device: str, camera: Perspective | None = None) -> CutPerson:
@@ -43,7 +43,7 @@ def turned(degrees: float) -> Keypoints2D:
     return replace(KEYPOINTS, points=(KEYPOINTS.points - middle) @ turn.T + middle)
 
 
-@pytest.mark.parametrize("options", [QUICK, replace(QUICK, stages=())], ids=["refined", "network alone"])
+@pytest.mark.parametrize("options", [SMALL_STEPS, replace(SMALL_STEPS, stages=())], ids=["refined", "network alone"])
 @pytest.mark.parametrize("fov", [None, 50.0])
 def test_each_is_as_alone(options: FitOptions, fov: float | None, device: str) -> None:
     """With labels and without, in one call; a camera is of all, and is not guessed."""
