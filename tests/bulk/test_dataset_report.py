@@ -213,7 +213,7 @@ def test_names_are_no_markup(run: Run) -> None:
 
 
 def test_people_are_drawn_over_their_photo(run: Run) -> None:
-    """On the left as it is, with keypoints, and on the right with the body; a picture of another size is another."""
+    """The photo with keypoints is on the left, and the body on the right. Another size is another picture."""
     photos = Path("photos")
     photos.mkdir()
     for name, size in (("1.png", SIZE), ("2.png", (60, 60))):

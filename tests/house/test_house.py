@@ -293,7 +293,7 @@ def test_each_public_name_is_there_and_has_one_path():
 
 
 def test_each_public_name_is_shown_at_work():
-    """In the code of a page, in a tutorial script, or in the notebook; a few are told of in words."""
+    """A page, a tutorial script or the notebook shows it in code. A few names are told of in words."""
     code = "\n".join(page_code().values())
     words = "\n".join(page.read_text(encoding="utf-8") for page in pages())
     names = [name for listed in public_names().values() for name in listed]
