@@ -249,7 +249,7 @@ def cut_crops(
         beyond: Filling beyond the picture: "zeros" is black, and "border" repeats the border.
 
     Returns:
-        0 to 1, shape (N, 3, H, W).
+        Colours from 0 to 1, shape (N, 3, H, W).
     """
     device = pyramids[0].device
     height, width = size if isinstance(size, tuple) else (size, size)

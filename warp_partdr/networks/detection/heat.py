@@ -16,7 +16,7 @@ def refine_landmarks(places: torch.Tensor, heat: torch.Tensor) -> torch.Tensor:
         heat: Logits, shape (N, K, H, W).
 
     Returns:
-        Shape (N, K, 2).
+        Refined places, shape (N, K, 2).
     """
     height, width = heat.shape[-2:]
     extent = torch.tensor([width, height], device=places.device)

@@ -34,7 +34,7 @@ def draw_mask(person: FoundPerson, size: tuple[int, int]) -> np.ndarray:
         size: Height and width (H, W) of the picture [px].
 
     Returns:
-        Shape (H, W), float32.
+        Probabilities, shape (H, W), float32.
     """
     full = np.zeros(check_image_size(size), dtype=np.float32)
     window = crop_window(person.crop, full.shape)
@@ -51,7 +51,7 @@ def instance_map(people: Sequence[FoundPerson], size: tuple[int, int], *, thresh
         threshold: Least probability of a pixel that shows a person.
 
     Returns:
-        1 for the first person, 2 for the second, 0 for nobody, shape (H, W), int32.
+        Number of the person at each pixel, 1 for the first, 2 for the second, and 0 for nobody, shape (H, W), int32.
 
     Raises:
         TypeError: If these are no people.

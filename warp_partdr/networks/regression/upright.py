@@ -29,7 +29,7 @@ def leans(keypoints: torch.Tensor) -> torch.Tensor:
         keypoints: Keypoints as networks see them (``network_keypoints``), shape (B, 24, 3).
 
     Returns:
-        From -π to π [rad], shape (B,).
+        Angles from -π to π [rad], shape (B,).
     """
     top, known = _middle(keypoints, _SHOULDERS)
     foot, found = _middle(keypoints, _FEET[0])
