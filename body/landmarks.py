@@ -171,7 +171,7 @@ def annotated(names: Sequence[str], known: Collection[str] | None = None, conven
     Args:
         names: Landmarks.
         known: Landmarks that a model has. If it is None, they are EllipBody's.
-        convention: "coco", where COCO's annotators mark them, or one of ``CONVENTIONS``.
+        convention: Convention of the points: "coco", where COCO's annotators mark them, or one of ``CONVENTIONS``.
     """
     known = LANDMARKS if known is None else known
     return tuple(f"{convention}_{name}" if f"{convention}_{name}" in known else name for name in names)

@@ -47,8 +47,8 @@ class BodyParameters(Movable):
     Attributes:
         orientation: Global orientation, 6D, camera frame, shape (B, 6).
         rotations: Local rotations as axis-angle [rad], shape (B, 20, 3); those of the hips stay 0.
-        lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
-        thicknesses: ``THICKNESS_NAMES`` [m], shape (B, 15).
+        lengths: Lengths ``LENGTH_NAMES`` [m], shape (B, 12).
+        thicknesses: Thicknesses ``THICKNESS_NAMES`` [m], shape (B, 15).
         log_scale: Logarithm of the crop's half-sides a metre, shape (B,).
         shift: Position of the pelvis in the crop, shape (B, 2).
 

@@ -93,8 +93,8 @@ def pose(
             (B, 6), as ``rotation_from_axis_angle`` and ``rotation_from_6d`` take them.
         translation: Position of the pelvis [m], shape (B, 3).
         rotations: Local rotation of each bone, shape (B, 20, 3, 3), (B, 20, 3) or (B, 20, 6), likewise.
-        lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
-        thicknesses: ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
+        lengths: Lengths ``LENGTH_NAMES`` [m], shape (B, 12).
+        thicknesses: Thicknesses ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
         validate: Look for NaN, infinity, matrices that are no rotations and sizes that are not positive; on CUDA that
             waits for the device. Not under ``torch.func`` and ``torch.compile``, which know no numbers.
 

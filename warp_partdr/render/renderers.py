@@ -32,10 +32,10 @@ class RendererEllipsoids(BodyLoss):
     """Renderer of the exact ellipsoids, in closed form.
 
     Attributes:
-        gradient: "partdr", "coverage" or "edges", see ``draw_ellipsoids``.
-        max_distance: "partdr": greatest distance from an edge of a pixel that moves it [px].
-        depth_weight: "partdr": the paper's lambda of the z gradient (eq. 12); 0 leaves it out.
-        samples_per_pixel: "coverage": density of the borders' samples.
+        gradient: Kind of gradient, "partdr", "coverage" or "edges", see ``draw_ellipsoids``.
+        max_distance: Greatest distance from an edge of a pixel that moves it with "partdr" [px].
+        depth_weight: Lambda of the paper's z gradient (eq. 12) with "partdr". If it is 0, z has no gradient.
+        samples_per_pixel: Density of the borders' samples with "coverage".
     """
 
     gradient: Gradient = "partdr"
@@ -102,7 +102,7 @@ class RendererMesh(BodyLoss):
         tolerance: Greatest distance of silhouettes from those of the ellipsoids that "auto" allows [px].
         max_distance: Greatest distance from an edge of a pixel that moves it with "partdr" [px].
         depth_weight: Lambda of the paper's z gradient (eq. 12) with "partdr". If it is 0, z has no gradient.
-        gradient: "partdr" or "edges", see ``draw_mesh``.
+        gradient: Kind of gradient, "partdr" or "edges", see ``draw_mesh``.
     """
 
     subdivisions: Subdivisions = DEFAULT_SUBDIVISIONS

@@ -44,7 +44,7 @@ def run_savings(device: str, *, budget: float = 1.0, progress: Progress | None =
     """Time each saving.
 
     Args:
-        device: "cpu" or a CUDA device.
+        device: Device, "cpu" or a CUDA device.
         budget: Time for each of the two or three figures of a row [s].
         progress: Function that is called with (name, rows done, rows in all).
 

@@ -29,7 +29,7 @@ def with_heavy_landmarks(
     Of people whom it takes for one, those whose keypoints change the most keep theirs.
 
     Args:
-        network: ``PeopleNetworks.heavy``.
+        network: Network ``PeopleNetworks.heavy``.
         pyramids: The pictures, on the network's device.
         everyone: The people of each picture.
     """

@@ -256,11 +256,12 @@ class ViewSelection:
     """Choice of rows.
 
     Attributes:
-        rows: "inside": those with all known keypoints in the picture; "baseline": those marked so; or "every" one.
-        people: Names of people or sets, such as "shelf/0" or "shelf"; empty: all.
+        rows: Kind of rows: "inside" for those with all known keypoints in the picture, "baseline" for those that are
+            marked so, or "every" for all.
+        people: Names of people or sets, such as "shelf/0" or "shelf". If it is empty, all are taken.
         leave_out: Names of people or sets that are left out.
-        frames: Names or numbers of moments; empty: all.
-        step: Take the first of so many rows, each.
+        frames: Names or numbers of moments. If it is empty, all are taken.
+        step: Distance of the rows that are taken: 1 takes each row, and 2 every second one.
     """
 
     rows: str = "inside"
