@@ -112,7 +112,7 @@ def skeleton_of_names(names: Sequence[Any], where: str) -> Skeleton | None:
 
     Args:
         names: One name a row, such as COCO's ``categories[].keypoints``.
-        where: Begins the messages, such as "FILE: categories: person".
+        where: Beginning of the messages, such as "FILE: categories: person".
 
     Returns:
         The skeleton; None if the names are numbers alone, such as "kp_3", and tell nothing.

@@ -288,8 +288,8 @@ def detailed_mesh(model: DetailedModel, at_joints: bool = False) -> PartMesh:
 
     Args:
         model: The model.
-        at_joints: Let neck, arms and legs begin at their joints. By default they begin where the skin follows them,
-            which for a limb is far inside of the trunk.
+        at_joints: True lets neck, arms and legs begin at their joints. By default they begin where the skin follows
+            them, which for a limb is far inside of the trunk.
     """
     parts = (parts_at_joints(model) if at_joints else model.face_parts).cpu().numpy()
     faces = model.faces.cpu().numpy()

@@ -93,8 +93,8 @@ def draw_ellipsoids(
         samples_per_pixel: Density of samples for "coverage", at most 64: steps for each pixel along outlines and,
             rounded up, rows and columns for each pixel in the search for creases. Outlines get longer steps where they
             would take more than 2**22.
-        validate: Look for NaN, infinity, axes that are not orthonormal and lengths that are not positive; on CUDA that
-            waits for the device.
+        validate: True looks for NaN, infinity, axes that are not orthonormal and lengths that are not positive. On
+            CUDA, that waits for the device.
 
     Returns:
         The picture.

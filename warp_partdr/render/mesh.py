@@ -67,7 +67,7 @@ def draw_mesh(
             has no limit, which finds far targets. Near the target, a few pixels come closer to the true derivative of
             the covered area.
         depth_weight: Lambda of the paper's z gradient (eq. 12) for "partdr". If it is 0, z has no gradient.
-        validate: Look for NaN and infinity; on CUDA that waits for the device.
+        validate: True looks for NaN and infinity. On CUDA, that waits for the device.
 
     Returns:
         The picture. The gradient of the maps is an estimate: linear in the incoming gradient, not the derivative of
@@ -107,7 +107,7 @@ def mesh_label_loss(
         gradient: Kind of gradient, "partdr" or "edges".
         max_distance: Greatest distance from an edge for "partdr": pixels farther away do not move it [px].
         depth_weight: Lambda of the paper's z gradient for "partdr".
-        validate: Look for NaN, infinity and labels that the mesh has not.
+        validate: True looks for NaN, infinity and labels that the mesh does not have.
 
     Returns:
         The loss of each body [pixels of maps], shape (B,), and the picture, which is drawn when it is first looked at.

@@ -139,8 +139,9 @@ def find_film_people(
         path: The film.
         min_score: Least confidence that there is a person.
         device: Device to run on.
-        progress: Told frames done and in all.
-        watch: Given each frame, its picture to cut crops from, and its people, in the order of ``places``.
+        progress: Function that is told the frames done and their total number.
+        watch: Function that is given each frame, its picture to cut crops from, and its people, in the order of
+            ``places``.
         landmarks: Network whose keypoints are taken, as in ``find_people``; "full" takes two fifths of the time.
 
     Raises:

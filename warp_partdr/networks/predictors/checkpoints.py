@@ -37,7 +37,7 @@ def load_part_network(
         name: A folder, a name of the Hub that is in the local cache, or ``hf:`` and a name, which may be downloaded.
         labels: Label set of its classes. If it is None, it is the known set with the same names.
         device: Device to run on.
-        say: Told what is downloaded and loaded.
+        say: Function that is told what is downloaded and loaded.
 
     Raises:
         InputError: If there is no such checkpoint, it has another task, or its classes are of no known label set.
