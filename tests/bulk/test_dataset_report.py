@@ -50,7 +50,7 @@ def write_people(**changes: dict[int, Any]) -> PeopleFiles:
 
 def test_everything_is_counted() -> None:
     told: list[str] = []
-    found = survey_people(write_people(), told=told.append)
+    found = survey_people(write_people(), progress=told.append)
     assert (found.rows, found.people, found.bodies, found.pictures, found.nobody) == (9, 6, 5, 8, 1)
     assert (found.rows_at_fault, found.warned) == (3, 2)
     assert [(count, where) for count, _, where in found.errors.sorted()] == [(2, (1, 1)), (1, (2, 0))]

@@ -82,10 +82,10 @@ def instance_maps(
             shapes[:, 1].astype(np.int32),
             _starts(counts),
         )
-        windows, places, *pictures = (torch.from_numpy(each).to(device) for each in tables)
+        windows, steps, *pictures = (torch.from_numpy(each).to(device) for each in tables)
         with on_torch_stream(device) as where:
             maps = torch.stack([person.mask for person in everyone])
-            masks = [warp_array(maps), warp_array(windows), warp_array(places, wp.vec2)]
+            masks = [warp_array(maps), warp_array(windows), warp_array(steps, wp.vec2)]
             launch = partial(
                 mask_kernels.launch_owners,
                 masks,
@@ -117,9 +117,9 @@ def _windows(crops: TurnedCrops, sizes: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def _steps(crops: TurnedCrops, pixels: np.ndarray) -> np.ndarray:
     """Centres of pixels (x, y) (N, 2) in the crops, from -1 to 1, then steps across and down: (N, 3, 2), float32."""
-    places = crops.from_picture(pixels[:, None] + np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])) * 2 - 1
-    places[:, 1:] -= places[:, :1]  # in float64: of rounded places, a thousand steps would go astray
-    return places.astype(np.float32)
+    positions = crops.from_picture(pixels[:, None] + np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])) * 2 - 1
+    positions[:, 1:] -= positions[:, :1]  # in float64: of rounded positions, a thousand steps would go astray
+    return positions.astype(np.float32)
 
 
 def crop_window(crop: TurnedCrops, size: tuple[int, ...]) -> Window:
