@@ -166,7 +166,7 @@ def _normalised(part: str, place: np.ndarray) -> tuple[float, float, float]:
 
 
 def annotated(names: Sequence[str], known: Collection[str] | None = None, convention: str = _COCO) -> tuple[str, ...]:
-    """Landmarks where a data set marks those of ``names``; the same where it marks the body's own.
+    """Points where a data set marks the landmarks ``names``. They are the landmarks where it marks the body's own.
 
     Args:
         names: Landmarks.
@@ -178,7 +178,7 @@ def annotated(names: Sequence[str], known: Collection[str] | None = None, conven
 
 
 def plain_landmark(mark: str) -> str:
-    """Landmark whose place in a data set ``mark`` is: coco_left_hip -> left_hip."""
+    """Landmark that a data set's ``mark`` stands for: coco_left_hip -> left_hip."""
     convention, _, name = mark.partition("_")
     return name if convention in (_COCO, *CONVENTIONS) else mark
 

@@ -188,7 +188,7 @@ class _Taken:
         self._collect_cut(self.fitter.workers)
 
     def _collect_cut(self, ahead: int) -> None:
-        """Take what was cut out, but for so many groups that may still be in work."""
+        """Take what was cut out, except for ``ahead`` groups that may still be in work."""
         while len(self._cutting) > ahead:
             cut = self._cutting.popleft().result()
             numbers = self.rows.extend(cut.rows)
@@ -231,7 +231,7 @@ class _Waiting:
         self.count += len(people)
 
     def take(self, most: int) -> tuple[np.ndarray, list[CutPeople]]:
-        """The first ones, so many at most."""
+        """Returns the first people, at most as many as asked for."""
         taken: list[tuple[np.ndarray, CutPeople]] = []
         room = most
         while room and self._parts:

@@ -78,7 +78,7 @@ def make_dataset(
                 written(index, tally)
 
     def collect(ahead: int) -> None:
-        """Write shards, but for so many that may still be fitted."""
+        """Write shards, except for ``ahead`` of them that may still be fitted."""
         nonlocal began
         while len(fitting) > ahead:
             index, finish = fitting.popleft()

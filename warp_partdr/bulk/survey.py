@@ -119,7 +119,7 @@ class Kinds:
     others: int = 0
 
     def add(self, sentence: str, count: int, where: Address, kind: str | None = None) -> None:
-        """Count a sentence that occurred so often; its kind is by default that of ``kind_of``."""
+        """Count a sentence ``count`` times. By default, its kind is the one that ``kind_of`` returns."""
         kind = kind_of(sentence) if kind is None else kind
         if kind in self.counts:
             before, first, place = self.counts[kind]

@@ -157,7 +157,7 @@ class DetailedModel(Movable):
     def carry(
         self, vertices: torch.Tensor, joints: torch.Tensor, rotations: torch.Tensor, translation: torch.Tensor
     ) -> Detailed:
-        """Pose bodies whose vertices (B, V, 3) and joints (B, J, 3) at rest are known; the rest as of ``pose``."""
+        """Pose bodies whose vertices (B, V, 3) and joints (B, J, 3) at rest are known, with arguments of ``pose``."""
         batch = len(joints)
         self._check("rotations", rotations, batch, self.num_joints, 3, 3)
         self._check("translation", translation, batch, 3)

@@ -166,7 +166,7 @@ def _inside(points: torch.Tensor, low: torch.Tensor, high: torch.Tensor) -> torc
 
 
 def _corners(points: torch.Tensor, counted: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Least and largest coordinates of those of points (B, N, 2) that count, (B, 2) each; infinite where none does."""
+    """Least and largest coordinates of the points (B, N, 2) that count, (B, 2) each; infinite where none does."""
     counted = counted[..., None]
     least = torch.where(counted, points, torch.inf).amin(1)
     return least, torch.where(counted, points, -torch.inf).amax(1)

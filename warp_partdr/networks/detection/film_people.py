@@ -105,7 +105,7 @@ def shots_between(cuts: Sequence[int], num_frames: int) -> list[range]:
 
 
 def _cuts_taken(cuts: Sequence[int], numbers: np.ndarray) -> tuple[int, ...]:
-    """Cuts of a film of which frames of these numbers are taken, as of ``FilmPeople.taken``."""
+    """Cuts of a film after some of its frames are taken, as in ``FilmPeople.taken``."""
     there = np.flatnonzero(numbers >= 0)
     first = np.unique(np.searchsorted(numbers[there], cuts))
     return tuple(there[first[(first > 0) & (first < len(there))]].tolist())
@@ -207,7 +207,7 @@ def follow_people(
     device: torch.device | str,
     landmarks: LandmarkNetwork = "full",
 ) -> Iterator[FollowedFrame]:
-    """Find and follow the people of a film of so many frames a second.
+    """Find and follow the people of a film with ``rate`` frames a second.
 
     Raises:
         InputError: As of ``read_frames``.
@@ -249,7 +249,7 @@ def pack_owners(owners: np.ndarray) -> bytes:
 
 
 def lasting(frames: np.ndarray, shots: Sequence[range]) -> bool:
-    """True if somebody is seen in so many frames of a shot that it is no mistake; frames are of one shot."""
+    """True if somebody is seen in enough frames of a shot to be no mistake. All frames are of one shot."""
     shot = next(shot for shot in shots if frames[0] in shot)
     return len(frames) >= min(_SHORTEST, len(shot))
 

@@ -1,4 +1,4 @@
-"""Masks of people, from their crops into the picture, and to whom each pixel belongs."""
+"""Masks of people, from their crops into the picture, and the person that each pixel belongs to."""
 
 from __future__ import annotations
 

@@ -37,5 +37,5 @@ class FoundPerson:
 
     @property
     def seen(self) -> bool:
-        """False of somebody whom another detector's box shows, but of whom no landmark is known."""
+        """False if another detector's box shows the person, but no landmark is known."""
         return bool(self.keypoints.confident.any())

@@ -197,7 +197,7 @@ class _NetworkError(Exception):
 
 @dataclass
 class _Waiting:
-    """Person about whom the networks are to be asked.
+    """Person that the networks are still to be asked about.
 
     Attributes:
         key: Frame, and index in the frame's ``owners``.

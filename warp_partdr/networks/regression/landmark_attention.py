@@ -19,7 +19,7 @@ NUM_SAID = _SAID * len(LANDMARKS)
 
 
 class LandmarkAttention(nn.Module):
-    """Maps with so many ``channels``, and keypoints with so many ``numbers``, to features (B, ``NUM_SAID``)."""
+    """Network from feature maps and ``numbers`` numbers for each keypoint to features (B, ``NUM_SAID``)."""
 
     def __init__(self, channels: Sequence[int], numbers: int, *, width: int, layers: int) -> None:
         super().__init__()
