@@ -250,7 +250,7 @@ def survey_people(
 
 
 def worst_people(files: PeopleFiles, by: str, count: int, progress: Callable[[str], None] | None = None) -> Worst:
-    """Find the worst people by a score, one of ``RANKED``; other arguments as of ``survey_people``."""
+    """Find the worst people by a score, one of ``RANKED``. The other arguments are those of ``survey_people``."""
     worst = Worst.by(by, count)
     for shard, path in files.paths.items():
         for first, batch in files.batches(shard, (*worst.score.columns, _BODY)):

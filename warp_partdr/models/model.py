@@ -197,14 +197,14 @@ class DetailedModel(Movable):
         return weigh_points(self.weights_of(names), torch.cat([detailed.vertices, detailed.joints], dim=1))
 
     def weights_of(self, names: Sequence[str]) -> torch.Tensor:
-        """Weights of landmarks over vertices and joints, shape (L, V + J), kept; errors as of ``landmarks``."""
+        """Weights of landmarks over vertices and joints, shape (L, V + J), kept, with the errors of ``landmarks``."""
         if unknown := ", ".join(repr(name) for name in names if name not in self.landmark_names):
             known = ", ".join(self.landmark_names)
             raise ValueError(f"names: {self.name} has no landmark {unknown}; expected some of {known}")
         return _landmark_rows(self, tuple(names))
 
     def rest_landmarks(self, shape: torch.Tensor, names: Sequence[str]) -> tuple[torch.Tensor, torch.Tensor]:
-        """Landmarks (B, L, 3) and joints (B, J, 3) of ``rest``, without its vertices; errors as of ``landmarks``."""
+        """Landmarks (B, L, 3) and joints (B, J, 3) of ``rest``, without vertices, with the errors of ``landmarks``."""
         self._check("shape", shape, None, self.num_shapes)
         rests, directions = _rest_rows(self, tuple(names))
         found = torch.addmm(rests, shape, directions).unflatten(1, (-1, 3))

@@ -139,8 +139,8 @@ def ellipsoid_label_loss(
         The loss of each body [pixels of maps], shape (B,), and the picture, which is drawn when it is first looked at.
 
     Raises:
-        ValueError: As ``draw_ellipsoids``, or if ``target`` does not fit the batch.
-        NotImplementedError: As ``draw_ellipsoids``.
+        ValueError: If ``draw_ellipsoids`` raises it, or if ``target`` does not fit the batch.
+        NotImplementedError: If ``draw_ellipsoids`` raises it.
     """
     refuse_transforms("ellipsoid_label_loss", target)
     rule = check_rule(gradient, max_distance, depth_weight, samples_per_pixel)

@@ -113,8 +113,8 @@ def mesh_label_loss(
         The loss of each body [pixels of maps], shape (B,), and the picture, which is drawn when it is first looked at.
 
     Raises:
-        ValueError: As ``draw_mesh``, or if ``target`` does not fit the batch.
-        NotImplementedError: As ``draw_mesh``.
+        ValueError: If ``draw_mesh`` raises it, or if ``target`` does not fit the batch.
+        NotImplementedError: If ``draw_mesh`` raises it.
     """
     refuse_transforms("mesh_label_loss", target)
     check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))

@@ -210,7 +210,7 @@ def follow_people(
     """Find and follow the people of a film with ``rate`` frames a second.
 
     Raises:
-        InputError: As of ``read_frames``.
+        InputError: If ``read_frames`` raises it.
     """
     every = max(round(rate / _LOOKS), 1)
     tracker = PeopleTracker(device=device, min_score=min_score, every=every, landmarks=landmarks)

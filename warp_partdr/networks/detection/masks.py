@@ -63,7 +63,7 @@ def instance_map(people: Sequence[FoundPerson], size: tuple[int, int], *, thresh
 def instance_maps(
     people: Sequence[Sequence[FoundPerson]], sizes: Sequence[tuple[int, int]], *, threshold: float = 0.5
 ) -> list[torch.Tensor]:
-    """Maps of the people in several pictures, each as of ``instance_map``, on the masks' device."""
+    """Maps of the people in several pictures, each as in ``instance_map``, on the masks' device."""
     for some in people:
         check_each("people", some, FoundPerson, "of find_people")
     shapes = np.array([check_image_size(size) for size in sizes], dtype=np.int64).reshape(-1, 2)

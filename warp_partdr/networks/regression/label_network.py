@@ -215,7 +215,7 @@ class LabelNetwork(nn.Module):
         return self.bodies(self.features(shares, keypoints, conditions), keypoints)
 
     def features(self, shares: torch.Tensor, keypoints: torch.Tensor, conditions: torch.Tensor) -> torch.Tensor:
-        """Features that bodies are made of, (B, F); arguments as of ``forward``."""
+        """Features that bodies are made of, (B, F), from the arguments of ``forward``."""
         heatmaps = draw_heatmaps(keypoints, self.config.size // _HEATMAP_STRIDE)
         coarse = self.coarse(self.stem(shares))
         heatmaps = heatmaps.to(coarse.dtype, memory_format=torch.channels_last)  # else what is joined is not

@@ -41,7 +41,7 @@ def network_keypoints(names: Sequence[str], points: torch.Tensor, confidence: to
 def stack_keypoints(
     names: Sequence[Sequence[str]], points: Sequence[torch.Tensor], confidence: Sequence[torch.Tensor]
 ) -> torch.Tensor:
-    """Keypoints of N people, each as of ``network_keypoints``, shape (N, 24, 3)."""
+    """Keypoints of N people, each as in ``network_keypoints``, shape (N, 24, 3)."""
     starts = np.cumsum([0, *map(len, names)])
     rows = np.stack([_rows(tuple(each)) for each in names])
     rows = np.where(rows < 0, starts[-1], rows + starts[:-1, None])  # the last one is of what is missing
@@ -52,7 +52,7 @@ def stack_keypoints(
 def format_keypoints(
     names: tuple[str, ...], visible: np.ndarray, points: torch.Tensor, confidence: torch.Tensor
 ) -> torch.Tensor:
-    """Keypoints of N people with one format, each as of ``network_keypoints``, shape (N, 24, 3).
+    """Keypoints of N people with one format, each as in ``network_keypoints``, shape (N, 24, 3).
 
     Only those of the J keypoints that are ``visible`` count, shape (N, J).
     """
