@@ -122,7 +122,7 @@ class BodyLoss:
             The loss of each body [pixels of maps], shape (B,).
 
         Raises:
-            ValueError: If ``pose`` and ``label_loss`` raise it.
+            ValueError: If ``pose`` or ``label_loss`` raises it.
             NotImplementedError: Under ``torch.func``, and in a second derivative.
         """
         refuse_transforms("body_loss", target)
@@ -163,7 +163,7 @@ class BodyLoss:
             The maps, shape (B, K, H, W), float32. Their gradient is the renderer's, and draws the bodies once more.
 
         Raises:
-            ValueError: If ``pose`` and ``draw`` raise it.
+            ValueError: If ``pose`` or ``draw`` raises it.
             NotImplementedError: Under ``torch.func``, and in a second derivative.
         """
         numbers = _check("body_maps", parameters, camera)
