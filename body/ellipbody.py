@@ -116,8 +116,8 @@ class EllipBody(WarpArrays):
         global_orient: Rotation of the whole body, shape (B,), mat33.
         translation: Position of the pelvis [m], shape (B,), vec3.
         rotations: Local rotation of each bone with respect to its parent, shape (B, 20), mat33.
-        lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
-        thicknesses: ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
+        lengths: Lengths ``LENGTH_NAMES`` [m], shape (B, 12).
+        thicknesses: Thicknesses ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
     """
 
     global_orient: wp.array
@@ -200,7 +200,7 @@ class EllipBody(WarpArrays):
         """Joints, ellipsoids and mesh vertices of all bodies.
 
         Args:
-            subdivisions: 0 to 3: 20, 80, 320 or 1280 faces an ellipsoid.
+            subdivisions: Level of the mesh, 0 to 3: 20, 80, 320 or 1280 faces for each ellipsoid.
         """
         tree = bone_tree(self.device.alias, self.lengths.dtype, subdivisions)
         vec, mat = _PRECISIONS[self.lengths.dtype]

@@ -112,7 +112,7 @@ def skeleton_of_names(names: Sequence[Any], where: str) -> Skeleton | None:
 
     Args:
         names: One name a row, such as COCO's ``categories[].keypoints``.
-        where: Begins the messages, such as "FILE: categories: person".
+        where: Beginning of the messages, such as "FILE: categories: person".
 
     Returns:
         The skeleton; None if the names are numbers alone, such as "kp_3", and tell nothing.
@@ -180,7 +180,7 @@ def landmark_of_name(name: str, names: Iterable[str] = ()) -> str | None:
 
 
 def _landmark_of_words(words: list[str], others: list[list[str]]) -> str | None:
-    """Landmark of a name's words among those of others of its list; None if it is none."""
+    """Landmark that a name's words mean beside the other names of a list, or None if they mean none."""
     together = "".join(words)
     plain = "_".join(words)
     if plain in LANDMARKS and plain not in ("pelvis", "head"):

@@ -166,19 +166,19 @@ def _normalised(part: str, place: np.ndarray) -> tuple[float, float, float]:
 
 
 def annotated(names: Sequence[str], known: Collection[str] | None = None, convention: str = _COCO) -> tuple[str, ...]:
-    """Landmarks where a data set marks those of ``names``; the same where it marks the body's own.
+    """Points where a data set marks the landmarks ``names``. They are the landmarks where it marks the body's own.
 
     Args:
         names: Landmarks.
         known: Landmarks that a model has. If it is None, they are EllipBody's.
-        convention: "coco", where COCO's annotators mark them, or one of ``CONVENTIONS``.
+        convention: Convention of the points: "coco", where COCO's annotators mark them, or one of ``CONVENTIONS``.
     """
     known = LANDMARKS if known is None else known
     return tuple(f"{convention}_{name}" if f"{convention}_{name}" in known else name for name in names)
 
 
 def plain_landmark(mark: str) -> str:
-    """Landmark whose place in a data set ``mark`` is: coco_left_hip -> left_hip."""
+    """Landmark that a data set's ``mark`` stands for: coco_left_hip -> left_hip."""
     convention, _, name = mark.partition("_")
     return name if convention in (_COCO, *CONVENTIONS) else mark
 

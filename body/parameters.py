@@ -32,7 +32,7 @@ LOCKED_BITS = sum(1 << part for part in LOCKED_PARTS)
 def resized_numbers(
     lengths: torch.Tensor, thicknesses: torch.Tensor, log_scale: torch.Tensor, shares: torch.Tensor
 ) -> dict[str, torch.Tensor]:
-    """Numbers of bodies so many times as large (B,), as much farther away, by name; shapes as of ``BodyParameters``."""
+    """Numbers of bodies that are enlarged by factors (B,) and as much farther away, by name of ``BodyParameters``."""
     return {
         "lengths": lengths * shares[:, None],
         "thicknesses": thicknesses * shares[:, None],
@@ -47,8 +47,8 @@ class BodyParameters(Movable):
     Attributes:
         orientation: Global orientation, 6D, camera frame, shape (B, 6).
         rotations: Local rotations as axis-angle [rad], shape (B, 20, 3); those of the hips stay 0.
-        lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
-        thicknesses: ``THICKNESS_NAMES`` [m], shape (B, 15).
+        lengths: Lengths ``LENGTH_NAMES`` [m], shape (B, 12).
+        thicknesses: Thicknesses ``THICKNESS_NAMES`` [m], shape (B, 15).
         log_scale: Logarithm of the crop's half-sides a metre, shape (B,).
         shift: Position of the pelvis in the crop, shape (B, 2).
 
@@ -118,7 +118,7 @@ class BodyParameters(Movable):
         return crop_camera(self.log_scale, self.shift, size)
 
     def resized(self, shares: torch.Tensor) -> BodyParameters:
-        """Bodies so many times as large (B,), as much farther away: cameras see the same."""
+        """Bodies that are enlarged by factors (B,) and as much farther away. Cameras see the same."""
         return replace(self, **resized_numbers(self.lengths, self.thicknesses, self.log_scale, shares))
 
     def select(self, index: torch.Tensor | slice) -> BodyParameters:

@@ -92,11 +92,11 @@ def pose(
         global_orient: Rotation of the whole body: matrices, shape (B, 3, 3), axis-angle [rad], (B, 3), or two columns,
             (B, 6), as ``rotation_from_axis_angle`` and ``rotation_from_6d`` take them.
         translation: Position of the pelvis [m], shape (B, 3).
-        rotations: Local rotation of each bone, shape (B, 20, 3, 3), (B, 20, 3) or (B, 20, 6), likewise.
-        lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
-        thicknesses: ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
-        validate: Look for NaN, infinity, matrices that are no rotations and sizes that are not positive; on CUDA that
-            waits for the device. Not under ``torch.func`` and ``torch.compile``, which know no numbers.
+        rotations: Local rotation of each bone in the same forms, shape (B, 20, 3, 3), (B, 20, 3) or (B, 20, 6).
+        lengths: Lengths ``LENGTH_NAMES`` [m], shape (B, 12).
+        thicknesses: Thicknesses ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
+        validate: True looks for NaN, infinity, matrices that are no rotations and sizes that are not positive. On CUDA,
+            that waits for the device. It is not done under ``torch.func`` and ``torch.compile``, which know no numbers.
 
     Returns:
         The posed bodies; float32 or float64, as the arguments.

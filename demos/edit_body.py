@@ -121,8 +121,8 @@ def following(
     """Share of each edit that the mesh follows, for each body but the first.
 
     Returns:
-        By name: for edited measures, the share of the relative change that the mesh has, 1 at best; for the others,
-        their relative change as a share of the largest demanded, 0 at best.
+        Numbers by name. For an edited measure, it is the share of the relative change that the mesh has, 1 at best. For
+        the others, it is their relative change as a share of the largest demanded one, 0 at best.
     """
     has = [mesh_measures(result, body.posed())[0] for result, body in zip(registered, bodies, strict=True)]
     rows = []

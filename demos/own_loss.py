@@ -41,7 +41,7 @@ def one_hot(labels: torch.Tensor) -> torch.Tensor:
 
 
 def main(out: Path = Path("out/own_loss"), size: int = 192, iterations: int = 80) -> list[float]:
-    """Follow the IoU of parts in a picture of so many pixels a side, and write pictures to a folder."""
+    """Follow the IoU of parts in a picture with sides of ``size`` pixels, and write pictures to a folder."""
     wp.config.log_level = wp.LOG_WARNING
     out.mkdir(parents=True, exist_ok=True)
     shape = (size, size)

@@ -28,7 +28,7 @@ def turned(arms: float, forward: float) -> torch.Tensor:
 
 
 def main(out: Path = Path("out/render_gradient"), size: int = 256, iterations: int = 60) -> list[float]:
-    """Follow the gradient in a picture of so many pixels a side, and write pictures to a folder."""
+    """Follow the gradient in a picture with sides of ``size`` pixels, and write pictures to a folder."""
     wp.config.log_level = wp.LOG_WARNING
     out.mkdir(parents=True, exist_ok=True)
     shape = (size, size)

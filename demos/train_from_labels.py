@@ -86,7 +86,7 @@ def picture(rows: dict[str, torch.Tensor]) -> Figure:
 def main(
     out: Path = Path("out/train_from_labels"), size: int = 64, batch: int = 32, steps: int = 200
 ) -> tuple[list[float], list[float]]:
-    """Train with label images of so many pixels a side, so many people a step, and write pictures to a folder.
+    """Train with label images with sides of ``size`` pixels, and write pictures to a folder.
 
     Returns:
         Loss of each step [px a person], and the mean error before and after [degrees].

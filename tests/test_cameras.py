@@ -83,7 +83,7 @@ def test_weak_and_perspective_agree_in_the_origins_plane():
 
 
 def test_a_weak_camera_takes_the_mean_focal_length():
-    """Of pixels that are not square: at the body's depth it is too wide by as much as it is too low."""
+    """Pixels are not square: at the body's depth, it is too wide by as much as it is too low."""
     point = torch.tensor([[0.5, -0.25, 2.0]], dtype=DOUBLE)
     camera = full().to_weak(point)
     torch.testing.assert_close(camera.scale, torch.tensor([925.0 / 2], dtype=DOUBLE))

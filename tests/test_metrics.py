@@ -36,7 +36,7 @@ def test_part_accuracy_takes_ignored_pixels_as_background():
 
 
 def test_counts_are_those_of_plain_loops_of_each_picture(rng):
-    """As SPIN and UP-3D write the LSP metric: class by class, with boolean masks."""
+    """SPIN and UP-3D write the LSP metric so: class by class, with boolean masks."""
     target = rng.choice([0, 1, 2, 3, 4, 255], (3, 2, 20, 15))
     shown = rng.integers(0, 6, target.shape)  # class 5 is never wanted
     counts = metrics.confusion(shown, target, 7)

@@ -101,7 +101,7 @@ class WeakPerspective(Movable):
         """A perspective camera that sees the frame's origin at the same place and size.
 
         Args:
-            focal: f [px], square pixels, shape (B,).
+            focal: Focal length f [px], for square pixels, shape (B,).
             centre: Principal point [px], shape (B, 2).
 
         Returns:

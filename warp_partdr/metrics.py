@@ -47,8 +47,8 @@ def confusion(predicted: Array, target: Array, num_classes: int, *, ignored_is_b
         predicted: Class ids, integers of shape (..., H, W); 255 counts as background.
         target: True class ids, the same shape; 0 is background, and 255 is ignored.
         num_classes: Number of classes C, including background.
-        ignored_is_background: Count pixels whose target is 255 as background, as LSP's part accuracy does; by default
-            they do not count, as in its F1.
+        ignored_is_background: True counts pixels whose target is 255 as background, as LSP's part accuracy does. By
+            default they do not count, as in its F1.
 
     Raises:
         ValueError: If the shapes differ, or ``num_classes`` or a class is out of range.

@@ -58,7 +58,7 @@ class Panel:
 
     @staticmethod
     def height_of(rows: int) -> int:
-        """Height of a panel of so many rows [px]."""
+        """Height of a panel with a number of rows [px]."""
         return rows * _ROW + _HINTS
 
     def at(self, x: float, y: float) -> Button | None:

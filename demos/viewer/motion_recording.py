@@ -18,7 +18,7 @@ _ROUNDED = 0.25  # of a frame, by which times may be rounded
 
 
 class MotionPictures(Sequence[np.ndarray]):
-    """Pictures of every so many frames of an even film, each drawn when it is asked for."""
+    """Pictures at even steps of the frames of an even film, each drawn when it is asked for."""
 
     def __init__(self, scene: PlottedMotion, step: int, progress: Progress) -> None:
         self._scene, self._progress = scene, progress

@@ -95,7 +95,7 @@ def arrange(sizes: Sequence[tuple[int, int]], room: tuple[int, int]) -> list[_Bo
 
 
 def _width(count: int, columns: int, tallest: float, room: tuple[int, int]) -> int:
-    """Width of each picture in so many columns [px]."""
+    """Width of each picture when there are several columns [px]."""
     rows = -(-count // columns)
     across = (room[0] - _GAP * (columns - 1)) / columns
     return max(int(min(across, ((room[1] - _GAP * (rows - 1)) / rows - _TITLE) / tallest)), 1)

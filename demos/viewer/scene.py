@@ -95,7 +95,7 @@ class PlottedScene(Plotted):
 
     @property
     def detailed(self) -> bool:
-        """True while the detailed body is shown; it is that of one body, and gone when another takes its place."""
+        """True while the detailed body is shown. It belongs to one body, and is gone when another takes its place."""
         now = self.state.posed
         return self._clothed is not None and all(
             torch.equal(old, new) for old, new in zip(vars(self._clothed).values(), vars(now).values(), strict=True)

@@ -116,7 +116,7 @@ def test_names_mean_what_their_data_set_calls_by_them() -> None:
 
 
 def test_names_of_no_known_format_make_a_skeleton_with_both_sides() -> None:
-    """Their skeletons have the other side of each landmark, too."""
+    """The skeleton has the other side of each landmark, too."""
     form = skeleton_of_names(["hat", "right_wrist", "nose"], "f")
     assert form is not None
     assert (form.name, form.landmarks, form.places) == ("named", ("nose", "left_wrist", "right_wrist"), (2, -1, 1))

@@ -198,7 +198,7 @@ def test_exemplars_are_likely_distinct_poses(prior: PosePrior) -> None:
     assert prior.joint_limits(prior.mean_pose[None]).item() == 0.0
 
 
-def test_up_direction_of_a_person_who_faces_a_level_camera() -> None:
+def test_up_direction_is_opposite_to_gravity_before_a_level_camera() -> None:
     facing = torch.diag(torch.tensor([1.0, -1.0, -1.0]))[None]
     torch.testing.assert_close(up_direction(facing), UP)
     # Leaning toward the camera by 30 degrees: up is behind the pelvis' own y axis.

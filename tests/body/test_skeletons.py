@@ -89,7 +89,7 @@ CHAINS = {
 
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_limbs_hang_on_their_own_side(at: dict[str, np.ndarray], side: str) -> None:
-    """From the shoulder to the fingertip and from the hip to the toe, bones are as long as they are called."""
+    """The bones from the shoulder to the fingertip and from the hip to the toe are as long as they are called."""
     for joints, bones in CHAINS.items():
         for start, end, bone in zip(joints, joints[1:], bones, strict=False):
             length = template().mean_lengths[LENGTH_NAMES.index(bone)]
@@ -191,7 +191,7 @@ def test_annotators_marks_are_points_of_their_own(at: dict[str, np.ndarray]) -> 
 
 
 def test_annotators_marks_are_those_of_annys_regressor() -> None:
-    """On people that the table was not measured on, each mark is nearer to COCO's place than the joint is."""
+    """For people that the table was not measured on, each mark is nearer to COCO's place than the joint is."""
     count, model = 60, anny()
     rng = np.random.default_rng(7)
     shape = anny_shape(rng.uniform(*people.PHENOTYPE_RANGES.T, (count, 6)))
@@ -270,7 +270,7 @@ def test_data_set_joints_lie_where_the_table_of_offsets_says(at: dict[str, np.nd
 
 
 def test_a_model_has_the_joints_of_data_sets_where_the_mean_body_has_them() -> None:
-    """On Anny of the mean shape they are as far off, as a share of its height, and move with the part."""
+    """Anny of the mean shape has them as far off, as a share of its height, and they move with the part."""
     model = anny()
     rest = model.rest(torch.zeros(1, model.num_shapes))
     growth = float(statures(model, torch.zeros(1, model.num_shapes))) / MEAN_STATURE

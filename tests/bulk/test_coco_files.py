@@ -302,7 +302,7 @@ def test_other_categories_are_left_out_and_counted(run: Run) -> None:
 
 
 def test_annotations_without_a_category_have_the_only_one() -> None:
-    """Also those with the id of another."""
+    """This also holds for annotations with the id of another."""
     order = [*range(16, -1, -1)]
     change = with_names([COCO[place] for place in order], order)
     (expected,) = coco().read("000.jpg").people
@@ -455,7 +455,7 @@ def test_results_are_one_line(run: Run) -> None:
 
 
 def test_results_may_name_their_pictures() -> None:
-    """As AlphaPose's do."""
+    """AlphaPose's results do."""
     data = json.loads(write_coco(Path("coco"), count=2).read_text())
     (expected,) = open_source(Path("coco/people.json")).read("001.jpg").people or ()
     names = {image["id"]: image["file_name"] for image in data["images"]}
@@ -606,7 +606,7 @@ def test_the_format_may_be_said(run: Run) -> None:
 
 
 def test_keypoints_beside_a_picture_are_scaled_with_it(run: Run) -> None:
-    """By the size that their file states, such as a COCO file of one picture."""
+    """The scale comes from the size that their file states, such as a COCO file of one picture."""
     files = members("000", parts=False)
     given = json.loads(files["000.keypoints.json"])["keypoints"]
     write_beside(Path("folder"), files)
@@ -704,7 +704,7 @@ def test_annotations_outside_their_picture_are_told() -> None:
 
 @pytest.mark.parametrize("orientation", [3, 6])
 def test_keypoints_in_tar_files_are_turned_as_those_in_folders(orientation: int) -> None:
-    """With the photo's EXIF data, and of many pictures' people, those of the photo are read."""
+    """They are turned by the photo's EXIF data. If the file has many pictures' people, those of the photo are read."""
     coco()
     height, width = turn_file("000.jpg", orientation, "jpeg")
     points = np.array([[30 + k, 20 + 2 * k] for k in range(17)], dtype=float)

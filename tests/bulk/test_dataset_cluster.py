@@ -40,7 +40,7 @@ def workers(process: int) -> list[psutil.Process]:
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
 def test_a_killed_process_loses_nothing_and_repeats_nothing(run: Run) -> None:
-    """Of two that work, one is killed when the first shard is there; every row is that of one machine, bit for bit."""
+    """One of two workers is killed when the first shard is there. Every row is that of one machine, bit for bit."""
     write_coco(Path("coco"), count=COUNT)
     (Path("coco") / "003.jpg").write_bytes(b"broken")
     assert run(f"{COCO} --out whole")[0] == 0
@@ -69,7 +69,7 @@ def test_a_killed_process_loses_nothing_and_repeats_nothing(run: Run) -> None:
 
 
 def test_a_cluster_goes_on_where_one_machine_ended(run: Run) -> None:
-    """And tells a fault of the disk as one machine does."""
+    """It also tells a fault of the disk as one machine does."""
     write_coco(Path("coco"), count=6)
     assert run(f"{COCO} --out out --share 0/2")[0] == 0
     first = Path("out/part-00000-of-00003.parquet").stat().st_mtime_ns

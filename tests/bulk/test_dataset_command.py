@@ -90,7 +90,7 @@ def test_every_picture_has_its_rows(run: Run) -> None:
 
 
 def test_rows_are_those_of_single_fits(run: Run) -> None:
-    """With the mesh stage, in a batch as alone; in float32, as single fits are, no camera guessed."""
+    """The mesh stage is part of it, in a batch as alone. Single fits are in float32, with no guessed camera."""
     write_folder(Path("photos"))
     assert run(f"{FOLDER} --out out --quality mesh --batch 2 --set half=false --set mesh.iterations=20")[0] == 0
     table = pq.read_table("out")
@@ -167,7 +167,7 @@ def test_a_camera_puts_bodies_before_it(run: Run) -> None:
 
 
 def test_an_ended_run_goes_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By Ctrl-C in the middle of the second shard of three; the first is not made again."""
+    """Ctrl-C ends it in the middle of the second shard of three. The first is not made again."""
     write_coco(Path("coco"))
     run(f"{COCO} --out whole")
     fitted: list[int] = []
@@ -213,7 +213,7 @@ main()
 
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
 def test_a_killed_run_leaves_whole_shards_alone(run: Run) -> None:
-    """Killed when half of a shard's file was written."""
+    """The run is killed when half of a shard's file was written."""
     write_coco(Path("coco"))
     run(f"{COCO} --out whole")
     done = subprocess.run([sys.executable, "-c", KILLED, *COCO.split(), "--out", "out"], timeout=HANG)
@@ -306,7 +306,7 @@ def test_a_full_disk_is_one_line_and_nothing_half(run: Run, monkeypatch: pytest.
 
 
 def test_a_person_at_fault_is_a_row_with_an_error(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Others of the batch are fitted."""
+    """The others of the batch are fitted."""
     write_coco(Path("coco"))
     fit_people = people.fit_people
 

@@ -79,7 +79,7 @@ def assert_same_meshes(one: Path, other: Path) -> None:
 
 @pytest.mark.parametrize("camera", ["", "--fov 40"])
 def test_ellipsoids_come_back(camera: str, run: Run, fits: list[FitResult]) -> None:
-    """Of each row the body of its fit."""
+    """Each row gives the body of its fit."""
     write_coco(Path("coco"), count=2)
     assert run(f"dataset coco/people.json --shard 1 --quality fast --device cpu --out people {camera}")[0] == 0
     code, said, complaint = run("export people --rows 0: --to glb --to npz --to json --out out")

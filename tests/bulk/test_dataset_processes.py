@@ -44,7 +44,7 @@ def fitter(device: str, batch: int, label_size: int = LABEL_SIZE) -> PeopleFitte
 
 
 def test_rows_are_those_of_threads(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With broken pictures, without labels, people who are to be found, a camera, and shards of half a group."""
+    """Some pictures are broken, some lack labels, some people are to be found, and shards end within a group."""
     torn = members("001")
     torn["001.jpg"] = torn["001.jpg"][:200]
     found = members("003", keypoints=False, parts=False)

@@ -50,7 +50,7 @@ def write_people(**changes: dict[int, Any]) -> PeopleFiles:
 
 def test_everything_is_counted() -> None:
     told: list[str] = []
-    found = survey_people(write_people(), told=told.append)
+    found = survey_people(write_people(), progress=told.append)
     assert (found.rows, found.people, found.bodies, found.pictures, found.nobody) == (9, 6, 5, 8, 1)
     assert (found.rows_at_fault, found.warned) == (3, 2)
     assert [(count, where) for count, _, where in found.errors.sorted()] == [(2, (1, 1)), (1, (2, 0))]
@@ -213,7 +213,7 @@ def test_names_are_no_markup(run: Run) -> None:
 
 
 def test_people_are_drawn_over_their_photo(run: Run) -> None:
-    """On the left as it is, with keypoints, and on the right with the body; a picture of another size is another."""
+    """The photo with keypoints is on the left, and the body on the right. Another size is another picture."""
     photos = Path("photos")
     photos.mkdir()
     for name, size in (("1.png", SIZE), ("2.png", (60, 60))):

@@ -86,7 +86,7 @@ def test_parts_say_what_their_ids_mean(run: Run) -> None:
 
 
 def test_broken_members_are_rows(run: Run) -> None:
-    """Of a photo, keypoints, labels of another size, a file that was cut off, and one that is no tar file."""
+    """A photo, keypoints, labels of another size, and a file that was cut off are broken, and one is no tar file."""
     broken = members("001", parts=False)
     broken["001.jpg"] = broken["001.jpg"][:200]
     strange = members("002", parts=False)
@@ -283,7 +283,7 @@ def test_files_are_opened_once_and_few_stay_open() -> None:
 
 
 def test_headers_of_tar_files_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """When the source is opened: a copy in another process knows where all files are."""
+    """They are read when the source is opened: a copy in another process knows where all files are."""
     write_tar(Path("s/a.tar"), {**members("000"), **members("001", parts=False)})
     write_tar(Path("s/b.tar"), members("002", keypoints=False))
     given = open_source(Path("s"), labels="cdcl14")

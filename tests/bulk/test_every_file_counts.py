@@ -98,7 +98,7 @@ def test_linked_folders_are_searched_once() -> None:
 
 
 def test_a_folder_that_may_not_be_listed_is_counted_and_an_outage_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else the next run would find other pictures."""
+    """Otherwise, the next run would find other pictures."""
     save("s/a.png", "s/lost+found/b.png")
     scandir, code = os.scandir, [errno.EACCES]
 
@@ -117,7 +117,7 @@ def test_a_folder_that_may_not_be_listed_is_counted_and_an_outage_is_told(monkey
 
 
 def test_names_of_members_may_have_points(run: Run) -> None:
-    """Also of their folders; what lies beside each has its name without the last ending."""
+    """Names of their folders may, too. The files beside a member have its name without the last ending."""
     names = ["shoot 2.0 take 3", "0002.v2", "run.1/a", "./b"]
     given: dict[str, bytes] = {}
     for place, name in enumerate(names):
@@ -215,7 +215,7 @@ def test_links_in_a_tar_file_are_files() -> None:
 
 
 def test_of_members_of_one_name_the_last_counts() -> None:
-    """As where it is unpacked: ``tar -r`` adds a newer file."""
+    """Unpacking does the same: ``tar -r`` adds a newer file."""
     with tarfile.open("a.tar", "w") as tar:
         add(tar, "a.png", png(10))
         add(tar, "A.png", png(50))
@@ -252,7 +252,7 @@ def test_long_and_strange_names_of_members_become_rows(run: Run) -> None:
 
 
 def test_sparse_members_are_counted() -> None:
-    """Their bytes are not in one piece."""
+    """The bytes of a sparse member are not in one piece."""
     with tarfile.open("a.tar", "w", format=tarfile.PAX_FORMAT) as tar:
         add(tar, "a.png", png(10))
         data = b"1\n0\n5\n".ljust(512, b"\0") + b"bytes"

@@ -106,7 +106,7 @@ def test_missing_pictures_are_read_when_they_are_there(run: Run, fitted: list[in
 
 
 def test_an_empty_picture_is_read_again(run: Run) -> None:
-    """It is how a picture looks while it is copied; a damaged one stays an error of its row."""
+    """A picture looks empty while it is copied. A damaged one stays an error of its row."""
     write_coco(Path("coco"), count=3)
     whole = Path("coco/001.jpg").read_bytes()
     Path("coco/001.jpg").write_bytes(b"")
@@ -192,7 +192,7 @@ def test_processes_tell_what_may_pass(run: Run, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_keypoints_that_are_a_link_to_nothing_are_told(run: Run) -> None:
-    """Else people would be found instead, without a word."""
+    """Otherwise, people would be found instead, without a word."""
     write_beside(Path("s"), members("a", parts=False))
     Path("s/a.keypoints.json").rename("away.json")
     Path("s/a.keypoints.json").symlink_to(Path("away.json").resolve())

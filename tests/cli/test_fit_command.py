@@ -17,7 +17,6 @@ from helpers.commands import (
     ALONE,
     EVERY_FILE,
     GOOD,
-    QUICK,
     Run,
     change_keypoints,
     ids,
@@ -27,6 +26,7 @@ from helpers.commands import (
     write,
 )
 from helpers.files import save_npz
+from helpers.quick import QUICK_FIT
 from PIL import Image
 
 from warp_partdr import label_set, load_body, read_keypoints, skeleton
@@ -255,9 +255,11 @@ def test_every_stage_is_told(run: Run, files: Path, monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(progress, "FitProgress", Recorder)
     # The mesh stage takes the body from before the outline stage, which is left out then.
-    monkeypatch.setitem(stages.STAGES["network"], "balanced", (*QUICK, Stage(stages.OUTLINE, 1, 3, 0.01, 64)))
+    monkeypatch.setitem(
+        stages.STAGES["network"], "balanced", (*QUICK_FIT.stages, Stage(stages.OUTLINE, 1, 3, 0.01, 64))
+    )
     assert run(f"fit {GOOD} --set mesh.iterations=7")[0] == 0
-    expected = [*(stage.name for stage in QUICK), "mesh", "writing results"]
+    expected = [*(stage.name for stage in QUICK_FIT.stages), "mesh", "writing results"]
     assert [name for name, _ in groupby(stage for stage, _, _ in told)] == expected
     assert told[-2] == ("mesh", 7, 7)
 

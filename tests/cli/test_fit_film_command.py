@@ -15,6 +15,7 @@ from helpers.commands import Run
 from helpers.example import example_photo
 from helpers.files import EXAMPLE
 from helpers.films import write_film
+from helpers.quick import QUICK_COMMAND
 from helpers.skins import read_glb
 from PIL import Image
 
@@ -22,7 +23,7 @@ from warp_partdr.inputs.films import film_facts, read_frames
 from warp_partdr.results.predictions import load_film_bodies
 
 run = commands.run  # a fixture
-QUICK = "--device cpu --set mesh.iterations=3 --set window=4 --set overlap=1 --set shape_frames=2"
+SHORT_WINDOWS = f"{QUICK_COMMAND} --set window=4 --set overlap=1 --set shape_frames=2"
 
 
 def photo(side: int) -> Image.Image:
@@ -38,7 +39,7 @@ def film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_film_s_people_become_motions(run: Run, film: Path) -> None:
     usd = find_spec("pxr") is not None  # an extra
-    code, said, complaint = run(f"fit stand.mp4 --out out {QUICK} {'--set also=usdz' if usd else ''}")
+    code, said, complaint = run(f"fit stand.mp4 --out out {SHORT_WINDOWS} {'--set also=usdz' if usd else ''}")
     assert (code, complaint) == (0, "")
     first, last = said.splitlines()
     assert first.startswith("person0: frames 0 to 5, seen in 6; about ")
@@ -69,7 +70,7 @@ def test_a_film_s_people_become_motions(run: Run, film: Path) -> None:
 
 def test_a_film_that_lost_frames_is_told_once_and_right_in_time(run: Run, film: Path) -> None:
     write_film(film, [np.asarray(photo(256))] * 6, rate=20, times=[0, 1, 2, 3, 9, 10])
-    code, said, complaint = run(f"fit stand.mp4 --out out {QUICK}")
+    code, said, complaint = run(f"fit stand.mp4 --out out {SHORT_WINDOWS}")
     assert code == 0
     (told,) = complaint.splitlines()
     assert told.startswith(
@@ -85,7 +86,7 @@ def test_people_of_two_shots_are_two_people_each_shown_in_theirs(run: Run, film:
     size = photo(256).size
     other = Image.open(EXAMPLE / "astronaut.jpg").convert("RGB").resize(size)
     write_film(film, [np.asarray(photo(256))] * 5 + [np.asarray(other)] * 4, rate=10)
-    code, said, complaint = run(f"fit stand.mp4 --out out {QUICK}")
+    code, said, complaint = run(f"fit stand.mp4 --out out {SHORT_WINDOWS}")
     told = "stand.mp4: a cut at frame 5 (0.50 s): 2 shots, each fitted apart, its people numbered anew"
     assert (code, complaint) == (0, f"partdr: warning: {told}\n")
     report = json.loads(Path("out", "people.json").read_text())
@@ -112,7 +113,7 @@ def test_a_film_that_breaks_off_is_fitted_as_far_as_it_goes(run: Run, film: Path
     data = bytearray(film.read_bytes())
     data[len(data) // 2 : len(data) * 3 // 4] = b"\xff" * (len(data) * 3 // 4 - len(data) // 2)
     film.write_bytes(data)
-    code, said, complaint = run(f"fit stand.mp4 --out out --fov 50 {QUICK} --set window=30")
+    code, said, complaint = run(f"fit stand.mp4 --out out --fov 50 {SHORT_WINDOWS} --set window=30")
     assert code == 0
     assert complaint.startswith("partdr: warning: stand.mp4: ")
     assert complaint.endswith("; frames before were fitted\n")

@@ -15,6 +15,7 @@ from helpers.commands import Run
 from helpers.example import example_photo
 from helpers.files import save_with_focal
 from helpers.films import write_film
+from helpers.quick import QUICK_COMMAND
 from PIL import Image
 
 from warp_partdr.body.rotations import rotation_to_axis_angle
@@ -26,7 +27,6 @@ from warp_partdr.lab.synthetic.scene_people import SceneSample, make_views
 from warp_partdr.lab.synthetic.shading import shade_people
 
 run = commands.run  # a fixture
-QUICK = "--device cpu --set mesh.iterations=5 --set mesh.size=96"
 PERSON = 5  # of PartBench, whose cameras are found
 SIDE, FOCAL, AWAY, BESIDE = 256, 300.0, 3.0, 0.5  # [px], [px], [m], [m] from one camera to the other
 
@@ -50,7 +50,7 @@ def films(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> int:
 
 
 def test_films_of_two_cameras_say_how_far_a_person_is(run: Run, films: int) -> None:
-    code, said, complaint = run(f"scene left.mp4 right.mp4 --cameras rig.json --out out {QUICK}")
+    code, said, complaint = run(f"scene left.mp4 right.mp4 --cameras rig.json --out out {QUICK_COMMAND}")
     assert (code, complaint) == (0, "")
     first, last = said.splitlines()
     assert first.startswith("person0: frames 0 to 3, seen in 4, by left.mp4, right.mp4; ")
@@ -66,7 +66,7 @@ def test_films_of_two_cameras_say_how_far_a_person_is(run: Run, films: int) -> N
     assert names == set(report["files"])
     assert film_facts("out/overlay1.mp4").frames == 4
     # The other way around, the world is the other camera's; the order of films says nothing about names.
-    code, _, complaint = run(f"scene right.mp4 left.mp4 --cameras rig.json --out other {QUICK}")
+    code, _, complaint = run(f"scene right.mp4 left.mp4 --cameras rig.json --out other {QUICK_COMMAND}")
     assert (code, complaint) == (0, "")
     turned = json.loads(Path("other", "people.json").read_text())
     assert turned["views"][1]["translation"] == pytest.approx([BESIDE, 0, 0])
@@ -81,7 +81,7 @@ def test_cameras_of_another_unit_size_and_order_are_told(run: Run, films: int) -
         camera |= {key: [2 * value for value in camera[key]] for key in ("size", "focal", "principal")}
     rig["right"]["translation"] = [-100 * BESIDE, 0, 0]
     Path("cm.json").write_text(json.dumps({"cameras": {"cam2": rig["right"], "cam10": rig["left"]}}))
-    code, said, complaint = run(f"scene walk_cam10.mp4 walk_cam2.mp4 --cameras cm.json --out out {QUICK}")
+    code, said, complaint = run(f"scene walk_cam10.mp4 walk_cam2.mp4 --cameras cm.json --out out {QUICK_COMMAND}")
     assert code == 0
     assert "seen in 4, by walk_cam10.mp4, walk_cam2.mp4; " in said
     report = json.loads(Path("out", "people.json").read_text())
@@ -97,7 +97,7 @@ def test_cameras_of_another_unit_size_and_order_are_told(run: Run, films: int) -
     rig = {name: rig[camera] for name, camera in (("a", "right"), ("b", "left"))}
     rig["b"]["rotation"] = [0.6, 0, 0]
     Path("ab.json").write_text(json.dumps({"cameras": rig}))
-    code, _, complaint = run(f"scene walk_cam10.mp4 walk_cam2.mp4 --cameras ab.json --out other {QUICK}")
+    code, _, complaint = run(f"scene walk_cam10.mp4 walk_cam2.mp4 --cameras ab.json --out other {QUICK_COMMAND}")
     assert code == 0
     order, *warnings = complaint.splitlines()
     assert order.startswith("partdr: ab.json: films are taken in the order of cameras")
@@ -118,7 +118,7 @@ def test_films_of_other_rates_are_matched_by_time(run: Run, films: int) -> None:
         edges = [speed + start - round(speed * tick / 60) for tick in ticks]
         pictures = [np.ascontiguousarray(wide[:, edge : edge + films]) for edge in edges]
         write_film(Path(f"{name}.mp4"), pictures, rate=60, times=ticks)
-    code, said, complaint = run(f"scene left.mp4 right.mp4 --cameras rig.json --out out {QUICK}")
+    code, said, complaint = run(f"scene left.mp4 right.mp4 --cameras rig.json --out out {QUICK_COMMAND}")
     assert code == 0
     assert "person0: frames 0 to 5, seen in 6, by left.mp4, right.mp4; " in said
     assert complaint.splitlines() == [line for line in complaint.splitlines() if "right.mp4: frames missing" in line]
@@ -145,7 +145,7 @@ def unplaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SceneSample:
 
 def test_cameras_are_found(run: Run, unplaced: SceneSample) -> None:
     height = float(unplaced.statures[0])
-    code, said, complaint = run(f"scene left.mp4 right.mp4 --fov 50 --set stature={height} --out out {QUICK}")
+    code, said, complaint = run(f"scene left.mp4 right.mp4 --fov 50 --set stature={height} --out out {QUICK_COMMAND}")
     assert (code, complaint) == (0, "")
     assert "seen in 4, by left.mp4, right.mp4; about" in said
     told = re.search(r"right.mp4: about ([\d.]+) m from the camera of left.mp4, turned by (\d+)", said)
@@ -160,7 +160,7 @@ def test_cameras_are_found(run: Run, unplaced: SceneSample) -> None:
     assert cameras["right"].focal[0] == pytest.approx(report["views"][1]["focal"])
     np.testing.assert_allclose(cameras["right"].translation, report["views"][1]["translation"], atol=1e-5)
     # The file serves as calibrated cameras.
-    code, said, complaint = run(f"scene left.mp4 right.mp4 --cameras out/cameras.json --out again {QUICK}")
+    code, said, complaint = run(f"scene left.mp4 right.mp4 --cameras out/cameras.json --out again {QUICK_COMMAND}")
     assert (code, complaint) == (0, "")
     assert "about" not in said
     again = json.loads(Path("again", "people.json").read_text())
@@ -171,7 +171,7 @@ def test_photos_are_films_of_one_moment(run: Run, unplaced: SceneSample) -> None
     """Their EXIF data say how long their lenses are."""
     height, width = unplaced.parts.shape[1:]
     save_with_focal(Image.open("left.png"), Path("left.jpg"), 50, (width, height))
-    code, said, complaint = run(f"scene left.jpg right.png --out out {QUICK}")
+    code, said, complaint = run(f"scene left.jpg right.png --out out {QUICK_COMMAND}")
     assert code == 0
     focal = 50 / 43.27 * math.hypot(width, height)
     assert complaint.startswith(f"partdr: focal length {focal:.0f} px, of the photo's EXIF data")

@@ -12,6 +12,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from helpers.quick import QUICK_REGISTRATION
 from warp_partdr.body.labels import BACKGROUND, LabelSet, label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
@@ -25,12 +26,10 @@ from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.lab.synthetic import mocap, mocap_files
 from warp_partdr.lab.synthetic.pose_sampler import PoseBank
 from warp_partdr.models.anny import anny
-from warp_partdr.models.registration import Registered, RegistrationOptions, register
+from warp_partdr.models.registration import Registered, register
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import ellipbody_mesh
-from warp_partdr.solve.ellipsoids.options import FitOptions
-from warp_partdr.solve.ellipsoids.stages import Stage
 from warp_partdr.solve.ellipsoids.stepper import EnergyFunction, Refined, Refinement
 
 
@@ -40,10 +39,6 @@ def refine_by_autograd(start: BodyParameters, energy: EnergyFunction, **options:
 
 
 PICTURE_SIZE = (200, 160)
-QUICK_SEARCH = FitOptions(
-    start="search",
-    stages=(Stage("lift", 64, 20, 0.1), Stage("keypoints", 64, 10, 0.04), Stage("labels", 6, 40, 0.02, 96)),
-)
 
 
 def walker(device="cpu") -> BodyParameters:
@@ -166,9 +161,6 @@ def random_parameters(seed: int, batch: int, device="cpu", dtype=torch.float64):
 def random_turns(count: int, num_joints: int, scale: float, seed: int = 0) -> torch.Tensor:
     generator = torch.Generator().manual_seed(seed)
     return rotation_from_axis_angle(scale * torch.randn(count, num_joints, 3, generator=generator, dtype=torch.float64))
-
-
-QUICK_REGISTRATION = RegistrationOptions(iterations=40)
 
 
 def ellipbodies(

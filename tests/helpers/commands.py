@@ -13,12 +13,11 @@ import pytest
 from PIL import Image
 
 from helpers.files import EXAMPLE
+from helpers.quick import QUICK_FIT
 from warp_partdr.cli import main
 from warp_partdr.results import save
 from warp_partdr.solve.ellipsoids import stages
-from warp_partdr.solve.ellipsoids.stages import Stage
 
-QUICK = (Stage("lift", 8, 6, 0.1), Stage("labels", 2, 4, 0.02, 64))
 GOOD = "photo.png --keypoints k.json --parts p.png --labels cdcl14 --out out"
 ALONE = "--model none"  # no detailed model: that takes most of a quick fit's time
 EVERY_FILE = {*save.RESULT_FILES, *save.DETAILED_FILES}
@@ -41,7 +40,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], few_steps: None) -> Run:
     """Call the command with a line of arguments, and few iterations: exit code, stdout, stderr."""
-    monkeypatch.setitem(stages.STAGES["network"], "balanced", QUICK)
+    monkeypatch.setitem(stages.STAGES["network"], "balanced", QUICK_FIT.stages)
 
     def call(line: str, **environment: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["partdr", *line.split()])

@@ -34,7 +34,7 @@ def links(page: Path) -> list[str]:
 
 
 def test_pages_have_links_and_examples():
-    """Or the tests below would look at nothing."""
+    """Without them, the tests below would look at nothing."""
     assert sum(len(links(page)) for page in PAGES) > 50
     assert all(any(blocks(page, language) for page in PAGES) for language in ("json", "python"))
 

@@ -106,7 +106,7 @@ def test_constraints_pin_every_direct_dependency() -> None:
 
 
 def test_the_oldest_versions_are_the_stated_ones() -> None:
-    """Of all that the oldest Python has wheels for; Ray, peers, USD and body models are left out."""
+    """The oldest Python has wheels for all of them. Ray, peers, USD and body models are left out."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
     left_out = {"ray", "bodies", "peers", "usd", "dev", "docs", "release"}

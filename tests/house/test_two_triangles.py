@@ -97,7 +97,7 @@ def test_random_scenes_reach_their_target_by_parts_only(device, alike):
 
 
 def test_demo_writes_its_picture(device, tmp_path):
-    """As a user runs it: in a process of its own, where nothing else has started Warp."""
+    """A user runs it in a process of its own, where nothing else has started Warp."""
     out = tmp_path / "folder" / "picture.png"
     command = [sys.executable, str(DEMOS / "two_triangles.py"), "--out", str(out), "--device", device]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=HANG, check=False)

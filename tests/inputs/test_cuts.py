@@ -74,7 +74,7 @@ def test_a_cut_within_a_pan_is_found(step: int) -> None:
 
 @pytest.mark.parametrize("rate", [1.0, 30.0])
 def test_a_film_of_which_every_frame_is_another_place_has_no_cut(rate: float) -> None:
-    """As one frame a minute of a hand-held camera."""
+    """A hand-held camera that takes one frame a minute makes such films."""
     pictures = [place(seed) for seed in range(14)]
     assert Change.CUT not in changes(pictures, np.arange(14) / rate).values()
 
@@ -199,7 +199,7 @@ def test_frames_before_a_fault_are_given() -> None:
 
 
 def test_unlikeness_is_its_formula() -> None:
-    """Against loops over blocks, places and colours."""
+    """The formula is written as loops over blocks, places and colours."""
     rng = np.random.default_rng(5)
     one, other = (rng.normal(size=(16, 24, 3)).astype(np.float32) for _ in range(2))
     other[:8, :8] = one[3:11, 2:10]  # found 3 rows below, 2 columns to the right

@@ -137,7 +137,7 @@ def test_people_with_contradictions_end_where_they_do_without(name: str, request
 
 
 def test_flesh_is_about_all_segments_of_a_group() -> None:
-    """Of its own parts and of their mirror images; where less is asked, no less is told."""
+    """It is around its own parts and their mirror images. Where less is asked, no less is told."""
     keypoints, parts = example()
     seen = glance(parts.groups, keypoints, CDCL)
     sure = np.flatnonzero(keypoints.confident).tolist()
@@ -423,7 +423,7 @@ def test_a_small_person_in_a_large_picture_is_seen_pixel_by_pixel() -> None:
 @pytest.mark.parametrize("size", [128, 640])
 @pytest.mark.parametrize("place", [(0, 0), (37, 61), (1000, 700)])
 def test_labels_that_are_kept_small_are_those_of_the_large_ones(size: int, place: tuple[int, int]) -> None:
-    """In small pictures, in windows of large ones, beyond the border, and of probabilities."""
+    """It holds in small pictures, in windows of large ones, beyond the border, and for probabilities."""
     keypoints, parts = example()
     top, left = place
     groups = np.zeros((512 + 2 * top, 384 + 2 * left), dtype=np.uint8)

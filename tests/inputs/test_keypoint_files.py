@@ -170,7 +170,7 @@ def test_openposes_18_points_are_read() -> None:
 
 
 def test_files_of_mmpose_are_read_in_all_their_shapes() -> None:
-    """Of a picture, and of a film of one frame or several; the data set's name tells the format."""
+    """A file is of a picture, or of a film with one frame or several. The data set's name tells the format."""
     instance = {"keypoints": rows(17, 2), "keypoint_scores": [0.5] * 17, "bbox": [[0, 0, 9, 9]], "bbox_score": 0.9}
     frame = {"frame_id": 3, "instances": [instance, instance]}
     for data in ([instance, instance], [frame]):

@@ -405,7 +405,7 @@ def test_keypoints_are_scaled_by_the_size_that_their_file_states(tmp_path: Path)
     ["class", "class_name", "keypoint", "keypoint_name", "joint", "joint_name", "body_part", "type", "landmark", "q"],
 )
 def test_names_of_points_stand_under_any_key(key: str) -> None:
-    """Also where points are missing, and another text or number stands beside the name."""
+    """Points may be missing, and another text or number may stand beside the name."""
     known = places()
     names = [name for name in COCO if name not in ("left_ear", "nose")][::-1]
     points = [{"x": known[n][0], "y": known[n][1], "kind": "point", "class_id": 3, key: n} for n in names]

@@ -123,7 +123,7 @@ def test_people_in_parts_of_the_batch_are_the_same(rng: np.random.Generator, mon
 
 
 def test_people_of_one_picture_share_it_and_its_camera() -> None:
-    """And what is labelled beyond a person's reach is others'."""
+    """Pixels that are labelled beyond a person's reach are others'."""
     keypoints, parts = example()
     height, width = parts.groups.shape
     factor, away = np.float32(0.4), np.float32([width * 0.6, 0])

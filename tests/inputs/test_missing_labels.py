@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.bodies import QUICK_SEARCH, seen_by, standing_adult, walker
+from helpers.bodies import seen_by, standing_adult, walker
+from helpers.quick import QUICK_SEARCH
 
 from warp_partdr.body.labels import BACKGROUND, IGNORE
 from warp_partdr.body.landmarks import annotated

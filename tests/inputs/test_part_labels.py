@@ -117,7 +117,7 @@ def test_a_label_set_is_given_by_name_too(tmp_path: Path) -> None:
 
 
 def test_haze_over_all_classes_of_a_file_is_taken_as_none(tmp_path: Path) -> None:
-    """As of a network that is asked itself."""
+    """A network that is asked itself has such haze, too."""
     ids = np.array([[0, 1, 2], [2, 1, 0]])
     sure = np.moveaxis(np.eye(15, dtype=np.float32)[ids], -1, 0)
     hazy = 0.97 * sure + 0.03 / 15
@@ -252,7 +252,7 @@ def test_a_photo_is_read_upright_and_must_have_the_labels_size(tmp_path: Path) -
 def test_a_photo_that_is_looked_through_has_the_size_that_it_is_read_with(
     tmp_path: Path, rng: np.random.Generator, ending: str, orientation: int
 ) -> None:
-    """And the same fault, if it is not whole."""
+    """It also has the same fault, if it is not whole."""
     path = tmp_path / f"photo.{ending}"
     image = Image.fromarray(rng.integers(0, 255, (61, 83, 3), dtype=np.uint8))
     exif = image.getexif()
@@ -326,7 +326,7 @@ TOO_LARGE = r": more than .* megapixels; expected a smaller picture$"
 
 @pytest.mark.parametrize("pil_limit", [None, 100, 300, 10**9])
 def test_larger_pictures_are_refused_by_their_headers(pil_limit, tmp_path, monkeypatch):
-    """Whatever PIL's own limit is; above twice that, it raises."""
+    """PIL's own limit does not matter. Above twice that limit, PIL itself raises."""
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", pil_limit)
     monkeypatch.setattr(part_labels, "LARGEST_PICTURE", 199)
     path = tmp_path / "large.png"
@@ -340,7 +340,7 @@ def test_larger_pictures_are_refused_by_their_headers(pil_limit, tmp_path, monke
 
 
 def test_large_pictures_are_read_without_a_word(tmp_path, monkeypatch):
-    """Of which PIL warns; the limit is above its warning, below its error, and below what the renderer takes."""
+    """PIL warns of them. Our limit is above PIL's warning, and below PIL's error and what the renderer takes."""
     assert Image.MAX_IMAGE_PIXELS < part_labels.LARGEST_PICTURE < 2 * Image.MAX_IMAGE_PIXELS
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 150)
     path = tmp_path / "fine.png"

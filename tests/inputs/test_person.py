@@ -81,7 +81,7 @@ def masks_of(*people: Keypoints2D, size: tuple[int, int] = (220, 240)) -> PartLa
 
 
 def test_a_persons_mask_is_the_one_under_the_keypoints() -> None:
-    """Whatever its place in the file; other people's pixels are ignored, but not where the masks overlap."""
+    """Its place in the file does not matter. Other people's pixels are ignored, but not where the masks overlap."""
     first, second = standing(100), standing(140)
     parts = masks_of(second, first)
     for person, own, other in ((first, 1, 0), (second, 0, 1)):
@@ -274,7 +274,7 @@ def bone_distances(keypoints: Keypoints2D, v: np.ndarray, u: np.ndarray, reach: 
 
 @pytest.mark.parametrize("others", [0, 1, 2])
 def test_blocks_of_pixels_are_judged_as_each_pixel_is(rng: np.random.Generator, others: int) -> None:
-    """Against the rule pixel by pixel; many blobs, so that borders lie everywhere."""
+    """The rule is applied pixel by pixel. There are many blobs, so that borders lie everywhere."""
     differ = 0
     for _ in range(12):
         size = rng.integers(60, 200, 2)

@@ -132,7 +132,7 @@ def test_of_several_pictures_the_first_is_taken_and_that_is_said(tmp_path: Path)
 
 
 def test_a_heic_picture_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also one that is called .jpg, as phones export them, and one in memory."""
+    """So does one that is called .jpg, as phones export them, and one in memory."""
     monkeypatch.setattr(part_labels, "find_spec", lambda name: None)
     says = "a HEIC picture, without pillow-heif; expected it: pip install pillow-heif"
     for name in ("IMG_1.HEIC", "b.jpg", "c.heif"):
@@ -237,7 +237,7 @@ def test_raw_photos_are_no_thumbnails(tmp_path: Path) -> None:
 
 
 def test_what_a_damaged_file_raises_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever it is: each of Pillow's formats has its own."""
+    """Each of Pillow's formats raises an error of its own."""
     gradient().save(tmp_path / "a.png")
 
     def fails(self: Image.Image, mode: str | None = None) -> None:

@@ -70,7 +70,7 @@ def test_second_derivatives_agree_with_finite_differences(device, wanted):
 
 
 def test_gradient_penalty_moves_what_stands_behind_the_body(device):
-    """As in training: parameters come from others, and of two arguments one is a function of the other."""
+    """In training, parameters come from other numbers, and one of two arguments is a function of the other."""
     parameters = random_parameters(6, 2, device)
 
     def penalty(factor, create_graph=True):

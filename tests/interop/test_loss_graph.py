@@ -68,7 +68,7 @@ def test_graph_and_launches_agree(device, renderer, batch):
 
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_threads_change_no_bit(renderer):
-    """Through labels, and through maps."""
+    """It holds through labels, and through maps."""
     scene = Scene.make(4, "cpu", batch=14)
     try:
         set_num_threads(1)
@@ -201,7 +201,7 @@ def test_a_single_call_is_not_captured(device):
 
 
 def test_few_keys_are_remembered():
-    """Of pictures of ever new sizes, too, which are never captured."""
+    """Pictures of ever new sizes are never captured, and are forgotten, too."""
     device = torch.device("cpu")
     for number in range(2000):
         assert graphs.find(("some", number), device, 10, lambda: pytest.fail("captured")) is None

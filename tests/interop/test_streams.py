@@ -12,6 +12,7 @@ import torch
 import warp as wp
 from conftest import HANG
 from helpers.bodies import seen_by, walker
+from helpers.quick import QUICK_FIT
 
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.inputs.observation import observe
@@ -22,11 +23,9 @@ from warp_partdr.models.joint_turns import turn_joints
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.solve.ellipsoids.energy import Energy
 from warp_partdr.solve.ellipsoids.fitting import fit_body
-from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.refine import refine
 
 WAIT = 1_000_000  # [cycles] of a GPU, about half a millisecond
-QUICK = FitOptions(stages=FitOptions().stages[:1])
 
 
 @pytest.fixture
@@ -76,7 +75,7 @@ def test_a_launch_that_belongs_to_a_capture_does_not_wait_for_it():
 
 
 def test_kernels_of_a_backward_are_captured(cuda):
-    """Of a step whose gradient is a kernel's, which autograd's thread launches."""
+    """The gradient of the step is a kernel's, which autograd's thread launches."""
     turns = torch.zeros(2, 3, 3, device=cuda, requires_grad=True)
     rotations, joints = torch.eye(3, device=cuda).repeat(2, 4, 1, 1), torch.tensor([0, 1, 3], device=cuda)
     aim = torch.randn(2, 4, 3, 3, device=cuda)
@@ -98,7 +97,7 @@ def test_fits_and_pictures_of_two_threads_are_those_of_one():
     body = BodyParameters.mean(1)
 
     def fit(_):
-        return fit_body(keypoints, parts, options=QUICK).parameters.rotations
+        return fit_body(keypoints, parts, options=QUICK_FIT).parameters.rotations
 
     def draw(_):
         return draw_ellipsoids(body.posed(), body.camera(64), (64, 64)).labels
@@ -142,7 +141,7 @@ def test_others_may_use_the_default_stream_during_a_capture(cuda):
     with ThreadPoolExecutor(1) as pool:
         other = pool.submit(disturb)
         try:
-            assert math.isfinite(sum(fit_body(keypoints, parts, options=QUICK, device=cuda).energy.values()))
+            assert math.isfinite(sum(fit_body(keypoints, parts, options=QUICK_FIT, device=cuda).energy.values()))
         finally:
             done.set()
         other.result(timeout=HANG)

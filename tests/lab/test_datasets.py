@@ -224,7 +224,7 @@ def test_lsp_reads_joints_without_scipy(lsp, order):
 
 
 def test_lsp_is_read_from_an_annotation_file_of_spin(lsp):
-    """As SPIN's lsp_dataset.py writes it."""
+    """SPIN's lsp_dataset.py writes such files."""
     folder, parts, joints = lsp
     part = np.zeros((1, 24, 3))
     part[0, :14, :2], part[0, :14, 2] = joints[:2, :, 1000].T, 1

@@ -224,7 +224,7 @@ def test_pixels_are_pooled_and_joints_averaged():
 
 
 def test_figures_are_of_their_own_counts(rng):
-    """Of four matrices that have nothing to do with each other: each figure is that of its own."""
+    """Four matrices have nothing to do with each other: each figure comes from its own."""
     parts, undisputed, filled = rng.integers(1, 100, (3, 7, 7))
     foreground = rng.integers(1, 100, (2, 2))
     pixels = Pixels(CLASSES, parts, undisputed, filled, foreground)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers.quick import QUICK_SCENE
 from typer.testing import CliRunner
 
 from warp_partdr.body.skeletons import MPJPE_JOINTS
@@ -32,11 +33,7 @@ from warp_partdr.lab.evaluation.scene_scoring import (
 from warp_partdr.lab.synthetic.mocap import Clip
 from warp_partdr.lab.synthetic.scene_people import SceneSample, depths_of, in_wrong_order, make_clip
 from warp_partdr.models.anny import anny
-from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.scene.looks import look_at
-from warp_partdr.solve.scene.options import SceneOptions
-
-QUICK = SceneOptions(mesh=MeshOptions(iterations=10, size=96, vertices=800), together=128)
 
 
 class Known:
@@ -181,7 +178,7 @@ def test_scenes_are_fitted_scored_and_reported(tmp_path: Path) -> None:
     samples = [*partbench_scenes([4], ["views"]), make_sample(0, "clean")]
     assert [len(each.scene.views) for each in samples[:2]] == [2, 4]
     methods = {
-        "scene": SceneMethod(partial(fit_all_together, options=QUICK)),
+        "scene": SceneMethod(partial(fit_all_together, options=QUICK_SCENE)),
         "keypoints only": replace(METHODS["keypoints only"], vertices=None),
         "each alone": SCENE_METHODS["each alone"],
     }
@@ -224,7 +221,7 @@ def test_differences_of_scenes_are_told() -> None:
 
 def test_the_command_scores_scenes_and_asks_for_motion_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scenes, "held_out_windows", lambda folder, seconds: [standing(4)])
-    monkeypatch.setitem(SCENE_METHODS, "scene", SceneMethod(partial(fit_all_together, options=QUICK)))
+    monkeypatch.setitem(SCENE_METHODS, "scene", SceneMethod(partial(fit_all_together, options=QUICK_SCENE)))
     arguments = ["partbench", "--people", "1", "--level", "clip", "--method", "scene", "--jobs", "1"]
     missing = CliRunner().invoke(command, arguments)
     assert isinstance(missing.exception, InputError)

@@ -351,7 +351,7 @@ def test_the_learning_rate_follows_warm_up_phases_and_floor(tmp_path):
 
 
 def test_a_time_limit_ends_the_run_and_its_schedule(tmp_path, monkeypatch):
-    """By a clock on which a batch takes a second."""
+    """The clock is a fake one, on which a batch takes a second."""
     batch, now = TinyTask.batch, itertools.count(1)
     clock = SimpleNamespace(now=0, monotonic=lambda: clock.now)
 

@@ -149,7 +149,7 @@ def posed_capsules(
 
 
 def test_joints_carry_capsules(device):
-    """By kernels as by torch in float64, written out."""
+    """Kernels are compared with torch in float64, written out."""
     model = anny().to(device)
     capsules, random = measure_capsules(model), torch.Generator().manual_seed(6)
     shape, by = torch.randn(3, model.num_shapes, generator=random).to(device), torch.randn(3, 3, generator=random)
@@ -242,7 +242,7 @@ def test_left_capsules_mirror_right_ones():
 
 @pytest.mark.parametrize("number", [0, 4, 6])
 def test_capsules_that_are_nan_have_nan_costs(crowd, device, number):
-    """So have those who share their place, and nobody else."""
+    """Bodies that share their place with such a body have NaN, too, and no other body has."""
     placed, allowed = crowd
     moving = placed.clone()
     moving[1, 2, number] = torch.nan

@@ -10,7 +10,8 @@ from pathlib import Path
 import helpers.bodies
 import pytest
 import torch
-from helpers.bodies import QUICK_REGISTRATION, ellipbodies
+from helpers.bodies import ellipbodies
+from helpers.quick import QUICK_REGISTRATION
 
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.template import LENGTH_NAMES, NUM_PARTS, THICKNESS_NAMES

@@ -31,7 +31,7 @@ def test_chains_are_products(parents, dtype, near, device):
 
 @pytest.mark.parametrize("parents", [FORK, (-1, 0, 1, 2, 3, 4)])
 def test_the_gradient_is_that_of_the_products(parents, device):
-    """Of any matrices, rotations or not, of any strides."""
+    """The matrices are any, rotations or not, and have any strides."""
     rotations = torch.randn(2, len(parents), 3, 3, dtype=torch.float64).mT.requires_grad_()
     bones = torch.randn(2, len(parents), 3, dtype=torch.float64, requires_grad=True)
     pull = torch.randn(2, len(parents), 4, 4, dtype=torch.float64)
@@ -47,7 +47,7 @@ def test_nobody_has_no_frames():
 
 
 def test_chains_are_differentiated_again():
-    """And under torch.func, both by torch."""
+    """Second derivatives and torch.func both go through torch."""
     rotations, bones = random_turns(1, 9, 0.7).requires_grad_(), torch.randn(1, 9, 3, dtype=torch.float64)
     bones.requires_grad_()
     assert torch.autograd.gradgradcheck(lambda *moved: chain_joints(FORK, *moved), (rotations, bones))

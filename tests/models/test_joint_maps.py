@@ -64,7 +64,7 @@ def test_adjoints_stay_as_they_are(device):
 
 
 def test_maps_are_differentiated_again():
-    """And under torch.func, both by torch."""
+    """Second derivatives and torch.func both go through torch."""
     rotations, (_, *others) = random_turns(1, len(FORK), 0.7), case(torch.float64, batch=1)
     moved = [each.requires_grad_() for each in (rotations, *others)]
     for used in ((0, 1, 2), (1, 2)):

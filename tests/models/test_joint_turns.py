@@ -40,7 +40,7 @@ def test_other_joints_stay(device):
 
 
 def test_turns_are_differentiated_again():
-    """And under torch.func, both by torch, which the gradient says it is."""
+    """Second derivatives and torch.func both go through torch, as the gradient says."""
     rotations, joints, turns = case(0.5)
     seconds = []
     for dtype in (torch.float32, torch.float64):

@@ -88,7 +88,7 @@ def test_limbs_point_where_ellipbody_points(num_joints, tmp_path):
 
 
 def test_limbs_twist_as_ellipbody_twists():
-    """From the rest pose on, a limb's joints turn exactly as its ellipsoid."""
+    """A limb's joints turn from the rest pose exactly as its ellipsoid does."""
     model, shape, rest_rotations, translation = at_rest()
     rest = model.pose(shape, rest_rotations, translation)
     # Hips that stay with the pelvis, as theirs do.
@@ -130,7 +130,7 @@ def test_forearm_shares_the_twist_of_the_hand():
 
 
 def test_pose_from_ellipbody_takes_degenerate_poses():
-    """No NaN at rotations of 0 and pi."""
+    """Rotations of 0 and pi give no NaN."""
     axes = torch.eye(3)[torch.arange(3).repeat(NUM_PARTS)[:NUM_PARTS]]
     local = torch.stack([REST[0], rotation_from_axis_angle(torch.pi * axes)])
     rotations, translation = pose_from_ellipbody(anny(), mean_body(local))

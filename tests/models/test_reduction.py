@@ -82,7 +82,7 @@ def leg_widths(model: DetailedModel) -> torch.Tensor:
 
 
 def test_faces_seen_from_behind_are_left_out_of_closed_models_alone(reduced):
-    """Of the few vertices' mesh, which has slits in mouth and eyes, hardly a pixel changes."""
+    """The mesh of few vertices has slits in mouth and eyes, but hardly a pixel changes."""
     model = anny()
     assert is_closed(model)
     assert not is_closed(replace(model, faces=model.faces[1:], face_parts=model.face_parts[1:]))
@@ -151,7 +151,7 @@ def test_numbers_of_vertices_that_no_mesh_can_have_are_refused(count):
 
 @pytest.mark.parametrize(("error", "first"), [(0.004, 9.37), (0.01, 4.0)])
 def test_as_many_vertices_are_kept_as_an_error_needs(error, first, monkeypatch):
-    """Also where the first number that is tried is too small."""
+    """The first number that is tried may be too small."""
     monkeypatch.setattr(reduction, "_VERTICES_FOR", first)
     few = reduce_within(anny(), error)
     assert few.error <= error

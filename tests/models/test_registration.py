@@ -8,7 +8,8 @@ import helpers.bodies
 import numpy as np
 import pytest
 import torch
-from helpers.bodies import QUICK_REGISTRATION, ellipbodies
+from helpers.bodies import ellipbodies
+from helpers.quick import QUICK_REGISTRATION
 
 from warp_partdr.body.posing import Posed
 from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, NUM_PARTS
@@ -176,7 +177,7 @@ def test_bad_bodies_are_refused(device: str) -> None:
 
 
 def test_far_samples_count_less_and_less(registered: Registered, device: str) -> None:
-    """By Geman and McClure's weight, the square of 1 / (1 + d² / scale²)."""
+    """The weight is Geman and McClure's, the square of 1 / (1 + d² / scale²)."""
     loss = _Loss(registered.model, ellipbodies(device), RegistrationWeights())
     loss.search(registered.detailed.vertices)
     batch = torch.arange(2, device=loss.corners.device)[:, None, None]

@@ -66,7 +66,7 @@ def test_sparse_skin_and_its_gradients_agree_with_dense_skin(device):
 
 
 def test_skin_is_differentiated_again():
-    """And under torch.func, both by torch."""
+    """Second derivatives and torch.func both go through torch."""
     weights, *moving = case(torch.float64, batch=1)
     moving = [each.requires_grad_() for each in moving]
     assert torch.autograd.gradgradcheck(lambda *own: blend_skin(weights, *own), moving)

@@ -50,7 +50,7 @@ def test_clothes_are_never_inward_nor_thicker_than_coats(device: str) -> None:
 
 
 def test_every_bit_of_thickness_costs_as_much(device: str) -> None:
-    """That of none, too, where a square costs nothing: bare skin stays bare."""
+    """The first bit does, too, where a square would cost nothing: bare skin stays bare."""
     thick = torch.tensor([-0.01, 0.0, 0.01, 0.02, 0.04], device=device, requires_grad=True)
     costs = clothes_costs(thick)
     torch.testing.assert_close(costs.cpu().detach(), torch.tensor([1.0, 0.0, 1.0, 2.0, 4.0]))

@@ -148,7 +148,7 @@ def test_people_in_boxes_have_the_keypoints_of_the_network_that_is_asked_for() -
 
 
 def test_who_is_in_a_box_alone_gets_the_given_keypoints() -> None:
-    """Somebody whom the packaged network does not see, in a corner of plain grey."""
+    """The packaged network does not see the person, in a corner of plain grey."""
     height, width = PHOTO.shape[:2]
     photo = np.concatenate([PHOTO, np.full((height, width, 3), 128, np.uint8)], axis=1)
     box = (width + 60.0, 100.0, width + 160.0, 380.0)

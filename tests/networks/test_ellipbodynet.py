@@ -173,7 +173,7 @@ def test_soft_argmax_finds_sharp_peaks_and_is_unsure_of_flat_maps():
 
 
 def test_joints_count_where_they_and_the_hips_are_known(examples, prediction):
-    """In a batch of which one has no 3D, one no hip, and one is as predicted; test_losses.py has the formula."""
+    """In the batch, one has no 3D, one no hip, and one is as predicted. The formula is in test_losses.py."""
     joints, has_joints = examples.joints.clone(), examples.has_joints.clone()
     joints[0] = posed_landmarks(prediction.bodies.posed(), MPJPE_JOINTS)[0].detach() + 3.0
     has_joints[1] = 0

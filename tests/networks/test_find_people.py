@@ -106,7 +106,7 @@ def test_two_people_side_by_side_are_told_apart():
 
 
 def test_a_film_follows_people_without_the_detector(monkeypatch):
-    """From frame to frame the person moves; a frame without them ends it."""
+    """The person moves from frame to frame. A frame without them ends the track."""
     before = example_people("cpu")
     shifted = np.roll(example_photo(), (6, 10), axis=(0, 1))
     monkeypatch.setattr("warp_partdr.networks.detection.detector.tiles", lambda *_: pytest.fail("the detector ran"))
@@ -148,7 +148,7 @@ def photo(shared: Path, name: str) -> tuple[np.ndarray, Keypoints2D]:
 
 
 def test_keypoints_are_near_those_of_mediapipe(shared, device):
-    """On average over the photos, which MediaPipe scaled and cut in its own way; each person is found once."""
+    """The mean is over the photos, which MediaPipe scaled and cut in its own way. Each person is found once."""
     means = []
     for name, (least, there) in PEOPLE.items():
         picture, truth = photo(shared, name)

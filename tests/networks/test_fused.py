@@ -62,7 +62,7 @@ def test_a_fused_network_is_kept_until_weights_change() -> None:
 
 
 def test_bodies_are_the_same_when_asked_again(device: str) -> None:
-    """On CUDA the second time by a captured graph; what an answer holds is nobody else's."""
+    """On CUDA, a captured graph answers the second time. Nobody else's tensors hold the answer."""
     network = packaged_network(device)
     seen = Observations.of([observe(*seen_by(walker()), device=device)[0]] * 2)
     other = replace(seen, points=seen.points + 0.05)

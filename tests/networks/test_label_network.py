@@ -166,7 +166,7 @@ def test_a_batch_says_what_its_members_say(network):
 
 
 def test_inputs_of_many_are_those_of_each():
-    """With labels, probabilities, keypoints alone, of several sets and sizes, and some cameras known."""
+    """There are labels, probabilities and keypoints alone, several sets and sizes, and some known cameras."""
     keypoints, parts = seen_by(walker())
     hard, _ = observe(keypoints, parts)
     maps = np.moveaxis(np.eye(parts.label_set.num_groups + 1, dtype=np.float32)[parts.groups], -1, 0)
@@ -405,7 +405,7 @@ def test_predict_writes_a_body_for_each_picture(network, tmp_path, capsys):
 
 
 def test_predict_places_bodies_before_a_camera(network, tmp_path):
-    """As a fit without stages does, of the picture's own camera or of its EXIF data."""
+    """It does as a fit without stages, for the picture's own camera and for its EXIF data."""
     folder = tmp_path / "pictures"
     folder.mkdir()
     for suffix, source in (("png", "photo.png"), ("keypoints.json", "keypoints.json"), ("parts.png", "parts.png")):

@@ -84,7 +84,7 @@ def test_other_files_are_refused(tmp_path):
 
 @pytest.mark.parametrize("name", FILES)
 def test_google_s_runtime_says_the_same(name, tmp_path):
-    """Of the example's picture: places to 0.01 px, probabilities to a part in a thousand."""
+    """On the example's picture, places agree to 0.01 px, and probabilities to a part in a thousand."""
     interpreter = pytest.importorskip("ai_edge_litert.interpreter", reason="needs ai-edge-litert, Google's runtime")
     wheel = os.environ.get(WHEEL_VARIABLE)
     if not wheel:
@@ -116,7 +116,7 @@ def run_google(interpreter: Any, path: Path, pictures: torch.Tensor) -> list[tor
 
 
 def test_the_heavy_network_in_8_bits_says_about_what_google_s_runtime_says(tmp_path):
-    """Of the example's person: landmarks to 0.5 px of 256 on average, visibility to 0.02."""
+    """On the example's person, landmarks agree to 0.5 px of 256 on average, and visibility to 0.02."""
     interpreter = pytest.importorskip("ai_edge_litert.interpreter", reason="needs ai-edge-litert, Google's runtime")
     package = os.environ.get(PACKAGE_VARIABLE)
     if not package:

@@ -101,7 +101,7 @@ def test_maps_smaller_than_the_picture_are_enlarged() -> None:
 
 
 def test_others_pixels_are_ignored() -> None:
-    """Of the mask, and beside it, where the other's is stronger."""
+    """Pixels of the other's mask are ignored, and those beside the masks where the other's is stronger."""
     ids = np.zeros(SIZE, dtype=np.uint8)
     ids[20:100, 84:116], ids[20:100, 116:150] = 3, 6
     one, other = person(100, 60, 80), person(134, 60, 80)

@@ -177,7 +177,7 @@ def test_the_detector_looks_sooner_until_it_sees_somebody(monkeypatch: pytest.Mo
 
 
 def test_who_is_found_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As a turned and an upright look at one person, whose landmarks differ."""
+    """A turned and an upright look at one person may give landmarks that differ."""
     (person,) = find_people(frame(250))
     worse = replace(person, score=0.6, keypoints=replace(person.keypoints, points=person.keypoints.points + 60))
     monkeypatch.setattr("warp_partdr.networks.detection.tracks.find_people", lambda *_, **__: [worse, person])

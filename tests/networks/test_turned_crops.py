@@ -43,7 +43,7 @@ def test_a_person_stands_upright_in_the_crop(rng):
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.5])
 @pytest.mark.parametrize("side", [16.0, 40.0, 100.0])
 def test_a_pixel_of_a_crop_is_the_picture_there(device, angle, side):
-    """Also where the picture was halved before, and from an odd size."""
+    """It holds where the picture was halved before, and for an odd size."""
     crop = one_crop(101.3, 80.2, side, angle)
     cut = cut_crops([Pyramid(ramps(161, 203), device)], crop, 16)[0].cpu().numpy() * 255
     y, x = np.mgrid[:16, :16]
@@ -108,7 +108,7 @@ def test_pyramids_made_together_are_those_of_each_picture(rng, monkeypatch, devi
 
 @pytest.mark.parametrize("beyond", ["zeros", "border"])
 def test_crops_are_read_as_torch_reads_them(device, rng, beyond):
-    """Between the four nearest pixels, also where some of them lie beyond the picture, and far outside."""
+    """A pixel is read between the four nearest, also where some of them lie beyond the picture, and far outside."""
     picture = rng.integers(0, 255, (41, 30, 3), dtype=np.uint8)
     crops = TurnedCrops(
         rng.uniform(-20, 60, (30, 2)), rng.uniform(2, 22, 30), rng.uniform(-4, 4, 30), np.zeros(30, dtype=np.int64)

@@ -24,7 +24,7 @@ from warp_partdr.solve.scene.fitting import SceneFit, fit_scene
 from warp_partdr.solve.scene.options import SceneOptions
 
 COUNT, STEP = 14, 3  # frames, and pixels that the person moves to the right a frame
-QUICK = SceneOptions(mesh=MeshOptions(iterations=4), window=8, overlap=3, shape_frames=3)
+SHORT_WINDOWS = SceneOptions(mesh=MeshOptions(iterations=4), window=8, overlap=3, shape_frames=3)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def people(tmp_path_factory: pytest.TempPathFactory) -> FilmPeople:
 
 @pytest.fixture(scope="module")
 def fit(people: FilmPeople) -> FilmFit:
-    return fit_film([SeenFilm.of(people)], options=QUICK)
+    return fit_film([SeenFilm.of(people)], options=SHORT_WINDOWS)
 
 
 def test_people_of_a_film_are_kept_small(people: FilmPeople) -> None:
@@ -73,7 +73,9 @@ def test_a_motion_is_smooth_across_windows(fit: FilmFit) -> None:
 def test_one_window_needs_no_shape_before(people: FilmPeople, fit: FilmFit) -> None:
     told: list[str] = []
     film = [SeenFilm.of(people)]
-    whole = fit_film(film, options=replace(QUICK, window=64), progress=lambda name, done, total: told.append(name))
+    whole = fit_film(
+        film, options=replace(SHORT_WINDOWS, window=64), progress=lambda name, done, total: told.append(name)
+    )
     assert set(told) == {"motions"}
     joints = [each.motions[0].bodies().detailed.joints for each in (fit, whole)]
     apart = [each - each[:, :1] for each in joints]
@@ -85,7 +87,7 @@ def test_a_run_that_was_ended_goes_on_where_it_was(
 ) -> None:
     film = tmp_path / "walk.mp4"
     film.write_bytes(b"film")
-    pieces = FilmPieces(tmp_path / "out", [film], QUICK)
+    pieces = FilmPieces(tmp_path / "out", [film], SHORT_WINDOWS)
     told = ("walk.mp4: frames missing after 0.20 s", "another")
     seen = pieces.people(0, lambda: replace(people, warnings=told))
     assert pieces.starts(lambda: [0.0, 0.25]) == [0.0, 0.25]
@@ -100,25 +102,25 @@ def test_a_run_that_was_ended_goes_on_where_it_was(
 
     monkeypatch.setattr("warp_partdr.pipelines.film.fit_scene", fit_twice)
     with pytest.raises(KeyboardInterrupt):
-        fit_film([SeenFilm.of(seen)], options=QUICK, pieces=pieces)
+        fit_film([SeenFilm.of(seen)], options=SHORT_WINDOWS, pieces=pieces)
     assert done == [3, 7]  # the shape, and the first window
     (pieces.folder / "window0.npz").write_bytes(b"a full disk")  # a damaged piece is made again
     done.clear()
-    again = FilmPieces(tmp_path / "out", [film], QUICK)
+    again = FilmPieces(tmp_path / "out", [film], SHORT_WINDOWS)
     found = again.people(0, lambda: pytest.fail("people are known"))
     np.testing.assert_array_equal(found.rows, people.rows)
     assert found.packed == people.packed
     assert found.warnings == told
     assert again.starts(lambda: pytest.fail("starts are known")) == [0.0, 0.25]
     with pytest.raises(KeyboardInterrupt):
-        fit_film([SeenFilm.of(found)], options=QUICK, pieces=again)
+        fit_film([SeenFilm.of(found)], options=SHORT_WINDOWS, pieces=again)
     done.clear()
-    whole = fit_film([SeenFilm.of(found)], options=QUICK, pieces=again)
+    whole = fit_film([SeenFilm.of(found)], options=SHORT_WINDOWS, pieces=again)
     assert done == [7]  # the last window
     # Bit for bit what a run without a break gives.
     assert torch.equal(whole.motions[0].rotations, fit.motions[0].rotations)
     assert torch.equal(whole.motions[0].translation, fit.motions[0].translation)
-    assert FilmPieces(tmp_path / "out", [film], replace(QUICK, window=9)).folder != again.folder
+    assert FilmPieces(tmp_path / "out", [film], replace(SHORT_WINDOWS, window=9)).folder != again.folder
     again.remove()
     assert not again.folder.exists()
 
@@ -139,7 +141,7 @@ def test_shots_are_fitted_apart(people: FilmPeople, monkeypatch: pytest.MonkeyPa
         scenes.append((scene.num_people, scene.num_frames))
         return refine(scene, **how)
 
-    cut, options = 6, replace(QUICK, window=5, overlap=1)
+    cut, options = 6, replace(SHORT_WINDOWS, window=5, overlap=1)
     monkeypatch.setattr("warp_partdr.pipelines.film.fit_scene", fit_once)
     fit = fit_film([SeenFilm.of(cut_at(people, cut))], options=options)
     assert fit.shots == [range(cut), range(cut, COUNT)]
@@ -180,7 +182,7 @@ def test_a_person_has_one_shape(fit: FilmFit) -> None:
 
 
 def test_a_known_stature_holds_in_every_window(people: FilmPeople, fit: FilmFit) -> None:
-    tall = fit_film([SeenFilm.of(people)], options=replace(QUICK, stature=2.0))
+    tall = fit_film([SeenFilm.of(people)], options=replace(SHORT_WINDOWS, stature=2.0))
     found, guessed = (
         statures(each.motions[0].model, each.motions[0].shape.values[None]).item() for each in (tall, fit)
     )
@@ -192,10 +194,10 @@ def test_a_known_stature_holds_in_every_window(people: FilmPeople, fit: FilmFit)
 def test_a_stature_of_several_people_is_whose(people: FilmPeople, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("warp_partdr.pipelines.film.match_people", lambda films: [((0, 0),), ((0, 0),)])
     with pytest.raises(InputError, match=r"stature: 1\.8 m, of 2 people; expected one of them, person 0 to 1"):
-        fit_film([SeenFilm.of(people)], options=replace(QUICK, stature=1.8))
+        fit_film([SeenFilm.of(people)], options=replace(SHORT_WINDOWS, stature=1.8))
     monkeypatch.setattr("warp_partdr.pipelines.film.match_people", lambda films: [((0, 0), (1, 0))])
     with pytest.raises(InputError, match=r"stature: 1\.8 m, of 1 people before 2 cameras"):
-        fit_film([SeenFilm.of(people)] * 2, options=replace(QUICK, stature=1.8))
+        fit_film([SeenFilm.of(people)] * 2, options=replace(SHORT_WINDOWS, stature=1.8))
 
 
 def test_films_people_and_options_at_fault_are_named(people: FilmPeople, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.quick import QUICK_SCENE
 from helpers.rigs import SIZE, camera_at, centred_joints, film_of
 
 from warp_partdr.body.skeletons import MPJPE_JOINTS
@@ -15,10 +16,7 @@ from warp_partdr.lab.synthetic.scene_people import SceneSample, make_pair
 from warp_partdr.pipelines.film import fit_film
 from warp_partdr.pipelines.same_people import match_people, meeting, ray_distance
 from warp_partdr.pipelines.seen_film import SeenFilm
-from warp_partdr.solve.mesh.mesh_options import MeshOptions
-from warp_partdr.solve.scene.options import SceneOptions
 
-QUICK = SceneOptions(mesh=MeshOptions(iterations=30, learning_rate=0.02, size=96, vertices=800), together=128)
 LENS = (-0.4, 0.1, 0.003, -0.002)
 
 
@@ -164,7 +162,7 @@ def test_two_films_put_people_where_they_are(pair: SceneSample) -> None:
         SeenFilm.calibrated(film_of(pair, camera_at(turn, distortion=lens), order=order, noise=1.0), camera)
         for (turn, lens, order), camera in zip(((-0.6, (), (0, 1)), (0.5, LENS, (1, 0))), cameras, strict=True)
     ]
-    both, alone = fit_film(films, options=QUICK), fit_film(films[:1], options=QUICK)
+    both, alone = fit_film(films, options=QUICK_SCENE), fit_film(films[:1], options=QUICK_SCENE)
 
     def errors(fit: object) -> list[float]:
         found = []

@@ -32,7 +32,7 @@ def ellipsoids_of(posed: Posed, body: int) -> list[PosedEllipsoid]:
 
 
 def test_registration_terms_are_the_books(device):
-    """Of a body 4 cm beside its EllipBody."""
+    """The body lies 4 cm beside its EllipBody."""
     weights = RegistrationWeights(icp=1.0, penetration=10.0)
     model, posed, body = anny(torch.device(device)), ellipbodies(device), 1
     shape = torch.zeros(2, model.num_shapes, device=device)

@@ -82,7 +82,7 @@ def test_other_types_give_what_float32_gives(device, renderer, dtype):
 
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_expanded_and_strided_tensors_give_what_contiguous_ones_give(device, renderer):
-    """With gradients, which must not be written twice to memory that is shared."""
+    """Gradients must not be written twice to memory that is shared."""
     target = checked_target(SIZE, 1 if renderer == "mesh" else 2, device)
     found = []
     for strided in (False, True):
@@ -100,7 +100,7 @@ def test_expanded_and_strided_tensors_give_what_contiguous_ones_give(device, ren
 
 
 def test_nothing_behind_a_perspective_camera_is_drawn(device):
-    """Whatever the near plane."""
+    """The near plane does not matter."""
     bodies, _ = ball(device=device)
     behind = replace(bodies, centres=-bodies.centres)
     camera = Perspective(torch.full((1, 2), 8.0, device=device), torch.full((1, 2), 4.0, device=device), near=-10.0)
@@ -274,7 +274,7 @@ COUNTLESS = [(1, (2**16, 2**16)), (1, (2**16, 2**15)), (1, (2**14, 2**14)), (1, 
 
 @pytest.mark.parametrize(("batch", "size"), COUNTLESS)
 def test_pictures_that_can_not_be_counted_are_refused(device, batch, size):
-    """Before anything is allocated; so many that what is not refused fails at once: no machine has the memory."""
+    """Nothing is allocated before. There are so many pixels that no machine has the memory for what is not refused."""
     target = torch.zeros(1, 1, 1, dtype=torch.uint8, device=device).expand(batch, *size)
     (ellipsoids, camera), (vertices, mesh) = ball(batch, device), triangle(device)
     many = vertices.expand(batch, -1, -1)

@@ -273,7 +273,7 @@ def extreme_scene(name, perspective):
 @pytest.mark.parametrize("perspective", CAMERAS)
 @pytest.mark.parametrize("name", EXTREME_SCENES)
 def test_extreme_ellipsoids_are_drawn_right(device, name, perspective, gradient):
-    """And those that reach the camera are left out, without a gradient."""
+    """Those that reach the camera are left out, without a gradient."""
     scene = extreme_scene(name, perspective)
     _, image, *leaves = ellipsoid_results(scene, checked_target(SIZE, 2, device), gradient, device)
     check_ellipsoid_picture(image, scene, SIZE)
@@ -309,7 +309,7 @@ def test_bodies_that_reach_the_near_plane_are_not_drawn(device, perspective):
 
 
 def test_unchecked_nonsense_is_not_drawn(device):
-    """Without validation, an ellipsoid that is none leaves the others alone."""
+    """If numbers are not checked, an ellipsoid with impossible ones leaves the others alone."""
     bodies = Leaves.of(random_scene(0, SIZE, False, count=4), device=device)
     with torch.no_grad():
         bodies.ellipsoids.centres[0, 0, 2] = np.nan

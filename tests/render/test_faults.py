@@ -185,7 +185,7 @@ def test_a_faulty_mesh_makes_its_own_pictures_nan_and_no_later_ones(device, grad
 @pytest.mark.parametrize("labels", [False, True], ids=["keypoints", "labels"])
 @pytest.mark.parametrize(("name", "place", "value"), NOT_NUMBERS)
 def test_an_energy_and_its_gradient_are_nan(device, labels, name, place, value):
-    """By torch at first, then by the captured iteration."""
+    """Torch runs first, and then the captured iteration."""
     body = walker(device)
     seen = unsure_observation(body, labels=label_set("surreal14") if labels else None)
     energy = Energy(seen, size=SIZE)

@@ -157,7 +157,7 @@ def test_pixels_that_outlines_cut_pull_little(device, renderer):
 
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_descending_the_gradient_brings_a_part_to_its_target(device, renderer):
-    """From either side, in x and in y; ``unit`` is the scene's in pixels."""
+    """It comes from either side, in x and in y. ``unit`` is the scene's in pixels."""
     size = (32, 32)
     camera = body_camera(size, False, device=device)
     if renderer == "mesh":
@@ -194,7 +194,7 @@ def test_descending_the_gradient_brings_a_part_to_its_target(device, renderer):
 @given(seed=seeds)
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_moving_body_and_camera_together_changes_nothing(device, renderer, seed):
-    """By powers of two, which float32 adds without error, so that not a pixel may change."""
+    """The moves are powers of two, which float32 adds without error, so that not a pixel may change."""
     camera = WeakPerspective(torch.tensor([16.0], device=device), torch.tensor([[24.0, 18.0]], device=device))
     target = target_of(seed, camera, renderer, device)
     found = []

@@ -103,7 +103,7 @@ def test_dense_gradient_is_the_reference(device, perspective, max_distance, cull
 @pytest.mark.parametrize("frontal", [False, True])
 @pytest.mark.parametrize("perspective", CAMERAS)
 def test_label_loss_gradient_is_the_reference_on_ellipbody(device, perspective, frontal):
-    """From the front, 56 of the mean body's 400 faces have no area in the picture."""
+    """Seen from the front, 56 of the mean body's 400 faces have no area in the picture."""
     size = (40, 32)
     leaf, mesh = projected_bodies(3, size, device, perspective, frontal=frontal)
     scene = mesh_scene(leaf[0], mesh, perspective)

@@ -13,6 +13,7 @@ import torch
 import trimesh
 from helpers.example import example_keypoints, example_parts, example_photo
 from helpers.pictures import draw_on_screen
+from helpers.quick import QUICK_SEARCH
 from PIL import Image
 
 from warp_partdr.body.labels import label_set
@@ -27,17 +28,12 @@ from warp_partdr.results.body_file import load_body
 from warp_partdr.results.palette import PART_COLOURS, group_colours
 from warp_partdr.results.pictures import loss_chart, panels
 from warp_partdr.solve.ellipsoids.fitting import fit_body
-from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.result import FitResult
 from warp_partdr.solve.ellipsoids.stages import Stage
 
 PHOTO = example_photo()
 KEYPOINTS = example_keypoints()
 PARTS = example_parts()
-QUICK = FitOptions(
-    start="search",
-    stages=(Stage("lift", 16, 12, 0.1), Stage("keypoints", 16, 6, 0.04), Stage("labels", 2, 8, 0.02, 64)),
-)
 
 
 def pixels(path: Path) -> np.ndarray:
@@ -48,13 +44,13 @@ def pixels(path: Path) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def result() -> FitResult:
-    return fit_body(KEYPOINTS, PARTS, options=replace(QUICK, guess_camera=False))
+    return fit_body(KEYPOINTS, PARTS, options=replace(QUICK_SEARCH, guess_camera=False))
 
 
 @pytest.fixture(scope="module")
 def bare() -> FitResult:
     """A fit to keypoints alone."""
-    return fit_body(KEYPOINTS, options=QUICK)
+    return fit_body(KEYPOINTS, options=QUICK_SEARCH)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +100,7 @@ def test_the_report_scores_parts_and_keypoints(folder: Path, result: FitResult) 
     assert 0.5 < report["parts"]["part_f1"] < report["parts"]["foreground_f1"] <= 1
     assert set(report["parts"]["f1"]) == {"background", *label_set("cdcl14").group_names}
     assert set(report["parts_lsp6"]["f1"]) == {"background", *label_set("lsp6").group_names}
-    assert list(report["seconds"]) == [stage.name for stage in QUICK.stages]
+    assert list(report["seconds"]) == [stage.name for stage in QUICK_SEARCH.stages]
     assert report["keypoints"]["confident"] == 17
     assert 0 < report["keypoints"]["mean_distance_px"] < 30
     assert report["versions"]["torch"] == torch.__version__

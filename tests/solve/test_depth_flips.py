@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from helpers.bodies import QUICK_SEARCH, observation_of
+from helpers.bodies import observation_of
+from helpers.quick import QUICK_SEARCH
 
 from warp_partdr import FitOptions, fit_body
 from warp_partdr.body.lens import place_bodies

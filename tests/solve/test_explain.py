@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from helpers.bodies import QUICK_SEARCH, TIPS, WITHOUT_TIPS, bent_bodies, seen_by
+from helpers.bodies import TIPS, WITHOUT_TIPS, bent_bodies, seen_by
 from helpers.files import EXAMPLE
+from helpers.quick import QUICK_SEARCH
 from rich.console import Console
 from typer.testing import CliRunner
 

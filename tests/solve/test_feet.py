@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.quick import QUICK_SCENE
 
 from warp_partdr.body.skeletons import MPJPE_JOINTS
 from warp_partdr.inputs.scene import Scene
@@ -16,7 +17,6 @@ from warp_partdr.lab.synthetic.mocap import Clip
 from warp_partdr.lab.synthetic.scene_people import LABELS, make_clip, make_pair
 from warp_partdr.models.anny import anny
 from warp_partdr.solve.mesh.mesh_energy import mesh_energy
-from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.scene.clusters import find_clusters
 from warp_partdr.solve.scene.energy import SceneEnergy, SceneStarts
 from warp_partdr.solve.scene.feet import FEET, slides
@@ -25,12 +25,11 @@ from warp_partdr.solve.scene.looks import look_at
 from warp_partdr.solve.scene.options import SceneOptions
 from warp_partdr.solve.scene.start import gather_scene
 
-QUICK = SceneOptions(mesh=MeshOptions(iterations=30, learning_rate=0.02, size=96, vertices=800), together=128)
 RATE = torch.tensor(30.0)
 STANDS, MOVES = 0.15, 0.75  # [m/s]
 
 
-def prepared(scene: Scene, options: SceneOptions = QUICK) -> tuple[SceneEnergy, SceneStarts]:
+def prepared(scene: Scene, options: SceneOptions = QUICK_SCENE) -> tuple[SceneEnergy, SceneStarts]:
     looks = look_at(scene, "cpu")
     one, clusters = mesh_energy(anny(), options.mesh, LABELS), find_clusters(looks, scene.num_people)
     energy = scene_energy(one, options, clusters, LABELS.num_groups)
@@ -210,10 +209,10 @@ def test_only_films_whose_frames_are_near_one_another_have_feet_that_stand() -> 
     uneven = replace(film, times=[0.0, 0.1, 0.6])
     assert prepared(uneven)[1].rates.tolist() == [10, 0]
     for other, options in (
-        (replace(film, sights=[sight]), QUICK),
-        (replace(film, frame_rate=5.0), QUICK),
-        (film, replace(QUICK, smoothing=0.0)),
-        (film, replace(QUICK, sliding=0.0)),
+        (replace(film, sights=[sight]), QUICK_SCENE),
+        (replace(film, frame_rate=5.0), QUICK_SCENE),
+        (film, replace(QUICK_SCENE, smoothing=0.0)),
+        (film, replace(QUICK_SCENE, sliding=0.0)),
     ):
         energy, people = prepared(other, options)
         assert people.rates is None
@@ -228,7 +227,7 @@ def test_somebody_who_stands_slides_less(device: str) -> None:
     sample = make_clip(5, stands, 30.0)
     speeds = []
     for weight in (0.0, 0.3):
-        fit = fit_scene(sample.scene, options=replace(QUICK, sliding=weight), device=device)
+        fit = fit_scene(sample.scene, options=replace(QUICK_SCENE, sliding=weight), device=device)
         speeds.append(sliding_speed(fit.landmarks(MPJPE_JOINTS).cpu().numpy(), sample.joints, 30.0))
         assert ("sliding" in fit.energy) == (weight > 0)
     assert speeds[0] > 0.05  # [m/s]

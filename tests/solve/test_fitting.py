@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.bodies import PICTURE_SIZE, QUICK_SEARCH, seen_by, walker
+from helpers.bodies import PICTURE_SIZE, seen_by, walker
+from helpers.quick import QUICK_SEARCH
 
 from warp_partdr import metrics
 from warp_partdr.body.posing import LandmarkGather

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers.quick import QUICK_SCENE
 
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.inputs.keypoints import Keypoints2D
@@ -15,14 +16,12 @@ from warp_partdr.inputs.scene import Ground, Scene, Sight
 from warp_partdr.lab.synthetic.scene_people import LABELS, make_group, make_views
 from warp_partdr.models.anny import anny
 from warp_partdr.solve.mesh.mesh_energy import mesh_energy
-from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.scene.clusters import find_clusters
 from warp_partdr.solve.scene.fitting import fit_scene, scene_energy
 from warp_partdr.solve.scene.ground import Standing, feet_seen, find_ground, stand_on_ground
 from warp_partdr.solve.scene.looks import look_at
 from warp_partdr.solve.scene.options import SceneOptions
 
-QUICK = SceneOptions(mesh=MeshOptions(iterations=30, size=96, vertices=800), together=160, ground=0.1)
 PLACES = np.array([[-1.0, 3.0], [-0.4, 5.0], [0.3, 3.6], [0.9, 4.6], [1.4, 5.4], [-1.6, 4.0]])  # [m]: right, away
 LEVEL = np.array([0.0, -1.0, 0.0])
 
@@ -91,9 +90,9 @@ def test_whose_ankles_are_not_seen_in_a_frame_does_not_stand_in_it_alone() -> No
     sights[1] = without_ankles(sights[1])
     scene = replace(group, sights=sights)
     looks = look_at(scene, "cpu")
-    one, clusters = mesh_energy(anny(), QUICK.mesh, LABELS), find_clusters(looks, scene.num_people)
+    one, clusters = mesh_energy(anny(), QUICK_SCENE.mesh, LABELS), find_clusters(looks, scene.num_people)
     with torch.no_grad():
-        energy = scene_energy(one, QUICK, clusters, LABELS.num_groups)
+        energy = scene_energy(one, QUICK_SCENE, clusters, LABELS.num_groups)
         _, grounded = stand_on_ground(energy, anny(), scene, looks)
     assert grounded is not None
     assert (grounded.shares > 0).tolist() == [True, False, True, True]
@@ -160,9 +159,9 @@ def same(one: Scene, options: SceneOptions) -> bool:
 
 
 def test_what_needs_no_ground_is_bit_for_bit_as_without() -> None:
-    assert same(make_views(3, 1).scene, QUICK)
+    assert same(make_views(3, 1).scene, QUICK_SCENE)
     group = make_group(0).scene
-    assert same(replace(group, sights=[without_ankles(sight) for sight in group.sights]), QUICK)
+    assert same(replace(group, sights=[without_ankles(sight) for sight in group.sights]), QUICK_SCENE)
 
 
 def test_feet_of_a_group_come_to_one_ground(device) -> None:
@@ -171,7 +170,7 @@ def test_feet_of_a_group_come_to_one_ground(device) -> None:
         looks = look_at(sample.scene, device)
     off = {}
     for weight in (0.0, 0.1):
-        fit = fit_scene(sample.scene, options=replace(QUICK, ground=weight), device=device, looks=looks)
+        fit = fit_scene(sample.scene, options=replace(QUICK_SCENE, ground=weight), device=device, looks=looks)
         lowest = fit.vertices[:, 0, :, 1].amax(1).cpu().numpy()  # the world's y is down
         off[weight] = float(np.std(lowest))
     assert fit.ground is not None
@@ -185,7 +184,7 @@ def test_the_ground_does_not_depend_on_the_world_s_frame() -> None:
     move = torch.tensor([2.0, -1.0, 3.0])
     (view,) = scene.views
     moved = replace(view, rotation=view.rotation @ turn, translation=view.translation + view.rotation @ move)
-    here, there = (fit_scene(each, options=QUICK) for each in (scene, replace(scene, views=[moved])))
+    here, there = (fit_scene(each, options=QUICK_SCENE) for each in (scene, replace(scene, views=[moved])))
     assert here.ground is not None
     assert there.ground is not None
     np.testing.assert_allclose(turn.numpy() @ there.ground.normal, here.ground.normal, atol=1e-3)

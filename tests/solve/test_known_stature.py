@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 from helpers.people import crowd
+from helpers.quick import QUICK_MESH
 
 from warp_partdr import FitOptions, fit_body
 from warp_partdr.body.rotations import rotation_from_axis_angle
@@ -25,13 +26,11 @@ from warp_partdr.pipelines.photo import fit_photo
 from warp_partdr.results.save import describe_body, describe_mesh
 from warp_partdr.solve.ellipsoids.fitting import fit_evidence
 from warp_partdr.solve.ellipsoids.result import FitResult
-from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.mesh.mesh_stage import MeshFit, refine_meshes
 from warp_partdr.solve.scene.fitting import fit_scene
 from warp_partdr.solve.scene.options import SceneOptions
 
 FAST = FitOptions.at("fast")
-QUICK = MeshOptions(iterations=20, size=96, vertices=800)
 TALL = 1.93  # [m]
 
 
@@ -93,13 +92,13 @@ def test_the_mesh_has_it_and_others_beside_stay_as_they_are(device):
     plain = [fitted(sample, None, device) for sample in samples]
     tall = fitted(samples[0], TALL, device)
     model = anny(torch.device(device))
-    one, other = refine_meshes([tall, plain[1]], model, options=QUICK)
-    both = refine_meshes(plain, model, options=QUICK)
+    one, other = refine_meshes([tall, plain[1]], model, options=QUICK_MESH)
+    both = refine_meshes(plain, model, options=QUICK_MESH)
     assert statures(model, one.body.shape).item() == pytest.approx(TALL, abs=1e-4)
     rounding = 0.0 if device == "cpu" else 1e-3  # CUDA adds a mesh's forces in any order
     torch.testing.assert_close(other.body.shape, both[1].body.shape, rtol=0, atol=rounding)
     assert alike(samples[0], one, both[0]) > 0.9
-    (grown,) = refine_meshes([replace(plain[0], stature=TALL)], model, options=QUICK)  # from the guessed size on
+    (grown,) = refine_meshes([replace(plain[0], stature=TALL)], model, options=QUICK_MESH)  # from the guessed size on
     assert alike(samples[0], grown, both[0]) > 0.9
     assert statures(model, grown.body.shape).item() == pytest.approx(TALL, abs=1e-4)
     assert standing(one.ellipbody) == pytest.approx(TALL, rel=0.02)
@@ -127,7 +126,7 @@ def test_of_several_people_it_is_whose():
     picture, _ = crowd(2)
     with pytest.raises(InputError, match=r"stature: 1\.8 m, of 2 people; expected one of them, person 0 to 1"):
         fit_photo(picture, options=FitOptions(stature=1.8))
-    fit = fit_photo(picture, person=0, options=replace(FAST, mesh=QUICK, stature=1.8))
+    fit = fit_photo(picture, person=0, options=replace(FAST, mesh=QUICK_MESH, stature=1.8))
     assert statures(fit.fits[0].body.model, fit.fits[0].body.shape).item() == pytest.approx(1.8, abs=1e-4)
 
 
@@ -137,7 +136,7 @@ def test_a_person_of_a_film_has_it_in_all_frames_and_is_seen_as_without(device):
     turn = rotation_from_axis_angle(torch.tensor([0.3, -0.2, 0.1]))
     view = replace(one.views[0], rotation=turn, translation=torch.tensor([0.5, -0.3, 1.0]))
     scene = replace(one, views=[view], sights=[replace(one.sights[0], frame=frame) for frame in range(3)])
-    options = SceneOptions(mesh=QUICK)
+    options = SceneOptions(mesh=QUICK_MESH)
     plain, tall = (fit_scene(scene, options=replace(options, stature=each), device=device) for each in (None, TALL))
     assert tall.statures.tolist() == pytest.approx([TALL], abs=1e-4)
     assert abs(plain.statures.item() - TALL) > 0.1

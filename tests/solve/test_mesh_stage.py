@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.quick import QUICK_MESH
 
 from warp_partdr import Perspective, metrics
 from warp_partdr.body.template import JOINT_NAMES, PART_NAMES
@@ -25,7 +26,6 @@ from warp_partdr.solve.mesh.mesh_stage import MeshFit, refine_mesh, refine_meshe
 from warp_partdr.solve.mesh.steps import Steps
 
 HIPS = ("left_hip", "right_hip")
-QUICK = MeshOptions(iterations=20, size=96, vertices=800)
 
 
 def fitted(sample: Sample, device: str = "cpu", **given: object) -> FitResult:
@@ -60,7 +60,7 @@ def test_it_shows_the_labels_better_than_ellipsoids(sample, device):
 
 
 def test_no_steps_leave_ellipbodys_pose(first):
-    mesh = refine_mesh(first, options=replace(QUICK, iterations=0))
+    mesh = refine_mesh(first, options=replace(QUICK_MESH, iterations=0))
     names = ("left_knee", "right_ankle", "left_elbow", "right_wrist", "neck", "head")
     apart = np.linalg.norm(mesh.landmarks(names) - first.landmarks(names), axis=1)
     assert apart.max() < 0.045
@@ -70,12 +70,15 @@ def test_no_steps_leave_ellipbodys_pose(first):
 @pytest.mark.parametrize("kind", ["depths", "turns"])
 def test_the_network_holds_depth_and_turns(first, kind):
     """The surer it says it is, the less the body moves."""
-    said, alone = first.uncertainty, replace(QUICK, depth=0.0) if kind == "turns" else replace(QUICK, turns=0.0)
+    said, alone = (
+        first.uncertainty,
+        replace(QUICK_MESH, depth=0.0) if kind == "turns" else replace(QUICK_MESH, turns=0.0),
+    )
 
     def moved(spread: float) -> float:
         stated = replace(first, uncertainty=replace(said, **{kind: spread * getattr(said, kind)}))
         start, found = (
-            refine_mesh(stated, options=replace(alone, iterations=steps)).body for steps in (0, QUICK.iterations)
+            refine_mesh(stated, options=replace(alone, iterations=steps)).body for steps in (0, QUICK_MESH.iterations)
         )
         if kind == "depths":
             return float((start.detailed.joints - found.detailed.joints)[..., 2].abs().mean())
@@ -101,7 +104,7 @@ def test_without_labels_keypoints_pull_alone(sample):
     alone = fit_body(sample.keypoints, None, options=FitOptions.at("fast"))
     off = []
     for iterations in (0, 20):
-        mesh = refine_mesh(alone, options=replace(QUICK, iterations=iterations))
+        mesh = refine_mesh(alone, options=replace(QUICK_MESH, iterations=iterations))
         assert "seg" not in mesh.body.losses
         places = torch.from_numpy(mesh.landmarks(sample.keypoints.format.marks))[None]
         apart = mesh.camera.project(places)[0, :, :2].numpy() - sample.keypoints.points
@@ -112,10 +115,10 @@ def test_without_labels_keypoints_pull_alone(sample):
 def test_a_known_camera_sees_it_in_metres():
     near = make_sample(0, "near")
     found, weak = fitted(near, camera=near.camera), fitted(near)
-    first_terms = [refine_mesh(each, options=replace(QUICK, iterations=1)).body.losses for each in (found, weak)]
+    first_terms = [refine_mesh(each, options=replace(QUICK_MESH, iterations=1)).body.losses for each in (found, weak)]
     for name in ("proj", "seg"):  # it is seen where it is, as without the camera
         assert first_terms[0][name].item() == pytest.approx(first_terms[1][name].item(), rel=0.25)
-    mesh = refine_mesh(found, options=QUICK)
+    mesh = refine_mesh(found, options=QUICK_MESH)
     assert isinstance(mesh.camera, Perspective)
     assert mesh.camera.focal[0, 0] == pytest.approx(float(near.camera.focal[0, 0]), rel=1e-3)
     pelvis = mesh.landmarks(("pelvis",))[0]
@@ -128,7 +131,7 @@ def test_a_known_camera_sees_it_in_metres():
 
 
 def test_a_search_s_body_is_held_by_common_spreads(first):
-    mesh = refine_mesh(replace(first, uncertainty=None), options=QUICK)
+    mesh = refine_mesh(replace(first, uncertainty=None), options=QUICK_MESH)
     assert all(np.isfinite(term) for term in mesh.body.losses.values())
 
 
@@ -140,13 +143,13 @@ def test_it_goes_on_from_where_the_outline_stage_began(sample):
     )
     assert before.before_outline is None
     names = ("left_knee", "right_wrist", "neck")
-    ends = [refine_mesh(each, options=QUICK).landmarks(names) for each in (whole, before)]
+    ends = [refine_mesh(each, options=QUICK_MESH).landmarks(names) for each in (whole, before)]
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-5)
 
 
 def test_ellipbody_is_measured_from_it(first):
     """Both are one body: joints, what the camera sees, and nothing that an edit would find unexplained."""
-    mesh = refine_mesh(first, options=QUICK)
+    mesh = refine_mesh(first, options=QUICK_MESH)
     body, fit = mesh.body, mesh.ellipbody
     apart = np.linalg.norm(fit.landmarks(JOINT_NAMES) - mesh.landmarks(JOINT_NAMES), axis=1)
     assert apart.max() < 0.02
@@ -185,7 +188,7 @@ def test_legs_that_stand_in_each_other_are_parted(first):
     for part, angle in (("left_upper_leg", -0.25), ("right_upper_leg", 0.25)):
         turns[0, PART_NAMES.index(part)] = torch.tensor([0.0, 0.0, angle])
     crossed = replace(first, parameters=replace(first.parameters, rotations=turns))
-    alone = replace(QUICK, proj=0.0, seg=0.0, depth=0.0, turns=0.1, apart=1.0)
+    alone = replace(QUICK_MESH, proj=0.0, seg=0.0, depth=0.0, turns=0.1, apart=1.0)
     found: list[float] = []
     for iterations in (1, 40):
         mesh = refine_mesh(crossed, options=replace(alone, iterations=iterations))
@@ -217,9 +220,9 @@ def test_people_side_by_side_are_as_alone(crowd, device):
     """Also the second time, when a graph takes other people than those it was captured for."""
     spread = 0.1 if device == "cpu" else 0.5  # CUDA adds a mesh's forces in any order: no two runs are alike
     firsts, names = several(crowd, device), (*HIPS, "left_wrist", "right_ankle", "head")
-    alone = [refine_mesh(each, options=QUICK) for each in firsts]
+    alone = [refine_mesh(each, options=QUICK_MESH) for each in firsts]
     for order in ([0, 1, 2, 3, 4, 5], [5, 4, 3, 2, 1, 0]):
-        together = refine_meshes([firsts[place] for place in order], options=QUICK)
+        together = refine_meshes([firsts[place] for place in order], options=QUICK_MESH)
         for place, mesh in zip(order, together, strict=True):
             assert mesh.first is firsts[place]
             np.testing.assert_allclose(mesh.landmarks(names), alone[place].landmarks(names), atol=2e-3)
@@ -236,7 +239,7 @@ def test_steps_start_again_with_other_people(crowd):
     """As captured steps do, whose tensors stay where they are."""
     everyone = several(crowd, "cpu")
     seen = [each for each in everyone if each.observation.lens is None and each.observation.label_set is not None][:2]
-    energy = mesh_energy(anny(), QUICK, seen[0].observation.label_set)
+    energy = mesh_energy(anny(), QUICK_MESH, seen[0].observation.label_set)
     first, second = (gather_starts(energy, anny(), [each]) for each in seen)
     rate = energy.options.learning_rate
     used, fresh = Steps(energy, first.copied(), rate), Steps(energy, second, rate)
@@ -252,14 +255,14 @@ def test_steps_start_again_with_other_people(crowd):
 
 def test_progress_of_batches_is_one(crowd):
     told: list[tuple[str, int, int]] = []
-    short = replace(QUICK, iterations=2)
+    short = replace(QUICK_MESH, iterations=2)
     refine_meshes(several(crowd, "cpu"), options=short, progress=lambda *news: told.append(news))
     assert told == [("mesh", step, 6) for step in range(1, 7)]  # with labels, with a camera, without labels
 
 
 def test_progress_is_told(first):
     told: list[tuple[str, int, int]] = []
-    refine_mesh(first, options=QUICK, progress=lambda *news: told.append(news))
+    refine_mesh(first, options=QUICK_MESH, progress=lambda *news: told.append(news))
     assert told == [("mesh", step, 20) for step in range(1, 21)]
 
 
@@ -273,9 +276,9 @@ def test_wrong_arguments_are_named(first):
     with pytest.raises(ValueError, match=r"model: torch\.float64 on cpu; expected torch\.float32 on cpu"):
         refine_mesh(first, anny(dtype=torch.float64))
     with pytest.raises(ValueError, match="iterations"):
-        refine_mesh(first, options=replace(QUICK, iterations=-1))
+        refine_mesh(first, options=replace(QUICK_MESH, iterations=-1))
     with pytest.raises(InputError, match=r"learning_rate: 0\.01; the mesh stage went astray .*; expected a smaller"):
-        refine_mesh(first, options=replace(QUICK, proj=1e38))
+        refine_mesh(first, options=replace(QUICK_MESH, proj=1e38))
     with pytest.raises(ValueError, match="size: 0; expected"):
         MeshOptions(size=0)
     with pytest.raises(ValueError, match="seg: -1"):
@@ -289,20 +292,20 @@ def test_wrong_arguments_are_named(first):
     with pytest.raises(ValueError, match="noise: 'loud'; expected 'unknown' or 'usual'"):
         MeshOptions(noise="loud")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="vertices"):
-        replace(QUICK, vertices=10)
+        replace(QUICK_MESH, vertices=10)
 
 
 def test_a_caller_s_inference_mode_changes_nothing(first):
-    usual = refine_mesh(first, options=QUICK)
+    usual = refine_mesh(first, options=QUICK_MESH)
     with torch.inference_mode():
-        found = refine_mesh(first, options=QUICK)
+        found = refine_mesh(first, options=QUICK_MESH)
         fit = fit_body(first.evidence.keypoints, first.evidence.picture, quality="fast")
     torch.testing.assert_close(found.body.detailed.vertices, usual.body.detailed.vertices, rtol=0, atol=0)
     assert not fit.posed.joints.is_inference()
-    refine_mesh(fit, options=replace(QUICK, iterations=1))
+    refine_mesh(fit, options=replace(QUICK_MESH, iterations=1))
 
 
 def test_it_moves_to_another_device_as_a_whole(first, device):
-    mesh = refine_mesh(first, options=replace(QUICK, iterations=1)).to(device)
+    mesh = refine_mesh(first, options=replace(QUICK_MESH, iterations=1)).to(device)
     assert isinstance(mesh, MeshFit)
     assert mesh.body.detailed.vertices.device.type == mesh.first.parameters.shift.device.type == device

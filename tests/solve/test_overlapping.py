@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.quick import QUICK_MESH
 
 from warp_partdr import FitOptions, metrics
 from warp_partdr.body.skeletons import MPJPE_JOINTS
@@ -14,11 +15,8 @@ from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.lab.synthetic.scene_people import SceneSample, make_pair
 from warp_partdr.solve.ellipsoids.fitting import fit_evidence
 from warp_partdr.solve.ellipsoids.result import FitResult
-from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.mesh.mesh_stage import refine_meshes
 from warp_partdr.solve.scene.overlapping import overlapping, refine_people
-
-QUICK = MeshOptions(iterations=20, vertices=800)
 
 
 def fits_of(sample: SceneSample, camera: Perspective | None, device: str) -> list[FitResult]:
@@ -41,7 +39,7 @@ def test_who_overlaps_is_one_scene(device) -> None:
     results = fits_of(sample, camera, device)
     assert overlapping(results) == ((0, 1),)
     told: list[str] = []
-    fits = refine_people(results, options=QUICK, progress=lambda name, done, total: told.append(name))
+    fits = refine_people(results, options=QUICK_MESH, progress=lambda name, done, total: told.append(name))
     assert set(told) == {"scene"}
     for person, (fit, first) in enumerate(zip(fits, results, strict=True)):
         assert fit.first is first
@@ -66,7 +64,7 @@ def test_a_scene_s_bodies_stay_where_it_has_them(monkeypatch) -> None:
 
     monkeypatch.setattr(module, "fit_scene", spied)
     sample = make_pair(103, "clean")
-    fits = refine_people(fits_of(sample, sample.scene.views[0].camera, "cpu"), options=QUICK)
+    fits = refine_people(fits_of(sample, sample.scene.views[0].camera, "cpu"), options=QUICK_MESH)
     (scene,) = seen
     for person, fit in enumerate(fits):
         there = scene.vertices[person, 0].numpy()
@@ -82,7 +80,7 @@ def test_all_others_are_refined_side_by_side() -> None:
         assert overlapping(results) == ()
     for results in (apart, weak):
         found, expected = (
-            refine(results, options=replace(QUICK, iterations=2)) for refine in (refine_people, refine_meshes)
+            refine(results, options=replace(QUICK_MESH, iterations=2)) for refine in (refine_people, refine_meshes)
         )
         for one, other in zip(found, expected, strict=True):
             assert np.array_equal(one.vertices, other.vertices)

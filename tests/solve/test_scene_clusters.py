@@ -7,21 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.quick import QUICK_SCENE
 
 from warp_partdr.cameras import Crop
 from warp_partdr.inputs.scene import Scene, Sight
 from warp_partdr.lab.synthetic.scene_people import LABELS, make_views
 from warp_partdr.models.anny import anny
 from warp_partdr.solve.mesh.mesh_energy import mesh_energy
-from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.scene.clusters import find_clusters, slots_of
 from warp_partdr.solve.scene.energy import SceneEnergy, SceneStarts
 from warp_partdr.solve.scene.fitting import fit_scene, scene_energy
 from warp_partdr.solve.scene.looks import Looked, look_at
 from warp_partdr.solve.scene.options import SceneOptions
 from warp_partdr.solve.scene.start import gather_scene
-
-QUICK = SceneOptions(mesh=MeshOptions(iterations=8, size=96, vertices=800), together=160)
 
 
 def beside(sight: Sight, person: int, widths: float, *, frame: int = 0, parts: bool = True) -> Sight:
@@ -106,7 +104,7 @@ def test_who_stands_apart_is_drawn_as_alone() -> None:
     many = replace(scene, sights=[one, beside(one, 1, 4.0, parts=False)])
     targets = []
     for each in (scene, many):
-        _, people = energy_of(each, QUICK)
+        _, people = energy_of(each, QUICK_SCENE)
         assert people.together is None
         assert people.alone is not None
         targets.append(people.alone.target)
@@ -118,12 +116,12 @@ def test_more_people_than_labels_are_fitted_where_few_overlap() -> None:
     """20 people, of whom a picture could hold 18: 14 groups each."""
     one = make_views(3, 1).scene
     sights = [beside(one.sights[0], person, 4.0 * person, parts=person % 10 == 0) for person in range(20)]
-    fit = fit_scene(replace(one, sights=sights), options=QUICK)
+    fit = fit_scene(replace(one, sights=sights), options=QUICK_SCENE)
     assert fit.joints.shape[0] == 20
     assert bool(fit.joints.isfinite().all())
 
 
-def seg_of(scene: Scene, options: SceneOptions = QUICK) -> float:
+def seg_of(scene: Scene, options: SceneOptions = QUICK_SCENE) -> float:
     energy, people = energy_of(scene, options)
     with torch.no_grad():
         return energy.factors(people)["seg"] * float(energy(people, energy.at_rest(people))["seg"].sum())
@@ -145,5 +143,5 @@ def test_labels_of_all_count_where_some_overlap() -> None:
 def test_the_size_of_pictures_together_does_not_weigh() -> None:
     one = make_views(3, 1).scene
     pair = replace(one, sights=[one.sights[0], beside(one.sights[0], 1, 0.5, parts=False)])
-    small, large = (seg_of(pair, replace(QUICK, together=size)) for size in (128, 256))
+    small, large = (seg_of(pair, replace(QUICK_SCENE, together=size)) for size in (128, 256))
     assert small == pytest.approx(large, rel=0.3)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.quick import QUICK_SCENE
 
 from warp_partdr import Perspective, metrics
 from warp_partdr.body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
@@ -20,7 +21,6 @@ from warp_partdr.models.anny import anny
 from warp_partdr.models.capsules import measure_capsules
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.solve.mesh.mesh_energy import mesh_energy
-from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.mesh.mesh_unknowns import Starts, Unknowns
 from warp_partdr.solve.scene.clusters import find_clusters
 from warp_partdr.solve.scene.depth_order import exchange, grown, order_people
@@ -31,11 +31,9 @@ from warp_partdr.solve.scene.looks import Looked, look_at
 from warp_partdr.solve.scene.options import SceneOptions
 from warp_partdr.solve.scene.start import gather_scene, time_shares
 
-QUICK = SceneOptions(mesh=MeshOptions(iterations=30, size=96, vertices=800), together=160)
-
 
 def prepared(
-    scene: Scene, device: str, options: SceneOptions = QUICK, looks: Sequence[Looked] | None = None
+    scene: Scene, device: str, options: SceneOptions = QUICK_SCENE, looks: Sequence[Looked] | None = None
 ) -> tuple[SceneEnergy, SceneStarts]:
     model = anny(torch.device(device))
     looks = looks or look_at(scene, device)
@@ -48,7 +46,7 @@ def prepared(
 def test_one_body_in_one_picture_has_the_mesh_stage_s_energy(device):
     scene = make_views(3, 1).scene
     turned = replace(scene, views=[View(scene.views[0].camera)])
-    energy, people = prepared(turned, device, replace(QUICK, mesh=replace(QUICK.mesh, apart=1.0)))
+    energy, people = prepared(turned, device, replace(QUICK_SCENE, mesh=replace(QUICK_SCENE.mesh, apart=1.0)))
     alone = Starts(
         **{name: getattr(people, name) for name in ("rotations", "translation", "shape", "log_scale", "shift")},
         **{name: getattr(people, name)[:, 0] for name in ("places", "points", "votes", "depths")},
@@ -74,9 +72,9 @@ def test_several_pictures_of_a_body_count_twice_or_plainly(monkeypatch):
     for name in ("keypoint_costs", "label_costs"):
         monkeypatch.setattr(f"warp_partdr.solve.scene.energy.{name}", refuse)
     for views, times in ((1, 1), (2, 2)):
-        energy, people = prepared(make_views(3, views).scene, "cpu", QUICK)
+        energy, people = prepared(make_views(3, views).scene, "cpu", QUICK_SCENE)
         factors = energy.factors(people)
-        mesh = QUICK.mesh.factors(QUICK.mesh.apart, QUICK.mesh.size)
+        mesh = QUICK_SCENE.mesh.factors(QUICK_SCENE.mesh.apart, QUICK_SCENE.mesh.size)
         assert (factors["proj"], factors["seg"]) == (times * mesh["proj"], times * mesh["seg"])
         if views > 1:
             energy(people, energy.at_rest(people))
@@ -87,11 +85,11 @@ def test_several_pictures_of_a_body_count_twice_or_plainly(monkeypatch):
 
 def test_two_cameras_find_where_somebody_stands(device):
     sample = make_views(11, 2)
-    found = fit_scene(sample.scene, options=QUICK, device=device).landmarks(MPJPE_JOINTS)[0, 0].cpu().numpy()
+    found = fit_scene(sample.scene, options=QUICK_SCENE, device=device).landmarks(MPJPE_JOINTS)[0, 0].cpu().numpy()
     off = 1000 * np.linalg.norm(found - sample.joints[0, 0], axis=-1).mean()
     assert off < 40  # [mm]
     one = replace(sample.scene, sights=[sight for sight in sample.scene.sights if sight.view == 0])
-    alone = fit_scene(one, options=QUICK, device=device).landmarks(MPJPE_JOINTS)[0, 0].cpu().numpy()
+    alone = fit_scene(one, options=QUICK_SCENE, device=device).landmarks(MPJPE_JOINTS)[0, 0].cpu().numpy()
     assert 1000 * np.linalg.norm(alone - sample.joints[0, 0], axis=-1).mean() > 1.3 * off
 
 
@@ -103,7 +101,7 @@ def test_the_world_s_frame_does_not_matter():
     elsewhere = [
         replace(v, rotation=v.rotation @ turn, translation=v.translation + v.rotation @ move) for v in scene.views
     ]
-    here, there = (fit_scene(each, options=QUICK).joints for each in (scene, replace(scene, views=elsewhere)))
+    here, there = (fit_scene(each, options=QUICK_SCENE).joints for each in (scene, replace(scene, views=elsewhere)))
     apart = ((there @ turn.mT + move) - here).norm(dim=-1)
     assert apart.mean() < 2e-3  # [m]
     assert apart.max() < 1e-2  # a fingertip or toe, whose turn rests on little, amplifies how sums are rounded
@@ -229,7 +227,7 @@ def test_people_are_drawn_together():
     assert people.alone is None
     shown = set(people.together.target.unique().tolist()) - {0, 255}
     assert min(shown) <= LABELS.num_groups < max(shown) <= 2 * LABELS.num_groups
-    fit = fit_scene(sample.scene, options=QUICK)
+    fit = fit_scene(sample.scene, options=QUICK_SCENE)
     for person in range(2):
         error = metrics.pa_mpjpe(fit.landmarks(MPJPE_JOINTS)[person, 0].numpy(), sample.joints[person, 0])
         assert 1000 * float(error) < 90
@@ -239,7 +237,7 @@ def test_frames_in_which_nobody_is_seen_are_bridged():
     sight = make_views(7, 1).scene.sights[0]
     views = make_views(7, 1).scene.views
     scene = Scene(views, [sight, replace(sight, frame=4)])
-    fit = fit_scene(scene, options=QUICK)
+    fit = fit_scene(scene, options=QUICK_SCENE)
     assert fit.joints.shape == (1, 5, 21, 3)
     assert fit.joints.isfinite().all()
     assert (fit.joints[0, 2] - fit.joints[0, 0]).norm(dim=-1).max() < 0.05
@@ -291,7 +289,7 @@ def test_steady_motion_is_not_held_back_at_the_ends():
 
 def test_starts_keep_more_of_a_fast_move_than_moves_could_bring_back():
     """Of somebody who stands still and in one frame seems nearer."""
-    scene, frames, options = make_views(3, 1).scene, 15, replace(QUICK, smoothing=0.1)
+    scene, frames, options = make_views(3, 1).scene, 15, replace(QUICK_SCENE, smoothing=0.1)
     look = look_at(scene, "cpu")[0]
     film = Scene(scene.views, [replace(look.sight, frame=frame) for frame in range(frames)])
     looks = [replace(look, sight=sight) for sight in film.sights]
@@ -348,7 +346,7 @@ def test_impossible_scenes_and_options_are_refused():
         SceneOptions(window=12, overlap=12)
     many = Scene(views, [Sight(sight.keypoints, sight.parts, person) for person in range(19)])
     with pytest.raises(InputError, match="19 people of 14 groups overlap; expected 254 labels at most, as of 18"):
-        fit_scene(many, options=QUICK)
+        fit_scene(many, options=QUICK_SCENE)
 
 
 def walkers() -> Scene:
@@ -370,7 +368,7 @@ def walkers() -> Scene:
 
 def test_cameras_in_centimetres_are_told() -> None:
     scene = make_views(3, 2).scene
-    quick = replace(QUICK, mesh=replace(QUICK.mesh, iterations=2))
+    quick = replace(QUICK_SCENE, mesh=replace(QUICK_SCENE.mesh, iterations=2))
     assert not fit_scene(scene, options=quick).warnings
     far = [replace(view, translation=100 * view.translation) for view in scene.views]
     (told,) = fit_scene(replace(scene, views=far), options=quick).warnings
@@ -382,7 +380,7 @@ def test_people_who_walk_through_each_other_end_apart(device):
     """They step aside in depth, so that keypoints are where they were."""
     scene, depths, pulls = walkers(), [], []
     for apart in (0.0, 0.1):
-        options = replace(QUICK, smoothing=0.03, mesh=replace(QUICK.mesh, iterations=60), apart=apart)
+        options = replace(QUICK_SCENE, smoothing=0.03, mesh=replace(QUICK_SCENE.mesh, iterations=60), apart=apart)
         fit = fit_scene(scene, options=options, device=device)
         assert ("apart" in fit.energy) == (apart > 0)
         capsules = measure_capsules(fit.bodies.model)
@@ -399,7 +397,7 @@ def test_people_who_walk_through_each_other_end_apart(device):
 def test_people_of_other_frames_do_not_meet():
     """Two who stand in each other, but at different times, cost nothing."""
     scene = walkers()
-    energy, people = prepared(scene, "cpu", replace(QUICK, apart=1.0))
+    energy, people = prepared(scene, "cpu", replace(QUICK_SCENE, apart=1.0))
     start = energy.at_rest(people)
     met = float(energy(people, start)["apart"].sum())
     scattered = people.view_translations.new_zeros(len(people.shift), 3)

@@ -58,7 +58,7 @@ def connected_cluster(address: str) -> Iterator[dict[str, float]]:
     """A cluster, and what it has ("CPU", "GPU").
 
     Args:
-        address: "local", "auto", "HOST:PORT", or "ray://HOST:PORT".
+        address: Address of the cluster: "local", "auto", "HOST:PORT", or "ray://HOST:PORT".
 
     Raises:
         InputError: If there is none.

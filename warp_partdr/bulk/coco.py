@@ -413,7 +413,7 @@ def decode_runs(given: Mapping[str, Any], size: tuple[int, int], where: str) -> 
         where: Beginning of messages, such as the file's name.
 
     Returns:
-        Shape (H, W), bool.
+        Mask, shape (H, W), bool.
 
     Raises:
         InputError: If it is no such mask of this size.

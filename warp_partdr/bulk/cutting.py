@@ -118,11 +118,11 @@ class Cutter:
                 wrong = {"person": number, "annotation": fault.annotation, "error": one_line(InputError(fault.error))}
                 rows.append(row | wrong)
         for own, some in attempt(_cut_masked, [person for _, person in masked]):
-            places = [number for number, _ in masked[own]]
+            row_indices = [number for number, _ in masked[own]]
             if isinstance(some, Exception):
-                rows[places[0]] |= _fault(some)
+                rows[row_indices[0]] |= _fault(some)
             else:
-                cut += zip(places, some, strict=True)
+                cut += zip(row_indices, some, strict=True)
         together = self._cut_labelled([each for _, each in labelled])
         for (number, alone), cut_person in zip(labelled, together, strict=True):
             try:
@@ -135,7 +135,7 @@ class Cutter:
         return Cut(
             tuple(name for name, _ in held),
             PeopleRows.of(rows),
-            [(numbers[places], people) for places, people in groups],
+            [(numbers[row_indices], people) for row_indices, people in groups],
         )
 
     def _cut_labelled(self, people: Sequence[LabelledPerson]) -> list[CutPerson | None]:

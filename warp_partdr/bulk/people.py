@@ -149,7 +149,7 @@ class _Taken:
     the pictures alone.
     """
 
-    how: PeopleFitter
+    fitter: PeopleFitter
     pool: ThreadPoolExecutor
     rows: PeopleRows = field(default_factory=PeopleRows)
     _held: list[Held] = field(default_factory=list)
@@ -164,11 +164,11 @@ class _Taken:
             done: Future[Cut] = Future()
             done.set_result(given)
             self._cutting.append(done)
-            self._collect_cut(self.how.workers)
+            self._collect_cut(self.fitter.workers)
             return
         self._held.append(given)
         there = [math.prod(each.size) for _, each in self._held if isinstance(each, SourcePicture)]
-        kind = torch.device(self.how.device).type
+        kind = torch.device(self.fitter.device).type
         if len(there) >= _PICTURES[kind] or sum(there) >= _PIXELS[kind]:
             self._cut()
 
@@ -186,17 +186,17 @@ class _Taken:
     def _cut(self) -> None:
         held, self._held = self._held, []
         if held:
-            self._cutting.append(self.pool.submit(_cut_people, self.how, held))
-        self._collect_cut(self.how.workers)
+            self._cutting.append(self.pool.submit(_cut_people, self.fitter, held))
+        self._collect_cut(self.fitter.workers)
 
     def _collect_cut(self, ahead: int) -> None:
-        """Take what was cut out, but for so many groups that may still be in work."""
+        """Take what was cut out, except for ``ahead`` groups that may still be in work."""
         while len(self._cutting) > ahead:
             cut = self._cutting.popleft().result()
             numbers = self.rows.extend(cut.rows)
-            for places, people in cut.people:
-                self._queue(people).add(numbers[places], people)
-            self._fit(self.how.batch)
+            for indices, people in cut.people:
+                self._queue(people).add(numbers[indices], people)
+            self._fit(self.fitter.batch)
 
     def _queue(self, people: CutPeople) -> _Waiting:
         """Waiting people of the same kind, who are fitted together; a new group if there are none."""
@@ -210,14 +210,14 @@ class _Taken:
         """Fit those who wait, in batches of ``least`` people at least."""
         for waiting in self._waiting:
             while waiting.count >= least:
-                places, people = waiting.take(self.how.batch)
-                self._fitting.append((places, self.pool.submit(_fit_people, self.how, people)))
-        self._collect_fitted(2 * self.how.workers)
+                indices, people = waiting.take(self.fitter.batch)
+                self._fitting.append((indices, self.pool.submit(_fit_people, self.fitter, people)))
+        self._collect_fitted(2 * self.fitter.workers)
 
     def _collect_fitted(self, ahead: int) -> None:
         while len(self._fitting) > ahead:
-            places, work = self._fitting.popleft()
-            self.rows.parts += [part.at(places) for part in work.result()]
+            indices, work = self._fitting.popleft()
+            self.rows.parts += [part.at(indices) for part in work.result()]
 
 
 @dataclass
@@ -228,23 +228,23 @@ class _Waiting:
     count: int = 0
     _parts: list[tuple[np.ndarray, CutPeople]] = field(default_factory=list)
 
-    def add(self, places: np.ndarray, people: CutPeople) -> None:
-        self._parts.append((places, people))
+    def add(self, indices: np.ndarray, people: CutPeople) -> None:
+        self._parts.append((indices, people))
         self.count += len(people)
 
     def take(self, most: int) -> tuple[np.ndarray, list[CutPeople]]:
-        """The first ones, so many at most."""
+        """Returns the first people, at most as many as asked for."""
         taken: list[tuple[np.ndarray, CutPeople]] = []
         room = most
         while room and self._parts:
-            places, people = self._parts.pop(0)
+            indices, people = self._parts.pop(0)
             if len(people) > room:
-                self._parts.insert(0, (places[room:], people[room:]))
-                places, people = places[:room], people[:room]
-            taken.append((places, people))
+                self._parts.insert(0, (indices[room:], people[room:]))
+                indices, people = indices[:room], people[:room]
+            taken.append((indices, people))
             room -= len(people)
         self.count -= most - room
-        return np.concatenate([places for places, _ in taken]), [people for _, people in taken]
+        return np.concatenate([indices for indices, _ in taken]), [people for _, people in taken]
 
 
 def _fit_people(fitter: PeopleFitter, given: Sequence[CutPeople]) -> list[RowPart]:

@@ -50,7 +50,7 @@ def read_in_processes(
         processes: Number of processes.
 
     Returns:
-        What ``PeopleFitter.rows`` takes, of each shard.
+        Pictures or cut people of each shard, as ``PeopleFitter.rows`` takes them.
 
     Raises:
         InputError: If a process ends before its time.

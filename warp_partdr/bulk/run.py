@@ -39,17 +39,17 @@ def make_dataset(
     Killed at any time, it leaves whole shards alone; what was in work is made again by a later call.
 
     Args:
-        source: The pictures, such as ``open_source`` finds.
+        source: Source of the pictures, such as ``open_source`` finds.
         shards: Shards of ``source.names``, in a folder.
-        fitter: Finds and fits the people.
-        columns: Columns of the rows, with keypoints in the format of ``fitter.cutter``; default: all that the fitter
-            makes, with keypoints in the format of ``source``.
-        todo: Indices of the shards to make; default: all that are not whole in the folder. Pictures that could not be
-            read before are read again.
-        threads: Threads that decode pictures while people are fitted.
-        processes: Instead, so many processes that cut out those who are known, too.
-        told: Called with each picture's name.
-        written: Called after each shard with its index and the numbers so far.
+        fitter: Object that finds and fits the people.
+        columns: Columns of the rows, with keypoints in the format of ``fitter.cutter``. By default, they are all that
+            the fitter makes, with keypoints in the format of ``source``.
+        todo: Indices of the shards to make. By default, they are all that are not whole in the folder. Pictures that
+            could not be read before are read again.
+        threads: Number of threads that decode pictures while people are fitted.
+        processes: Number of processes that decode pictures instead, and cut out the people who are known.
+        told: Function that is called with each picture's name.
+        written: Function that is called after each shard with its index and the numbers so far.
 
     Raises:
         InputError: If a shard can't be written.
@@ -78,7 +78,7 @@ def make_dataset(
                 written(index, tally)
 
     def collect(ahead: int) -> None:
-        """Write shards, but for so many that may still be fitted."""
+        """Write shards, except for ``ahead`` of them that may still be fitted."""
         nonlocal began
         while len(fitting) > ahead:
             index, finish = fitting.popleft()

@@ -201,7 +201,7 @@ class Shards:
             raise InputError(f"{self.folder}: {reason}; expected {room}") from error
 
     def completed(self, index: int, table: pa.Table, read: Sequence[str]) -> pa.Table:
-        """Rows of a shard of which some pictures were read: theirs, and those of the others in its file.
+        """Rows of a shard after some of its pictures were read, and those of the other pictures in its file.
 
         Raises:
             InputError: If its file can't be read.

@@ -119,7 +119,7 @@ class Kinds:
     others: int = 0
 
     def add(self, sentence: str, count: int, where: Address, kind: str | None = None) -> None:
-        """Count a sentence that occurred so often; its kind is by default that of ``kind_of``."""
+        """Count a sentence ``count`` times. By default, its kind is the one that ``kind_of`` returns."""
         kind = kind_of(sentence) if kind is None else kind
         if kind in self.counts:
             before, first, place = self.counts[kind]
@@ -162,10 +162,10 @@ class Worst:
 
     def add(self, values: np.ndarray, shard: int, rows: np.ndarray) -> None:
         """Take finite values of a shard's rows, if they are among the worst."""
-        places = np.column_stack([np.full(len(rows), shard), rows])
-        values, places = np.concatenate([self.values, values]), np.concatenate([self.places, places])
+        addresses = np.column_stack([np.full(len(rows), shard), rows])
+        values, addresses = np.concatenate([self.values, values]), np.concatenate([self.places, addresses])
         order = np.argsort(-values if self.score.worst == "high" else values, kind="stable")[: self.count]
-        self.values, self.places = values[order], places[order]
+        self.values, self.places = values[order], addresses[order]
 
     @property
     def addresses(self) -> list[Address]:
@@ -225,7 +225,7 @@ class Survey:
 
 
 def survey_people(
-    files: PeopleFiles, by: str = RANKED[0], count: int = 100, told: Callable[[str], None] | None = None
+    files: PeopleFiles, by: str = RANKED[0], count: int = 100, progress: Callable[[str], None] | None = None
 ) -> Survey:
     """Count everything in a data set, and find the worst people.
 
@@ -233,7 +233,7 @@ def survey_people(
         files: Files of the data set.
         by: Score by which people are worst, one of ``RANKED``.
         count: Number of worst people to find.
-        told: Function that is called with each shard's name.
+        progress: Function that is called with each shard's name.
 
     Raises:
         InputError: If a shard can't be read.
@@ -244,19 +244,19 @@ def survey_people(
         _count_shard(survey, files, shard, about)
         for name, value in flat_facts(about):
             survey.made.setdefault(name, Kinds()).add(value, 1, Address(shard, 0), kind=value)
-        if told is not None:
-            told(path.name)
+        if progress is not None:
+            progress(path.name)
     return survey
 
 
-def worst_people(files: PeopleFiles, by: str, count: int, told: Callable[[str], None] | None = None) -> Worst:
-    """Find the worst people by a score, one of ``RANKED``; other arguments as of ``survey_people``."""
+def worst_people(files: PeopleFiles, by: str, count: int, progress: Callable[[str], None] | None = None) -> Worst:
+    """Find the worst people by a score, one of ``RANKED``. The other arguments are those of ``survey_people``."""
     worst = Worst.by(by, count)
     for shard, path in files.paths.items():
         for first, batch in files.batches(shard, (*worst.score.columns, _BODY)):
             _take_worst(worst, shard, first, batch)
-        if told is not None:
-            told(path.name)
+        if progress is not None:
+            progress(path.name)
     return worst
 
 

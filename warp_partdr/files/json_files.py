@@ -27,7 +27,7 @@ def read_json(path: str | Path, expected: str) -> Any:
 
 
 def parse_json(text: str, where: str, expected: str) -> Any:
-    """Parse JSON text, refusing keys that stand twice; messages say whose it is and what is expected.
+    """Parse JSON text, refusing keys that stand twice. Messages name the text and what is expected.
 
     Raises:
         InputError: If it is no JSON, is nested too deeply, or an object in it has a key twice.

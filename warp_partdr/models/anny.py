@@ -76,9 +76,9 @@ def anny_shape(phenotypes: torch.Tensor | np.ndarray) -> torch.Tensor:
     """Shape values of people with these phenotype values.
 
     Args:
-        phenotypes: gender (0 male, 1 female), age (-1/3 newborn, 0 baby, 1/3 child, 2/3 young, 1 old), muscle, weight,
-            height and proportions (0 ideal), each 0 to 1 but for the age, shape (B, 6). Values outside are moved to the
-            nearest inside. Of an array the shape values are float32.
+        phenotypes: Gender (0 male, 1 female), age (-1/3 newborn, 0 baby, 1/3 child, 2/3 young, 1 old), muscle, weight,
+            height and proportions (0 ideal), shape (B, 6). Each is from 0 to 1, except the age. Values outside are
+            moved to the nearest inside. For an array, the shape values are float32.
 
     Returns:
         Shape values for ``anny().pose``, shape (B, 20), differentiable between the anchors.

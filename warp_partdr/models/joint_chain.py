@@ -33,7 +33,7 @@ def chain_joints(parents: tuple[int, ...], rotations: torch.Tensor, bones: torch
 
 
 def multiply_joints(parents: tuple[int, ...], rotations: torch.Tensor, bones: torch.Tensor) -> torch.Tensor:
-    """Frames of the joints as of ``chain_joints``, by torch: products of 1, 2, 4, ... bones, so that few steps do."""
+    """Frames of the joints as in ``chain_joints``, by torch: products of 1, 2, 4, ... bones, so that few steps do."""
     local = homogeneous(rotations, bones)
     nowhere = torch.eye(4, dtype=local.dtype, device=local.device).expand(len(local), 1, 4, 4)
     world = torch.cat([local, nowhere], dim=1)

@@ -18,7 +18,7 @@ from ..kernels import joint_turns as kernels
 
 
 def turn_joints(rotations: torch.Tensor, joints: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
-    """Local rotations (B, J, 3, 3) of which those of ``joints``, (N,), are turned by rotation vectors (B, N, 3)."""
+    """Local rotations (B, J, 3, 3), where those of ``joints``, (N,), are turned by rotation vectors (B, N, 3)."""
     fixed = rotations.dtype == turns.dtype == torch.float32 and not rotations.requires_grad
     if not fixed or torch.compiler.is_compiling() or is_transformed(rotations, turns):
         return _turn(rotations, joints, turns)

@@ -157,7 +157,7 @@ class DetailedModel(Movable):
     def carry(
         self, vertices: torch.Tensor, joints: torch.Tensor, rotations: torch.Tensor, translation: torch.Tensor
     ) -> Detailed:
-        """Pose bodies whose vertices (B, V, 3) and joints (B, J, 3) at rest are known; the rest as of ``pose``."""
+        """Pose bodies whose vertices (B, V, 3) and joints (B, J, 3) at rest are known, with arguments of ``pose``."""
         batch = len(joints)
         self._check("rotations", rotations, batch, self.num_joints, 3, 3)
         self._check("translation", translation, batch, 3)
@@ -197,14 +197,14 @@ class DetailedModel(Movable):
         return weigh_points(self.weights_of(names), torch.cat([detailed.vertices, detailed.joints], dim=1))
 
     def weights_of(self, names: Sequence[str]) -> torch.Tensor:
-        """Weights of landmarks over vertices and joints, shape (L, V + J), kept; errors as of ``landmarks``."""
+        """Weights of landmarks over vertices and joints, shape (L, V + J), kept, with the errors of ``landmarks``."""
         if unknown := ", ".join(repr(name) for name in names if name not in self.landmark_names):
             known = ", ".join(self.landmark_names)
             raise ValueError(f"names: {self.name} has no landmark {unknown}; expected some of {known}")
         return _landmark_rows(self, tuple(names))
 
     def rest_landmarks(self, shape: torch.Tensor, names: Sequence[str]) -> tuple[torch.Tensor, torch.Tensor]:
-        """Landmarks (B, L, 3) and joints (B, J, 3) of ``rest``, without its vertices; errors as of ``landmarks``."""
+        """Landmarks (B, L, 3) and joints (B, J, 3) of ``rest``, without vertices, with the errors of ``landmarks``."""
         self._check("shape", shape, None, self.num_shapes)
         rests, directions = _rest_rows(self, tuple(names))
         found = torch.addmm(rests, shape, directions).unflatten(1, (-1, 3))
@@ -288,8 +288,8 @@ def detailed_mesh(model: DetailedModel, at_joints: bool = False) -> PartMesh:
 
     Args:
         model: The model.
-        at_joints: Let neck, arms and legs begin at their joints. By default they begin where the skin follows them,
-            which for a limb is far inside of the trunk.
+        at_joints: True lets neck, arms and legs begin at their joints. By default they begin where the skin follows
+            them, which for a limb is far inside of the trunk.
     """
     parts = (parts_at_joints(model) if at_joints else model.face_parts).cpu().numpy()
     faces = model.faces.cpu().numpy()

@@ -116,7 +116,7 @@ def rest_turns(model: DetailedModel, rest: Detailed, *, trunk_along: bool = Fals
 
 
 def _turns_at_rest(model: DetailedModel, marks: torch.Tensor, trunk_along: bool) -> torch.Tensor:
-    """Rotation of each part from rest to EllipBody's rest pose, as of ``rest_turns``, by landmarks.
+    """Rotation of each part from rest to EllipBody's rest pose, found by landmarks as ``rest_turns`` does.
 
     ``marks`` are where the landmarks ``_marks`` of bodies at rest lie, shape (B, L, 3).
     """

@@ -55,7 +55,8 @@ class RegistrationWeights:
         icp: Distance between the surfaces, both ways.
         penetration: Eq. 18.
         measures: Lengths and thicknesses of the body against EllipBody's.
-        thinner: Count thicknesses where EllipBody is thinner than the model, too; not for ellipsoids within a body.
+        thinner: True also counts thicknesses where EllipBody is thinner than the model. It is False for ellipsoids
+            within a body.
         shape: Square of the shape values.
         pose: Square of the turns from EllipBody's pose [rad].
     """

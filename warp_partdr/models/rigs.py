@@ -124,7 +124,7 @@ def rig_model(
 
 
 def _smpl_names(names: list[str], parents: list[int]) -> list[str]:
-    """Names, those of the spine by the tree."""
+    """SMPL's names of joints. The spine's joints are found by the tree."""
     names = list(names)
     spine: list[int] = []
     joint = parents[names.index("neck")]

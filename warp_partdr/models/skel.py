@@ -80,7 +80,7 @@ def skel_model(
     - A 25th joint, skull, splits SKEL's head from its neck. Unturned, the two are SKEL's head.
 
     Raises:
-        ValueError: As ``check_skel``, or if the file has fewer shape values than asked for.
+        ValueError: If ``check_skel`` raises it, or if the file has fewer shape values than asked for.
         InputError: If the body stands in another frame than SMPL's.
     """
     own = _by_role(arrays, where)

@@ -45,7 +45,7 @@ class RiggedSkin:
 
     @cached_property
     def vertex_parts(self) -> np.ndarray:
-        """Part of each vertex, that of the joint it follows most; where this is the pelvis, the hip of its side."""
+        """Part of each vertex, that of the joint it follows most. For the pelvis, it is the hip of its side."""
         found = self.parts[self.weights.argmax(1)]
         of_pelvis = found < 0
         left, right = (PART_NAMES.index(hip) for hip in _HIPS)
@@ -54,7 +54,7 @@ class RiggedSkin:
 
     @property
     def face_parts(self) -> np.ndarray:
-        """Part of each face, shape (F,): that of most of its corners."""
+        """Part of each face, shape (F,), which is that of most of its corners."""
         corners = self.vertex_parts[self.faces]
         return np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
 

@@ -56,7 +56,7 @@ def _blend(weights: torch.Tensor, rows: torch.Tensor, vertices: torch.Tensor) ->
 
 
 def carry_sparsely(weights: torch.Tensor, rows: torch.Tensor, vertices: torch.Tensor) -> torch.Tensor:
-    """Vertices as of ``carry_skin``, by fixed weights, most of which are zero; float32."""
+    """Vertices as in ``carry_skin``, float32, by fixed weights, most of which are zero."""
     blended: torch.Tensor = _Blended.apply(rows, vertices, weights)
     return blended
 

@@ -161,7 +161,7 @@ def smpl_model(
     """Make a model of a file's ``ARRAYS``; messages begin with ``where``. Arguments are those of ``load_model``.
 
     Raises:
-        ValueError: As ``check_smpl``, or if the file has fewer shape values than asked for.
+        ValueError: If ``check_smpl`` raises it, or if the file has fewer shape values than asked for.
     """
     name = check_smpl(arrays, where)
     names = _MODELS[name]

@@ -44,11 +44,12 @@ def place_joints(
     """Eq. 15: S_i = R (l_i O_i) + S_parent(i), and the global rotations R of the bones (20, 3, 3).
 
     Args:
-        tree: Parents and O.
+        tree: Template with the parents and the directions O.
         orientation: Rotation of the whole body, shape (3, 3).
-        root: S_0, the pelvis, shape (3,).
-        rotations: r, of each bone with respect to its parent, R_k = R_parent(k) r_k, (20, 3, 3).
-        lengths: l, shape (12,).
+        root: Position S_0 of the pelvis [m], shape (3,).
+        rotations: Rotation r of each bone with respect to its parent, R_k = R_parent(k) r_k, shape
+            (20, 3, 3).
+        lengths: Lengths l [m], shape (12,).
 
     The paper writes R_parent(i), the rotation of the joint where the bone starts; here rotations
     are counted by bones, and it is the bone's own. Joint k + 1 is the end of bone k.

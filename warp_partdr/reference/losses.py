@@ -11,8 +11,8 @@ def learning_objective(terms: dict[str, float], weights: dict[str, float]) -> fl
     """Eq. 3: L = lambda_3D L_3D + lambda_proj L_proj + lambda_seg L_seg.
 
     Args:
-        terms: L by name.
-        weights: lambda by name, 0 for what a picture has no truth of.
+        terms: Losses L by name.
+        weights: Weight lambda of each term by name, 0 for terms without truth in a picture.
 
     EllipBodyNet's training adds L_l and L_t of eq. 19 and cross entropies of its heads.
     """
@@ -85,9 +85,10 @@ def refinement_energy(l_seg: float, l_proj: float, l_l: float, l_t: float, weigh
     Args:
         l_seg: Eq. 6 [px of a crop of 256 px, whatever size is drawn].
         l_proj: Eq. 5 [px of the same].
-        l_l: ‖l - l_mean‖² of the 12 lengths l [mm²], see ``size_loss``.
-        l_t: ‖t - t_mean‖² of the 15 thicknesses t [mm²].
-        weights: lambda of "seg", "proj", "l" and "t"; the paper has 1e-2, 1, 1e-3, 1e-3, no units.
+        l_l: Term ‖l - l_mean‖² of the 12 lengths l [mm²], see ``size_loss``.
+        l_t: Term ‖t - t_mean‖² of the 15 thicknesses t [mm²].
+        weights: Weight lambda of "seg", "proj", "l" and "t". The paper has 1e-2, 1, 1e-3, 1e-3, and
+            no units.
 
     r are rotations and c the camera. A fit adds a pose prior, joint limits and a hold in depth.
     """

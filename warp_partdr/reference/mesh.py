@@ -38,7 +38,7 @@ class MeshScene:
 
     Attributes:
         vertices: Columns, rows [px] and depths [m], shape (V, 3).
-        faces: f, shape (F, 3).
+        faces: Vertex indices f of each face, shape (F, 3).
         labels: Part of each face, 1 to K; 0 has no map.
         perspective: True: 1/depth is linear in the picture, not depth.
         near: Depth of the near plane [m].

@@ -30,10 +30,11 @@ class Rule:
     """Options of the rule.
 
     Attributes:
-        occlusion: "depth": a part that lies farther away than the edge counts as background does, for the edge would
-            cover it; "paper": eq. 11 to the letter, every other part gives 0.
-        edges: "silhouette"; or "all", NMR's rule: each face's edges alone, where the pixel just inside shows that face;
-            outward over all background to the border, inward over the pixels of this very face. Meshes only.
+        occlusion: Rule for other parts. With "depth", a part that lies farther away than the edge counts as background
+            does, for the edge would cover it. With "paper", which is eq. 11 to the letter, every other part gives 0.
+        edges: Edges that count. With "silhouette", they are those of the part. With "all", NMR's rule, each face's
+            edges count alone, where the pixel just inside shows that face: outward over all background to the border,
+            and inward over the pixels of this very face. "all" is for meshes only.
         max_distance: End of both walks [px].
         depth_weight: Lambda of eq. 12; 0 leaves z out.
     """
@@ -57,7 +58,7 @@ def switch_slope(change: float, x0: float, x1: float, direction: float) -> float
     """Derivative of a pixel's value with respect to an edge's place: eq. 10, dI / (x1 - x0).
 
     Args:
-        change: dI, +1 where the pixel switches on, -1 where it switches off.
+        change: Change dI of the pixel, +1 where it switches on, -1 where it switches off.
         x0: The edge's crossing of the line [px].
         x1: The pixel's centre [px].
         direction: Sign of x1 - x0, also where that is 0.
@@ -111,7 +112,7 @@ def line_slope(
     Args:
         line: Labels, depths and gradients along the line.
         part: Label of the edge's part.
-        side: 1 where the part ends towards larger coordinates, -1 towards smaller ones.
+        side: Side of the part, 1 where it ends towards larger coordinates, and -1 towards smaller ones.
         crossing: Place x0 of the edge on the line [px].
         edge_depth: Depth of the edge there [m].
         rule: Options of the rule.

@@ -115,13 +115,14 @@ class BodyLoss:
             camera: One a body, or one for all.
             target: Labels, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
             part_labels: Label that each part shows.
-            validate: Look for NaN, infinity and matrices that are no rotations; on CUDA that waits for the device.
+            validate: True looks for NaN, infinity and matrices that are no rotations. On CUDA, that waits for the
+                device.
 
         Returns:
             The loss of each body [pixels of maps], shape (B,).
 
         Raises:
-            ValueError: As ``pose`` and ``label_loss``.
+            ValueError: If ``pose`` or ``label_loss`` raises it.
             NotImplementedError: Under ``torch.func``, and in a second derivative.
         """
         refuse_transforms("body_loss", target)
@@ -155,13 +156,14 @@ class BodyLoss:
             image_size: Height and width (H, W) of the picture [px].
             num_maps: Number of maps K, 1 or more. Maps of the labels 1 to K are made.
             part_labels: Label that each part shows.
-            validate: Look for NaN, infinity and matrices that are no rotations; on CUDA that waits for the device.
+            validate: True looks for NaN, infinity and matrices that are no rotations. On CUDA, that waits for the
+                device.
 
         Returns:
             The maps, shape (B, K, H, W), float32. Their gradient is the renderer's, and draws the bodies once more.
 
         Raises:
-            ValueError: As ``pose`` and ``draw``.
+            ValueError: If ``pose`` or ``draw`` raises it.
             NotImplementedError: Under ``torch.func``, and in a second derivative.
         """
         numbers = _check("body_maps", parameters, camera)

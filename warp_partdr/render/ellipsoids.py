@@ -84,15 +84,17 @@ def draw_ellipsoids(
             left out; P of them. 1 to P by default; ``LabelSet.part_groups[1:]`` draws groups.
         num_maps: Number of maps K. Maps of the labels 1 to K are made. If it is 0, none are made, and nothing has a
             gradient.
-        gradient: "coverage", the derivative of the area that labels cover, which sees borders alone; "edges", the same
-            from one crossing of a border between each two pixels that differ: fastest, and blind to what covers no
-            pixel's centre; or "partdr", the paper's rule (eq. 10 to 12), with which far pixels pull.
-        max_distance: "partdr": as in ``draw_mesh`` [px].
-        depth_weight: "partdr": as in ``draw_mesh``.
-        samples_per_pixel: "coverage": steps a pixel along outlines and, rounded up, rows and columns a pixel in the
-            search for creases; at most 64. Outlines get longer steps where they would take more than 2**22.
-        validate: Look for NaN, infinity, axes that are not orthonormal and lengths that are not positive; on CUDA that
-            waits for the device.
+        gradient: Kind of gradient. "coverage" is the derivative of the area that labels cover, which sees borders
+            alone. "edges" is the same from one crossing of a border between each two pixels that differ: it is fastest,
+            and blind to what covers no pixel's centre. "partdr" is the paper's rule (eq. 10 to 12), with which far
+            pixels pull.
+        max_distance: Greatest distance from an edge for "partdr", as in ``draw_mesh`` [px].
+        depth_weight: Weight of the z gradient for "partdr", as in ``draw_mesh``.
+        samples_per_pixel: Density of samples for "coverage", at most 64: steps for each pixel along outlines and,
+            rounded up, rows and columns for each pixel in the search for creases. Outlines get longer steps where they
+            would take more than 2**22.
+        validate: True looks for NaN, infinity, axes that are not orthonormal and lengths that are not positive. On
+            CUDA, that waits for the device.
 
     Returns:
         The picture.
@@ -127,7 +129,7 @@ def ellipsoid_label_loss(
         camera: Cameras, one for each body or one for all.
         target: Target label of each pixel, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
         part_labels: Label that each ellipsoid shows.
-        gradient: "coverage", "edges" or "partdr".
+        gradient: Kind of gradient, "coverage", "edges" or "partdr".
         max_distance: Reach of a pixel [px].
         depth_weight: Lambda of the paper's z gradient.
         samples_per_pixel: Density of the borders' samples.
@@ -137,8 +139,8 @@ def ellipsoid_label_loss(
         The loss of each body [pixels of maps], shape (B,), and the picture, which is drawn when it is first looked at.
 
     Raises:
-        ValueError: As ``draw_ellipsoids``, or if ``target`` does not fit the batch.
-        NotImplementedError: As ``draw_ellipsoids``.
+        ValueError: If ``draw_ellipsoids`` raises it, or if ``target`` does not fit the batch.
+        NotImplementedError: If ``draw_ellipsoids`` raises it.
     """
     refuse_transforms("ellipsoid_label_loss", target)
     rule = check_rule(gradient, max_distance, depth_weight, samples_per_pixel)

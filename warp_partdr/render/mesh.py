@@ -61,12 +61,13 @@ def draw_mesh(
         image_size: Height and width (H, W) of the picture [px]. It need not be square.
         num_maps: Number of maps K. Part maps of the labels 1 to K are made. If it is 0, none are made, and nothing has
             a gradient.
-        gradient: "partdr", or "edges": the derivative of the covered area, sampled between each two pixels that show
-            different labels, in the picture's plane alone.
-        max_distance: "partdr": pixels farther than this from an edge do not move it [px]. The paper has no limit, which
-            finds far targets; near the target a few pixels come closer to the true derivative of the covered area.
-        depth_weight: "partdr": the paper's lambda of the z gradient (eq. 12); 0 leaves z without one.
-        validate: Look for NaN and infinity; on CUDA that waits for the device.
+        gradient: Kind of gradient. "partdr" is the paper's rule. "edges" is the derivative of the covered area, sampled
+            between each two pixels that show different labels, in the picture's plane alone.
+        max_distance: Greatest distance from an edge for "partdr": pixels farther away do not move it [px]. The paper
+            has no limit, which finds far targets. Near the target, a few pixels come closer to the true derivative of
+            the covered area.
+        depth_weight: Lambda of the paper's z gradient (eq. 12) for "partdr". If it is 0, z has no gradient.
+        validate: True looks for NaN and infinity. On CUDA, that waits for the device.
 
     Returns:
         The picture. The gradient of the maps is an estimate: linear in the incoming gradient, not the derivative of
@@ -103,17 +104,17 @@ def mesh_label_loss(
         mesh: Topology and labels, on the same device.
         camera: Cameras as in ``draw_mesh``, as is all that is not named here.
         target: Target label of each pixel, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
-        gradient: "partdr" or "edges".
-        max_distance: "partdr": pixels farther than this from an edge do not move it [px].
-        depth_weight: "partdr": the paper's lambda of the z gradient.
-        validate: Look for NaN, infinity and labels that the mesh has not.
+        gradient: Kind of gradient, "partdr" or "edges".
+        max_distance: Greatest distance from an edge for "partdr": pixels farther away do not move it [px].
+        depth_weight: Lambda of the paper's z gradient for "partdr".
+        validate: True looks for NaN, infinity and labels that the mesh does not have.
 
     Returns:
         The loss of each body [pixels of maps], shape (B,), and the picture, which is drawn when it is first looked at.
 
     Raises:
-        ValueError: As ``draw_mesh``, or if ``target`` does not fit the batch.
-        NotImplementedError: As ``draw_mesh``.
+        ValueError: If ``draw_mesh`` raises it, or if ``target`` does not fit the batch.
+        NotImplementedError: If ``draw_mesh`` raises it.
     """
     refuse_transforms("mesh_label_loss", target)
     check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))

@@ -57,7 +57,7 @@ class PartMesh(Movable):
         Args:
             faces: Vertex indices, shape (F, 3).
             face_labels: Label of each face, 1 to 254, shape (F,).
-            cull_backfaces: Draw no face from behind.
+            cull_backfaces: True draws no face from behind.
             device: Device of the tensors.
 
         Raises:

@@ -32,10 +32,10 @@ class RendererEllipsoids(BodyLoss):
     """Renderer of the exact ellipsoids, in closed form.
 
     Attributes:
-        gradient: "partdr", "coverage" or "edges", see ``draw_ellipsoids``.
-        max_distance: "partdr": greatest distance from an edge of a pixel that moves it [px].
-        depth_weight: "partdr": the paper's lambda of the z gradient (eq. 12); 0 leaves it out.
-        samples_per_pixel: "coverage": density of the borders' samples.
+        gradient: Kind of gradient, "partdr", "coverage" or "edges", see ``draw_ellipsoids``.
+        max_distance: Greatest distance from an edge of a pixel that moves it with "partdr" [px].
+        depth_weight: Lambda of the paper's z gradient (eq. 12) with "partdr". If it is 0, z has no gradient.
+        samples_per_pixel: Density of the borders' samples with "coverage".
     """
 
     gradient: Gradient = "partdr"
@@ -56,7 +56,7 @@ class RendererEllipsoids(BodyLoss):
         num_maps: int = 0,
         validate: bool = True,
     ) -> EllipsoidImage:
-        """Draw bodies; arguments and errors as of ``draw_ellipsoids``."""
+        """Draw bodies with the arguments and errors of ``draw_ellipsoids``."""
         return draw_ellipsoids(
             posed, camera, image_size, part_labels=part_labels, num_maps=num_maps, validate=validate, **self._rule
         )
@@ -70,11 +70,11 @@ class RendererEllipsoids(BodyLoss):
         part_labels: Sequence[int] = ALL_PARTS,
         validate: bool = True,
     ) -> tuple[torch.Tensor, EllipsoidImage]:
-        """L_seg of bodies; arguments and errors as of ``ellipsoid_label_loss``."""
+        """L_seg of bodies with the arguments and errors of ``ellipsoid_label_loss``."""
         return ellipsoid_label_loss(posed, camera, target, part_labels=part_labels, validate=validate, **self._rule)
 
     def body_passes(self, seeing: Seeing, device: torch.device) -> BodyPasses:
-        """Launches from parameters of bodies to L_seg; errors as of ``draw_ellipsoids``."""
+        """Launches from parameters of bodies to L_seg, with the errors of ``draw_ellipsoids``."""
         if seeing.part_labels is not ALL_PARTS:
             check_part_labels(seeing.part_labels, NUM_PARTS)
         return _ellipsoid_body_passes(self, seeing)
@@ -102,7 +102,7 @@ class RendererMesh(BodyLoss):
         tolerance: Greatest distance of silhouettes from those of the ellipsoids that "auto" allows [px].
         max_distance: Greatest distance from an edge of a pixel that moves it with "partdr" [px].
         depth_weight: Lambda of the paper's z gradient (eq. 12) with "partdr". If it is 0, z has no gradient.
-        gradient: "partdr" or "edges", see ``draw_mesh``.
+        gradient: Kind of gradient, "partdr" or "edges", see ``draw_mesh``.
     """
 
     subdivisions: Subdivisions = DEFAULT_SUBDIVISIONS
@@ -129,7 +129,7 @@ class RendererMesh(BodyLoss):
         num_maps: int = 0,
         validate: bool = True,
     ) -> PartImage:
-        """Draw bodies; arguments and errors as of ``draw_mesh`` and ``draw_ellipsoids``."""
+        """Draw bodies with the arguments and errors of ``draw_mesh`` and ``draw_ellipsoids``."""
         vertices, mesh = self._mesh(posed, camera, part_labels)
         return draw_mesh(vertices, mesh, camera, image_size, num_maps=num_maps, validate=validate, **self._rule)
 
@@ -142,12 +142,12 @@ class RendererMesh(BodyLoss):
         part_labels: Sequence[int] = ALL_PARTS,
         validate: bool = True,
     ) -> tuple[torch.Tensor, PartImage]:
-        """L_seg of bodies; arguments and errors as of ``mesh_label_loss`` and ``draw_ellipsoids``."""
+        """L_seg of bodies with the arguments and errors of ``mesh_label_loss`` and ``draw_ellipsoids``."""
         vertices, mesh = self._mesh(posed, camera, part_labels)
         return mesh_label_loss(vertices, mesh, camera, target, validate=validate, **self._rule)
 
     def body_passes(self, seeing: Seeing, device: torch.device) -> BodyPasses:
-        """Launches from parameters of bodies to L_seg, of a fixed level; errors as of ``draw_mesh``."""
+        """Launches from parameters of bodies to L_seg, of a fixed level, with the errors of ``draw_mesh``."""
         return _mesh_body_passes(self, seeing, device)
 
     def fixed(self, posed: Posed, camera: Camera) -> RendererMesh:

@@ -28,7 +28,7 @@ def coarsest_subdivisions(parts: Ellipsoids | Posed, camera: Camera, *, toleranc
         tolerance: Greatest distance of every part's silhouette, and so of the body's [px].
 
     Returns:
-        0 to 3, for ``ellipbody_mesh`` and ``Posed.vertices``.
+        Level from 0 to 3, for ``ellipbody_mesh`` and ``Posed.vertices``.
 
     Raises:
         ValueError: If even the finest level can't keep the tolerance, or it is not positive.

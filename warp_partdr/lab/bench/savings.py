@@ -44,13 +44,14 @@ def run_savings(device: str, *, budget: float = 1.0, progress: Progress | None =
     """Time each saving.
 
     Args:
-        device: "cpu" or a CUDA device.
+        device: Device, "cpu" or a CUDA device.
         budget: Time for each of the two or three figures of a row [s].
         progress: Function that is called with (name, rows done, rows in all).
 
     Returns:
-        For JSON, a row for each thing that need not be modelled. ``left`` is the time that is left, as a share of what
-        depends on the thing saved; ``nothing_s`` is 0 where that means nothing; bytes are peaks on CUDA, else None.
+        Rows for JSON, one for each thing that need not be modelled. ``left`` is the time that is left, as a share of
+        what depends on the thing saved. ``nothing_s`` is 0 where that means nothing. Bytes are peaks on CUDA, else
+        None.
     """
     rows: list[dict[str, Any]] = []
 

@@ -185,7 +185,7 @@ def evaluate(
         methods: Methods by name.
         jobs: Number of fits at a time, in processes of their own with one thread each. They make one another slower.
             With 1, fits stay in this process.
-        device: "cpu" or a CUDA device.
+        device: Device, "cpu" or a CUDA device.
         progress: Function that is called with ("fits", done, total).
 
     Raises:

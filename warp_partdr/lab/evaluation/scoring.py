@@ -179,8 +179,8 @@ def scoring_classes(labels: LabelSet) -> tuple[tuple[str, ...], np.ndarray, np.n
     """The classes that labels of a set are compared in.
 
     Returns:
-        Their names, background first; the class of each group id, shape (256,), and of each rendered part label, by way
-        of the same groups, shape (21,).
+        Names of the classes, background first, the class of each group id, shape (256,), and that of each rendered part
+        label, through the same groups, shape (21,).
     """
     coarse = label_set(_GROUPS)
     try:

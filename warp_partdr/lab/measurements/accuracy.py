@@ -59,14 +59,14 @@ def read_example() -> Sample:
     folder = Path(__file__).resolve().parents[2] / "assets" / "example"
     parts = read_parts(folder / "parts.png", _LABELS)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["joints"][MPJPE_SKELETON]
-    places = dict(zip(truth["names"], truth["points_m"], strict=True))
+    positions = dict(zip(truth["names"], truth["points_m"], strict=True))
     return Sample(
         source="example",
         name="example",
         keypoints=choose_person(read_keypoints(folder / "keypoints.json"), parts.groups),
         parts=parts,
         target=parts.groups,
-        joints=np.array([places[name] for name in MPJPE_JOINTS]),
+        joints=np.array([positions[name] for name in MPJPE_JOINTS]),
         picture=folder / "photo.png",
     )
 

@@ -160,7 +160,7 @@ def _pose2sim_views(path: Path, videos: Path) -> Iterator[_View]:
 
 
 def _truth_heights(points: np.ndarray) -> np.ndarray:
-    """Heights of the person [px], as of ``person_height``, of joints (T, 12, 2), shape (T,)."""
+    """Heights of the person [px] for joints (T, 12, 2), as in ``person_height``, shape (T,)."""
     everywhere = np.zeros((len(points), len(skeleton(SKELETON)), 2), np.float32)
     confidence = np.zeros(everywhere.shape[:2], np.float32)
     everywhere[:, _PLACES], confidence[:, _PLACES] = points, 1

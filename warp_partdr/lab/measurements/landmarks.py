@@ -56,20 +56,21 @@ def measure_landmarks(*, count: int = 2000) -> Iterator[FigureTable | str]:
     for name, candidates in LIMB_JOINTS.items():
         found = []
         for part in candidates:
-            places, sizes = [], []
+            positions, sizes = [], []
             for side in ("left", "right"):
                 joint, own = JOINT_NAMES.index(f"{side}_{name}"), PART_NAMES.index(f"{side}_{part}")
                 offset = model.landmarks(person, (f"coco_{side}_{name}",))[:, 0] - joints[:, joint]
                 arm = offset + body.joints[:, joint] - body.centres[:, own]
-                place = (body.axes[:, own].mT @ arm[..., None])[..., 0] / body.semi_axes[:, own]
+                position = (body.axes[:, own].mT @ arm[..., None])[..., 0] / body.semi_axes[:, own]
                 if side == "right":
-                    place = torch.tensor([mirror_point((f"right_{part}", (x, y, z)))[1] for x, y, z in place.tolist()])
-                places.append(place)
+                    mirrored = [mirror_point((f"right_{part}", (x, y, z)))[1] for x, y, z in position.tolist()]
+                    position = torch.tensor(mirrored)
+                positions.append(position)
                 sizes.append(body.semi_axes[:, own])
-            place, size = torch.cat(places), torch.cat(sizes)
-            spread = float(((place - place.mean(0)) * size).square().sum(1).mean().sqrt())
+            position, size = torch.cat(positions), torch.cat(sizes)
+            spread = float(((position - position.mean(0)) * size).square().sum(1).mean().sqrt())
             table.add(name, part, 1000 * spread)
-            found.append((spread, part, place.mean(0), float(offset.norm(dim=1).mean())))
+            found.append((spread, part, position.mean(0), float(offset.norm(dim=1).mean())))
         _, part, mean, distance = min(found, key=lambda row: row[0])
         point = ", ".join(f"{value:.2f}" for value in mean.tolist())
         lines.append(f'    "{name}": ("left_{part}", ({point})),  # {1000 * distance:.0f} mm off')

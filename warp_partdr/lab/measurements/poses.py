@@ -82,9 +82,9 @@ def _limb_joints(joints: dict[str, torch.Tensor]) -> torch.Tensor:
     left = unit(across - (across * up).sum(-1, keepdim=True) * up, dim=-1)
     frame = torch.stack([left, up, torch.linalg.cross(left, up)], dim=1)  # (N, 3, 3), of rows
     lengths = dict(zip(LENGTH_NAMES, template().mean_lengths.tolist(), strict=True))
-    places = []
+    positions = []
     for root, middle, end, first, second in _LIMBS:
         upper = lengths[first] * (frame @ unit(joints[middle] - joints[root], dim=-1)[..., None])[..., 0]
         lower = lengths[second] * (frame @ unit(joints[end] - joints[middle], dim=-1)[..., None])[..., 0]
-        places += [upper, upper + lower]
-    return torch.stack(places, dim=1)
+        positions += [upper, upper + lower]
+    return torch.stack(positions, dim=1)

@@ -70,7 +70,7 @@ def measure_scene_steps(
 
 
 def _scene_steps(people: int, frames: int, device: torch.device) -> Steps[Any, Any]:
-    """Steps of so many people in so many frames."""
+    """Steps of a number of people in a number of frames."""
     model, options = anny(device), SceneOptions(mesh=_MESH)
     one = make_views(3, 1).scene
     sights = [replace(one.sights[0], person=p, frame=t) for p in range(people) for t in range(frames)]

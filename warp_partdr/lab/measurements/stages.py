@@ -142,9 +142,9 @@ class _Found:
 
 def _size(joints: np.ndarray, names: Sequence[str]) -> float:
     """Length of the legs, the mean of both, and of the trunk [m]."""
-    places = dict(zip(names, joints, strict=True))
-    hips, shoulders = (places[f"left_{name}"] + places[f"right_{name}"] for name in ("hip", "shoulder"))
-    legs = sum(float(np.linalg.norm(places[start] - places[end])) for start, end in _LEG_BONES)
+    positions = dict(zip(names, joints, strict=True))
+    hips, shoulders = (positions[f"left_{name}"] + positions[f"right_{name}"] for name in ("hip", "shoulder"))
+    legs = sum(float(np.linalg.norm(positions[start] - positions[end])) for start, end in _LEG_BONES)
     return (legs + float(np.linalg.norm(shoulders - hips))) / 2
 
 

@@ -87,7 +87,7 @@ def _turned_around(clip: Clip) -> np.ndarray:
 
 
 def smooth_windows(clip: Clip, frames: int) -> list[Clip]:
-    """Windows of so many frames, one after another, in which no limb turns around as swapped markers do.
+    """Windows of ``frames`` frames, one after another, in which no limb turns around as swapped markers do.
 
     From frame to frame, joints of the mean body accelerate by less than 20 mm/frame² on average, and none by 100: at 30
     frames a second wrists and ankles of people who walk reach 50.

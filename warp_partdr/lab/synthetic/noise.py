@@ -155,7 +155,7 @@ def _sides(labels: LabelSet, parts: tuple[str, ...]) -> list[list[int]]:
 
 
 def _grow(groups: np.ndarray, pixels: int) -> np.ndarray:
-    """The person dilated by so many pixels, or eroded if negative; new pixels take a label from beside them."""
+    """The person dilated by a number of pixels, or eroded if negative. New pixels take a label from beside them."""
     grown = groups.copy()
     for _ in range(abs(pixels)):
         padded = np.pad(grown, 1, mode="edge")

@@ -106,7 +106,7 @@ def _distance(look: Looked) -> float:
 
 
 def make_views(index: int, num_views: int, level: str = "realistic") -> SceneSample:
-    """PartBench's person ``index`` in the middle of so many cameras, all around or, two, 70 to 110 degrees apart."""
+    """PartBench's person ``index`` amid cameras, which stand all around. Two stand 70 to 110 degrees apart."""
     rng = np.random.default_rng([SEED, index, _VIEWS, num_views])
     body, stature = _draw_body(index)
     views = _place_views(body.vertices.numpy(), num_views, rng)

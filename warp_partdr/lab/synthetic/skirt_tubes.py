@@ -101,5 +101,5 @@ def leg_radii(shape: torch.Tensor, levels: np.ndarray) -> np.ndarray:
     rest, shares = anny().rest(shape), anny_skin().shares
     points = rest.vertices[0].numpy()
     leg = points[(shares["upper_leg"] + shares["lower_leg"] > 0.5) & (points[:, 0] > 0)]
-    places, distances = along(leg, *joints(rest, LEG)[0].numpy())
-    return np.array([np.quantile(distances[np.abs(places - level) < _WINDOW], _WITHIN) for level in levels])
+    positions, distances = along(leg, *joints(rest, LEG)[0].numpy())
+    return np.array([np.quantile(distances[np.abs(positions - level) < _WINDOW], _WITHIN) for level in levels])

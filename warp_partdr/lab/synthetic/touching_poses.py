@@ -136,7 +136,7 @@ def touching(poses: Poses, limits: JointLimits, rng: TorchRng) -> tuple[Poses, t
 def _reach_places(
     rotations: torch.Tensor, places: list[Place], which: torch.Tensor, limits: JointLimits, rng: TorchRng
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Rotation vectors (N, 20, 3) with left hands at those of ``places`` that ``which`` (N,) says, and where so."""
+    """Rotation vectors (N, 20, 3) with left hands at the places that ``which`` (N,) chooses, and a mask of success."""
     count, tries = len(rotations), (len(rotations), _TRIES)
     rotations = rotations.clone()
     shrug = torch.deg2rad(rotations.new_tensor(_SHRUG))

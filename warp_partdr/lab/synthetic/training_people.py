@@ -166,7 +166,7 @@ def _inside(points: torch.Tensor, low: torch.Tensor, high: torch.Tensor) -> torc
 
 
 def _corners(points: torch.Tensor, counted: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Least and largest coordinates of those of points (B, N, 2) that count, (B, 2) each; infinite where none does."""
+    """Least and largest coordinates of the points (B, N, 2) that count, (B, 2) each; infinite where none does."""
     counted = counted[..., None]
     least = torch.where(counted, points, torch.inf).amin(1)
     return least, torch.where(counted, points, -torch.inf).amax(1)
@@ -291,8 +291,8 @@ class PeopleMaker:
         parts = picture.labels.masked_fill(unseen, IGNORE)
 
         some = rng.integers(vertices.shape[1], count, 6)
-        places = vertices[..., :2].gather(1, some[..., None].expand(-1, -1, 2)) * (2 / self.size) - 1
-        occluders = draw_occluders(rng, parts, self._labels.tables(label_sets), places, strength)
+        positions = vertices[..., :2].gather(1, some[..., None].expand(-1, -1, 2)) * (2 / self.size) - 1
+        occluders = draw_occluders(rng, parts, self._labels.tables(label_sets), positions, strength)
         points = crop(noted[..., :2])
         pixels = people.pixel_indices((points + 1) * (self.size / 2), size)
         cover = self._cover * (stature / MEAN_STATURE)[:, None]
@@ -390,7 +390,7 @@ class PeopleMaker:
         first, last = low - beyond[:, :2], high + beyond[:, 2:]
 
         some = zip(outlines, *(each.split(sizes) for each in (labelled[:, None], first, last)), strict=True)
-        corners = [_corners(places, shown & _inside(places, *border)) for places, shown, *border in some]
+        corners = [_corners(positions, shown & _inside(positions, *border)) for positions, shown, *border in some]
         least, most = _corners(points, detected & _inside(points, first, last))
         starts, ends = map(torch.cat, zip(*corners, strict=True))
         start, end = torch.minimum(starts, least), torch.maximum(ends, most)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class RunLog(ExitStack):
-    """The log of a run of so many ``steps``, in its folder ``out``; where ``silent`` it says and writes nothing.
+    """The log of a run of ``steps`` steps, in its folder ``out``. If it is ``silent``, it says and writes nothing.
 
     It goes on from ``step``: later lines of an earlier part are dropped.
     """

@@ -207,7 +207,7 @@ def _collate(found: list[Examples | str]) -> tuple[Examples | None, list[str]]:
 
 
 class Feed:
-    """Batches without end, made by so many ``workers``; 0 makes them here.
+    """Batches without end, made by a number of ``workers``. With 0, they are made here.
 
     Attributes:
         consumed: Number of samples that process ``rank`` of ``processes`` has had by now.

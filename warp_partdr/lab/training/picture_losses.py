@@ -100,7 +100,7 @@ def rooted(joints: torch.Tensor) -> torch.Tensor:
     return joints - joints[:, MPJPE_HIPS].mean(1, keepdim=True)
 
 
-def _spots(places: torch.Tensor, cells: int) -> torch.Tensor:
+def _spots(positions: torch.Tensor, cells: int) -> torch.Tensor:
     """Normal distributions about places (B, L) over the cells of one axis, shape (B, L, cells)."""
-    distance = (cell_centres(cells, places.device) - places[..., None]) * (cells / 2 / _SPOT)
+    distance = (cell_centres(cells, positions.device) - positions[..., None]) * (cells / 2 / _SPOT)
     return (-0.5 * distance.square()).softmax(-1)

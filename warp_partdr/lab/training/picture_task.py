@@ -109,7 +109,7 @@ class PictureTask(Task):
 
     def validate(self, model: torch.nn.Module, device: torch.device) -> dict[str, float]:
         """Errors on the sources that are for validation; none without such."""
-        joints, places = [], []
+        joints, distances = [], []
         counts: dict[tuple[str, tuple[int, ...]], list[np.ndarray]] = defaultdict(list)  # by score and label set
         for host in self._held_out:
             examples = host.to(device)
@@ -121,7 +121,7 @@ class PictureTask(Task):
                 both = mpjpe(*points, centre_on=MPJPE_HIPS, valid=valid), pa_mpjpe(*points, valid=valid)
                 joints.append(torch.stack(both))
             apart = (prediction.keypoints - examples.keypoints)[..., :2].norm(dim=-1) * (REFERENCE_SIZE / 2)
-            places.append(apart[examples.keypoints[..., 2] > 0])
+            distances.append(apart[examples.keypoints[..., 2] > 0])
             size = examples.groups.shape[-1]
             shown = {"part F1": prediction.bodies.drawn(size), "segmentation F1": prediction.part_labels(size)}
             for part_groups, chosen in label_sets(examples):
@@ -134,8 +134,8 @@ class PictureTask(Task):
         if joints:
             means = torch.cat(joints, dim=1).mean(1) * 1000
             errors |= {"MPJPE [mm]": float(means[0]), "PA-MPJPE [mm]": float(means[1])}
-        if places:
-            errors["keypoints [px of 256]"] = float(torch.cat(places).mean())
+        if distances:
+            errors["keypoints [px of 256]"] = float(torch.cat(distances).mean())
         for name in dict.fromkeys(name for name, _ in counts):
             errors[name] = float(np.mean([part_f1(pooled(found)) for key, found in counts.items() if key[0] == name]))
         return errors

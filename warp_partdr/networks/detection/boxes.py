@@ -34,7 +34,7 @@ def decode(boxes: torch.Tensor, scores: torch.Tensor, size: int, min_score: floa
         boxes: The detector's, relative to the anchors [px], shape (B, A, 12).
         scores: Logits, shape (B, A).
         size: Side of the pictures [px].
-        min_score: 0 to 1.
+        min_score: Least score of a box, 0 to 1.
 
     Returns:
         Boxes [px], shape (N, 6, 2), scores from 0 to 1, shape (N,), and the picture of each, shape (N,), in order.

@@ -59,14 +59,14 @@ class TurnedCrops:
     def __getitem__(self, rows: slice | np.ndarray) -> TurnedCrops:
         return TurnedCrops(self.centres[rows], self.sides[rows], self.angles[rows], self.pictures[rows], self.aspect)
 
-    def to_picture(self, places: np.ndarray) -> np.ndarray:
+    def to_picture(self, positions: np.ndarray) -> np.ndarray:
         """Places in the crops, shape (N, K, 2), to places in the pictures [px]."""
-        offsets = self._extents * (places - 0.5)
+        offsets = self._extents * (positions - 0.5)
         return self.centres[:, None] + np.einsum("nij,nkj->nki", self._turns, offsets)
 
-    def from_picture(self, places: np.ndarray) -> np.ndarray:
+    def from_picture(self, positions: np.ndarray) -> np.ndarray:
         """Places in the pictures [px], shape (N, K, 2), to places in the crops."""
-        offsets = np.einsum("nji,nkj->nki", self._turns, places - self.centres[:, None])
+        offsets = np.einsum("nji,nkj->nki", self._turns, positions - self.centres[:, None])
         return offsets / self._extents + 0.5
 
     def zoomed(self, zoom: float) -> TurnedCrops:
@@ -249,7 +249,7 @@ def cut_crops(
         beyond: Filling beyond the picture: "zeros" is black, and "border" repeats the border.
 
     Returns:
-        0 to 1, shape (N, 3, H, W).
+        Colours from 0 to 1, shape (N, 3, H, W).
     """
     device = pyramids[0].device
     height, width = size if isinstance(size, tuple) else (size, size)
@@ -261,12 +261,12 @@ def cut_crops(
     sources = [pyramids[picture].level(level) for picture, level in wanted]
     scales = 2.0 ** np.array([level for _, level in sources])
     centres = (np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])) / (width, height)
-    places = crops.to_picture(np.broadcast_to(centres, (len(crops), 3, 2))) / scales[:, None, None]
-    places[:, 1:] -= places[:, :1]
+    positions = crops.to_picture(np.broadcast_to(centres, (len(crops), 3, 2))) / scales[:, None, None]
+    positions[:, 1:] -= positions[:, :1]
     tables = (
         np.array([values.data_ptr() for values, _ in sources]),
         np.array([values.shape[-2:] for values, _ in sources], dtype=np.int32),
-        places.astype(np.float32),
+        positions.astype(np.float32),
     )
     pointers, sizes, steps = (torch.from_numpy(each).to(device) for each in tables)
     cut = torch.empty(len(crops), 3, height, width, device=device)

@@ -105,7 +105,7 @@ def shots_between(cuts: Sequence[int], num_frames: int) -> list[range]:
 
 
 def _cuts_taken(cuts: Sequence[int], numbers: np.ndarray) -> tuple[int, ...]:
-    """Cuts of a film of which frames of these numbers are taken, as of ``FilmPeople.taken``."""
+    """Cuts of a film after some of its frames are taken, as in ``FilmPeople.taken``."""
     there = np.flatnonzero(numbers >= 0)
     first = np.unique(np.searchsorted(numbers[there], cuts))
     return tuple(there[first[(first > 0) & (first < len(there))]].tolist())
@@ -139,8 +139,9 @@ def find_film_people(
         path: The film.
         min_score: Least confidence that there is a person.
         device: Device to run on.
-        progress: Told frames done and in all.
-        watch: Given each frame, its picture to cut crops from, and its people, in the order of ``places``.
+        progress: Function that is told the frames done and their total number.
+        watch: Function that is given each frame, its picture to cut crops from, and its people, in the order of
+            ``places``.
         landmarks: Network whose keypoints are taken, as in ``find_people``; "full" takes two fifths of the time.
 
     Raises:
@@ -206,10 +207,10 @@ def follow_people(
     device: torch.device | str,
     landmarks: LandmarkNetwork = "full",
 ) -> Iterator[FollowedFrame]:
-    """Find and follow the people of a film of so many frames a second.
+    """Find and follow the people of a film with ``rate`` frames a second.
 
     Raises:
-        InputError: As of ``read_frames``.
+        InputError: If ``read_frames`` raises it.
     """
     every = max(round(rate / _LOOKS), 1)
     tracker = PeopleTracker(device=device, min_score=min_score, every=every, landmarks=landmarks)
@@ -248,7 +249,7 @@ def pack_owners(owners: np.ndarray) -> bytes:
 
 
 def lasting(frames: np.ndarray, shots: Sequence[range]) -> bool:
-    """True if somebody is seen in so many frames of a shot that it is no mistake; frames are of one shot."""
+    """True if somebody is seen in enough frames of a shot to be no mistake. All frames are of one shot."""
     shot = next(shot for shot in shots if frames[0] in shot)
     return len(frames) >= min(_SHORTEST, len(shot))
 

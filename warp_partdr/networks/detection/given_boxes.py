@@ -158,7 +158,7 @@ def _seen(landmarks: FoundLandmarks, scores: np.ndarray, size: tuple[int, int]) 
 
 
 def _only_box(box: np.ndarray, score: float, crop: TurnedCrops, device: torch.device) -> FoundPerson:
-    """Person with a box alone, of whom no landmark and no pixel is known."""
+    """Person with a box alone, without known landmarks and pixels."""
     points = np.tile(crop.centres, (NUM_LANDMARKS, 1)).astype(np.float32)
     keypoints = Keypoints2D(SKELETON, points, np.zeros(NUM_LANDMARKS, np.float32))
     left, top, right, bottom = box.tolist()

@@ -128,7 +128,7 @@ class OperatorGraph(nn.Module):
         start: Number of the value that is the input.
         outputs: Name of each output, and number of its value.
         nodes: The operators.
-        weights: "N.weight" (out, in / groups, H, W) and "N.bias" (out,) of the convolution with output N.
+        weights: Weights "N.weight" (out, in / groups, H, W) and "N.bias" (out,) of the convolution with output N.
 
     These are its attributes, too; weights are buffers, "N_weight".
     """

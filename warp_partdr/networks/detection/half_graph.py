@@ -50,7 +50,7 @@ class HalfGraph(OperatorGraph):
         }
 
     def most_captured(self, device: torch.device) -> int:
-        """Number of pictures up to which graphs are captured, as of ``OperatorGraph``.
+        """Number of pictures up to which graphs are captured, as in ``OperatorGraph``.
 
         This network computes for half as long as a host takes to launch it.
         """

@@ -12,11 +12,11 @@ def refine_landmarks(places: torch.Tensor, heat: torch.Tensor) -> torch.Tensor:
     """Centres of the heat near the landmarks; the network takes a cell's corner for its place, not its centre.
 
     Args:
-        places: 0 to 1 across the crop, shape (N, K, 2).
+        places: Landmarks from 0 to 1 across the crop, shape (N, K, 2).
         heat: Logits, shape (N, K, H, W).
 
     Returns:
-        Shape (N, K, 2).
+        Refined places, shape (N, K, 2).
     """
     height, width = heat.shape[-2:]
     extent = torch.tensor([width, height], device=places.device)

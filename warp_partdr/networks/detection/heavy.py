@@ -29,7 +29,7 @@ def with_heavy_landmarks(
     Of people whom it takes for one, those whose keypoints change the most keep theirs.
 
     Args:
-        network: ``PeopleNetworks.heavy``.
+        network: Network ``PeopleNetworks.heavy``.
         pyramids: The pictures, on the network's device.
         everyone: The people of each picture.
     """
@@ -55,7 +55,7 @@ def with_heavy_landmarks(
 def see_landmarks(
     network: OperatorGraph, pyramids: Sequence[Pyramid], crops: TurnedCrops, *, mirror: bool = True
 ) -> np.ndarray:
-    """Landmarks in crops, as of ``read_landmarks``, but without the last four, shape (N, 35, 5).
+    """Landmarks in crops as ``read_landmarks`` returns them, but without the last four, shape (N, 35, 5).
 
     Args:
         network: Network as in ``with_heavy_landmarks``.

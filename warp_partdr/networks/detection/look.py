@@ -50,12 +50,12 @@ class FoundLandmarks:
         corners = some.crops.to_picture(np.broadcast_to([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], (len(rows), 3, 2)))
         start, across, down = torch.from_numpy(corners).to(self.masks)[:, :, None, None].unbind(1)
         steps = (torch.arange(side, device=self.masks.device) + 0.5) / side
-        places = start + (across - start) * steps[:, None] + (down - start) * steps[:, None, None]
+        positions = start + (across - start) * steps[:, None] + (down - start) * steps[:, None, None]
         extents = torch.from_numpy(np.ascontiguousarray(sizes[:, ::-1])).to(self.masks)[:, None, None]
-        masks = some.masks.sigmoid() * ((places >= 0) & (places <= extents)).all(-1)
+        masks = some.masks.sigmoid() * ((positions >= 0) & (positions <= extents)).all(-1)
         shown = (masks > 0.5)[..., None]
-        low = torch.where(shown, places, torch.inf).amin((1, 2)).cpu().numpy()
-        high = torch.where(shown, places, -torch.inf).amax((1, 2)).cpu().numpy()
+        low = torch.where(shown, positions, torch.inf).amin((1, 2)).cpu().numpy()
+        high = torch.where(shown, positions, -torch.inf).amax((1, 2)).cpu().numpy()
         lost = ~np.isfinite(low).all(axis=1)  # nothing of the person is shown
         points = np.clip(some.points[lost], 0, sizes[lost, None, ::-1])
         low[lost], high[lost] = points.min(axis=1, initial=np.inf), points.max(axis=1, initial=-np.inf)
@@ -101,6 +101,6 @@ def read_landmarks(values: Mapping[str, torch.Tensor], size: int) -> torch.Tenso
 
 def place_landmarks(landmarks: np.ndarray, crops: TurnedCrops) -> tuple[np.ndarray, np.ndarray, TurnedCrops]:
     """Points, confidence and next crops, as ``FoundLandmarks`` has them, of landmarks of ``read_landmarks``."""
-    places = crops.to_picture(landmarks[..., :2])
-    next_crops = crops_of_people(places[:, NUM_LANDMARKS], places[:, NUM_LANDMARKS + 1], crops.pictures)
-    return places[:, :NUM_LANDMARKS], landmarks[:, :NUM_LANDMARKS, 3:].prod(axis=-1), next_crops
+    positions = crops.to_picture(landmarks[..., :2])
+    next_crops = crops_of_people(positions[:, NUM_LANDMARKS], positions[:, NUM_LANDMARKS + 1], crops.pictures)
+    return positions[:, :NUM_LANDMARKS], landmarks[:, :NUM_LANDMARKS, 3:].prod(axis=-1), next_crops

@@ -1,4 +1,4 @@
-"""Masks of people, from their crops into the picture, and to whom each pixel belongs."""
+"""Masks of people, from their crops into the picture, and the person that each pixel belongs to."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def draw_mask(person: FoundPerson, size: tuple[int, int]) -> np.ndarray:
         size: Height and width (H, W) of the picture [px].
 
     Returns:
-        Shape (H, W), float32.
+        Probabilities, shape (H, W), float32.
     """
     full = np.zeros(check_image_size(size), dtype=np.float32)
     window = crop_window(person.crop, full.shape)
@@ -51,7 +51,7 @@ def instance_map(people: Sequence[FoundPerson], size: tuple[int, int], *, thresh
         threshold: Least probability of a pixel that shows a person.
 
     Returns:
-        1 for the first person, 2 for the second, 0 for nobody, shape (H, W), int32.
+        Number of the person at each pixel, 1 for the first, 2 for the second, and 0 for nobody, shape (H, W), int32.
 
     Raises:
         TypeError: If these are no people.
@@ -63,7 +63,7 @@ def instance_map(people: Sequence[FoundPerson], size: tuple[int, int], *, thresh
 def instance_maps(
     people: Sequence[Sequence[FoundPerson]], sizes: Sequence[tuple[int, int]], *, threshold: float = 0.5
 ) -> list[torch.Tensor]:
-    """Maps of the people in several pictures, each as of ``instance_map``, on the masks' device."""
+    """Maps of the people in several pictures, each as in ``instance_map``, on the masks' device."""
     for some in people:
         check_each("people", some, FoundPerson, "of find_people")
     shapes = np.array([check_image_size(size) for size in sizes], dtype=np.int64).reshape(-1, 2)
@@ -82,10 +82,10 @@ def instance_maps(
             shapes[:, 1].astype(np.int32),
             _starts(counts),
         )
-        windows, places, *pictures = (torch.from_numpy(each).to(device) for each in tables)
+        windows, steps, *pictures = (torch.from_numpy(each).to(device) for each in tables)
         with on_torch_stream(device) as where:
             maps = torch.stack([person.mask for person in everyone])
-            masks = [warp_array(maps), warp_array(windows), warp_array(places, wp.vec2)]
+            masks = [warp_array(maps), warp_array(windows), warp_array(steps, wp.vec2)]
             launch = partial(
                 mask_kernels.launch_owners,
                 masks,
@@ -117,9 +117,9 @@ def _windows(crops: TurnedCrops, sizes: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def _steps(crops: TurnedCrops, pixels: np.ndarray) -> np.ndarray:
     """Centres of pixels (x, y) (N, 2) in the crops, from -1 to 1, then steps across and down: (N, 3, 2), float32."""
-    places = crops.from_picture(pixels[:, None] + np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])) * 2 - 1
-    places[:, 1:] -= places[:, :1]  # in float64: of rounded places, a thousand steps would go astray
-    return places.astype(np.float32)
+    positions = crops.from_picture(pixels[:, None] + np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])) * 2 - 1
+    positions[:, 1:] -= positions[:, :1]  # in float64: of rounded positions, a thousand steps would go astray
+    return positions.astype(np.float32)
 
 
 def crop_window(crop: TurnedCrops, size: tuple[int, ...]) -> Window:

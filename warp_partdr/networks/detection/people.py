@@ -38,10 +38,10 @@ def find_people(
         picture: RGB, shape (H, W, 3), uint8; or a ``Pyramid`` of it on the device, which others may go on with.
         device: Device to run on.
         min_score: Least confidence that there is a person, of the detector and of the landmarks, 0 to 1.
-        levels: 1 looks at the whole picture alone, where people of a quarter of its longer side and more are found;
-            each further level, at overlapping tiles of half the size, finds people half as large. Tiles smaller than
-            the detector's 224 pixels are left out. None: 2, and more where people are so small that there may be
-            smaller ones, or where nobody is found.
+        levels: Number of sizes at which the picture is looked at. With 1, the whole picture alone is, where people of a
+            quarter of its longer side and more are found. Each further level, at overlapping tiles of half the size,
+            finds people half as large. Tiles smaller than the detector's 224 pixels are left out. If it is None, there
+            are 2, and more where people are so small that there may be smaller ones, or where nobody is found.
         previous: The people of a film's last frame. Where they are given, only they are followed, and the detector
             doesn't run; nobody new is found.
         landmarks: Network whose keypoints are taken. "heavy" is nearer to the truth, and takes five times as long as a

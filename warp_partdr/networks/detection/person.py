@@ -18,7 +18,8 @@ class FoundPerson:
     """One person of a picture.
 
     Attributes:
-        keypoints: 33 landmarks, "blazepose33"; the confidence is that a landmark is in the picture and not hidden.
+        keypoints: Landmarks of the format "blazepose33", 33 of them. The confidence is that a landmark is in the
+            picture and not hidden.
         score: Confidence that there is a person, 0 to 1.
         box: Left, top, right and bottom of the mask, or else of the keypoints, within the picture [px].
         crop: The one crop, turned upright, that the landmarks were found in.
@@ -36,5 +37,5 @@ class FoundPerson:
 
     @property
     def seen(self) -> bool:
-        """False of somebody whom another detector's box shows, but of whom no landmark is known."""
+        """False if another detector's box shows the person, but no landmark is known."""
         return bool(self.keypoints.confident.any())

@@ -180,15 +180,15 @@ def _mask_overlap(one: FoundPerson, other: FoundPerson) -> float:
     """Intersection over union of two masks."""
     low, high = np.minimum(one.box[:2], other.box[:2]), np.maximum(one.box[2:], other.box[2:])
     steps = (np.arange(_GRID) + 0.5) / _GRID
-    places = low + (high - low) * np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    first, second = (_shown(person, places) for person in (one, other))
+    positions = low + (high - low) * np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    first, second = (_shown(person, positions) for person in (one, other))
     return float((first & second).sum() / max((first | second).sum(), 1))
 
 
-def _shown(person: FoundPerson, places: np.ndarray) -> np.ndarray:
+def _shown(person: FoundPerson, positions: np.ndarray) -> np.ndarray:
     """True where the mask shows the person at places in the picture (N, 2), shape (N,)."""
     side = len(person.mask)
-    column, row = np.floor(person.crop.from_picture(places[None])[0] * side).astype(int).T
+    column, row = np.floor(person.crop.from_picture(positions[None])[0] * side).astype(int).T
     inside = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < side)
     pixels = torch.from_numpy(row.clip(0, side - 1)), torch.from_numpy(column.clip(0, side - 1))
     return inside & (person.mask[pixels] > 0.5).cpu().numpy()

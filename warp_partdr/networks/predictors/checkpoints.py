@@ -37,7 +37,7 @@ def load_part_network(
         name: A folder, a name of the Hub that is in the local cache, or ``hf:`` and a name, which may be downloaded.
         labels: Label set of its classes. If it is None, it is the known set with the same names.
         device: Device to run on.
-        say: Told what is downloaded and loaded.
+        say: Function that is told what is downloaded and loaded.
 
     Raises:
         InputError: If there is no such checkpoint, it has another task, or its classes are of no known label set.
@@ -101,8 +101,8 @@ def load_keypoint_network(
         cells = peaks.new_tensor([heat.shape[-1], heat.shape[-2]])
         pixels = peaks.new_tensor([width, height])
         # It learned that the centres of the first and the last cells and pixels coincide (Huang et al. 2020, UDP).
-        places = (peaks[..., :2] * (pixels - 1) / (cells - 1) + 0.5) / pixels
-        return torch.cat([places, peaks[..., 2:].clamp(0, 1)], dim=-1)
+        positions = (peaks[..., :2] * (pixels - 1) / (cells - 1) + 0.5) / pixels
+        return torch.cat([positions, peaks[..., 2:].clamp(0, 1)], dim=-1)
 
     about = f"{_about(name, model, folder)}, keypoints {form.name}"
     (say or _silent)(f"keypoints from {about}")

@@ -45,7 +45,7 @@ def find_checkpoint(name: str, say: Say) -> Path:
 
     Args:
         name: A folder, a name of the Hub that is in the local cache, or ``hf:`` and a name, which may be downloaded.
-        say: Told what is downloaded, before it is.
+        say: Function that is told what is downloaded, before it is.
 
     Raises:
         InputError: If it is none of these, or has no configuration or no safetensors.

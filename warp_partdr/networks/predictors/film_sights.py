@@ -167,7 +167,7 @@ def find_film_sights(
             these serve where they see nobody.
 
     Raises:
-        InputError: As of ``find_film_people``, or if a network gives something else than it says.
+        InputError: If ``find_film_people`` raises it, or if a network gives something else than it says.
     """
     check_type("networks", networks, GivenNetworks, "such as GivenNetworks(keypoints_from=network)")
     asked = _Asked(networks, torch.device(device))
@@ -197,7 +197,7 @@ class _NetworkError(Exception):
 
 @dataclass
 class _Waiting:
-    """Person about whom the networks are to be asked.
+    """Person that the networks are still to be asked about.
 
     Attributes:
         key: Frame, and index in the frame's ``owners``.

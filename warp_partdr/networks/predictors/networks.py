@@ -90,10 +90,10 @@ def upright_crop(person: FoundPerson, size: tuple[int, int], *, stretch: float =
     shown = (pixels[:, ::-1] + 0.5) / person.mask.shape[::-1]
     keypoints = person.keypoints
     confident = person.crop.from_picture(keypoints.points[None, keypoints.confident].astype(np.float64))[0]
-    places = np.concatenate([shown, confident])
-    if not len(places):  # nobody was seen in another detector's box
-        places = person.crop.from_picture(np.array(person.box, dtype=np.float64).reshape(1, 2, 2))[0]
-    low, high = places.min(axis=0), places.max(axis=0)
+    positions = np.concatenate([shown, confident])
+    if not len(positions):  # nobody was seen in another detector's box
+        positions = person.crop.from_picture(np.array(person.box, dtype=np.float64).reshape(1, 2, 2))[0]
+    low, high = positions.min(axis=0), positions.max(axis=0)
     width, height = _MARGIN * np.maximum(high - low, _SMALLEST) * person.crop.sides
     aspect = size[1] / size[0]
     width = max(width, height * aspect / stretch)

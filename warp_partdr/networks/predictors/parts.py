@@ -102,7 +102,7 @@ class PeopleParts:
         self._placed = PlacedParts(network, people, owners, keeps_maps=keeps_maps)
 
     def of(self, index: int) -> PartLabels | None:
-        """Labels of the one at a place in ``people``, as of ``PlacedParts``.
+        """Labels of the person with an index in ``people``, as ``PlacedParts`` makes them.
 
         Raises:
             InputError: If the network gives something else than ``PartNetwork`` says.

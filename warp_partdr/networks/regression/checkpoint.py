@@ -166,7 +166,7 @@ def known_network(path: Path | str | None, device: str) -> LabelNetwork:
     """The network of a file, read once while the file stays as it is, or the packaged one; not to be changed.
 
     Raises:
-        InputError: As of ``load_label_network``.
+        InputError: If ``load_label_network`` raises it.
     """
     if path is None:
         return packaged_network(device)

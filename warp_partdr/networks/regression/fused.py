@@ -29,7 +29,7 @@ _fused: WeakKeyDictionary[LabelNetwork, _Known] = WeakKeyDictionary()
 def ask_fused(
     network: LabelNetwork, shares: torch.Tensor, keypoints: torch.Tensor, conditions: torch.Tensor
 ) -> Predicted:
-    """Bodies on CUDA, of features in bfloat16; of few people by a captured graph. Inputs as of ``forward``."""
+    """Bodies on CUDA, from features in bfloat16. Inputs are those of ``forward``; few people are captured."""
     fused, inputs = fused_network(network), (shares, keypoints, conditions)
     if len(shares) <= _MOST_CAPTURED:
         key = _Captured, fused, tuple([(each.shape, each.dtype) for each in inputs])
@@ -40,7 +40,7 @@ def ask_fused(
 
 
 def ask_with(network: LabelNetwork, encoder: LabelNetwork, inputs: _Inputs, *, half: bool) -> Predicted:
-    """Bodies of inputs as of ``forward``, from an encoder's ``features``, with ``half`` in bfloat16.
+    """Bodies of the inputs of ``forward``, from an encoder's ``features``, with ``half`` in bfloat16.
 
     Bodies are made of features in float32 all the same: three corrections in bfloat16 would add up their rounding.
     """

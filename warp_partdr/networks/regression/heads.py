@@ -46,9 +46,9 @@ def soft_argmax(heatmaps: torch.Tensor) -> torch.Tensor:
     probabilities = heatmaps.float().flatten(2).softmax(-1).unflatten(2, (height, width))
     moments = []
     for size, share in ((width, probabilities.sum(2)), (height, probabilities.sum(3))):
-        places = cell_centres(size, share.device)
-        mean = (share * places).sum(-1)  # no matrix product, which autocast would round
-        moments.append((mean, (share * places.square()).sum(-1) - mean.square()))
+        positions = cell_centres(size, share.device)
+        mean = (share * positions).sum(-1)  # no matrix product, which autocast would round
+        moments.append((mean, (share * positions.square()).sum(-1) - mean.square()))
     (x, x_variance), (y, y_variance) = moments
     confidence = (-(x_variance + y_variance).clamp_min(0.0) / (2 * _SURE_SPREAD**2)).exp()
     return torch.stack([x, y, confidence], dim=-1)

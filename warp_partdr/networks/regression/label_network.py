@@ -104,7 +104,7 @@ def label_shares(groups: torch.Tensor, tables: torch.Tensor, which: torch.Tensor
         which: Index of each image's label set, shape (B,), int64.
 
     Returns:
-        Shape (B, 22, S, S), channels last in memory, the dtype of ``tables``.
+        Shares, shape (B, 22, S, S), channels last in memory, in the dtype of ``tables``.
     """
     found = tables.new_empty(*groups.shape, tables.shape[2])
     given = groups.byte().flatten(1).contiguous(), tables.contiguous().view(torch.int64), which.contiguous()
@@ -146,9 +146,9 @@ def network_conditions(
         statures: Known statures [m], 0 where unknown, shape (B,). If it is None, none is known.
 
     Returns:
-        Shape (B, 6): the certainty; the tangents of the crop's half side, as from ``_FARTHEST`` at most, and of its
-        middle, negative, across and down; 1 where the stature is known, and its scaled logarithm. All are 0 where
-        unknown.
+        Conditions, shape (B, 6): the certainty; the tangents of the crop's half side, as from ``_FARTHEST`` at most,
+        and of its middle, negative, across and down; 1 where the stature is known, and its scaled logarithm. All are 0
+        where unknown.
     """
     focal = lenses[:, :1]
     rays = torch.cat([1 / focal.clamp_max(_FARTHEST), lenses[:, 1:] / focal], dim=1)
@@ -215,7 +215,7 @@ class LabelNetwork(nn.Module):
         return self.bodies(self.features(shares, keypoints, conditions), keypoints)
 
     def features(self, shares: torch.Tensor, keypoints: torch.Tensor, conditions: torch.Tensor) -> torch.Tensor:
-        """Features that bodies are made of, (B, F); arguments as of ``forward``."""
+        """Features that bodies are made of, (B, F), from the arguments of ``forward``."""
         heatmaps = draw_heatmaps(keypoints, self.config.size // _HEATMAP_STRIDE)
         coarse = self.coarse(self.stem(shares))
         heatmaps = heatmaps.to(coarse.dtype, memory_format=torch.channels_last)  # else what is joined is not

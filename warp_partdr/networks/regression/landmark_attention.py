@@ -19,7 +19,7 @@ NUM_SAID = _SAID * len(LANDMARKS)
 
 
 class LandmarkAttention(nn.Module):
-    """Maps with so many ``channels``, and keypoints with so many ``numbers``, to features (B, ``NUM_SAID``)."""
+    """Network from feature maps and ``numbers`` numbers for each keypoint to features (B, ``NUM_SAID``)."""
 
     def __init__(self, channels: Sequence[int], numbers: int, *, width: int, layers: int) -> None:
         super().__init__()
@@ -49,6 +49,6 @@ class LandmarkAttention(nn.Module):
 
 def at_keypoints(maps: Sequence[torch.Tensor], keypoints: torch.Tensor) -> torch.Tensor:
     """Values of all maps at keypoints (B, L, 3), interpolated between cells, (B, L, sum of C); 0 where missing."""
-    places = keypoints[:, None, :, :2].float()
-    shown = [nn.functional.grid_sample(each.float(), places, align_corners=False)[:, :, 0] for each in maps]
+    positions = keypoints[:, None, :, :2].float()
+    shown = [nn.functional.grid_sample(each.float(), positions, align_corners=False)[:, :, 0] for each in maps]
     return torch.where(keypoints[..., 2:] > 0, torch.cat(shown, dim=1).mT, 0.0)

@@ -42,7 +42,7 @@ def network_keypoints(names: Sequence[str], points: torch.Tensor, confidence: to
 def format_keypoints(
     names: tuple[str, ...], visible: np.ndarray, points: torch.Tensor, confidence: torch.Tensor
 ) -> torch.Tensor:
-    """Keypoints of N people with one format, each as of ``network_keypoints``, shape (N, 24, 3).
+    """Keypoints of N people with one format, each as in ``network_keypoints``, shape (N, 24, 3).
 
     Only those of the J keypoints that are ``visible`` count, shape (N, J).
     """

@@ -26,9 +26,9 @@ def mirror_inputs(
     """Inputs of a label network, left and right exchanged in the picture and in names; shapes as its ``forward``."""
     swap = _orders(shares.device)
     points = keypoints[:, swap["landmarks"]] * swap["point"]
-    places = shares.permute(0, 2, 3, 1).flip(2)  # channels last, as in memory: gathered so in a sixth of the time
-    channels = swap["channels"][: places.shape[-1]]
-    pictures = places.flatten(0, 2).index_select(1, channels).view(places.shape).permute(0, 3, 1, 2)
+    mirrored = shares.permute(0, 2, 3, 1).flip(2)  # channels last, as in memory: gathered so in a sixth of the time
+    channels = swap["channels"][: mirrored.shape[-1]]
+    pictures = mirrored.flatten(0, 2).index_select(1, channels).view(mirrored.shape).permute(0, 3, 1, 2)
     return pictures, points, conditions * swap["condition"]
 
 

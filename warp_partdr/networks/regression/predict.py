@@ -135,7 +135,7 @@ def ask_network(
     mirror: bool = True,
     half: bool = False,
 ) -> Predicted:
-    """Bodies as of ``predict_bodies``, and how sure they are: halfway between a picture's and its mirror image's.
+    """Bodies as in ``predict_bodies``, and how sure they are: halfway between a picture's and its mirror image's.
 
     People whose keypoints lie elsewhere than a network knows (``CONVENTIONS``) are looked at twice. Those who lean are
     turned upright before (``leans``). Without ``mirror``, of the picture alone, in half the time.

@@ -41,7 +41,7 @@ class Predicted:
         return crop_camera(self.log_scale, self.shift, size)
 
     def resized(self, shares: torch.Tensor) -> Predicted:
-        """Bodies so many times as large (B,), as much farther away: cameras see the same."""
+        """Bodies that are enlarged by factors (B,) and as much farther away. Cameras see the same."""
         said = None if self.uncertainty is None else self.uncertainty.resized(shares)
         numbers = resized_numbers(self.lengths, self.thicknesses, self.log_scale, shares)
         return replace(self, uncertainty=said, **numbers)

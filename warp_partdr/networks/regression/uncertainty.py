@@ -45,7 +45,7 @@ class Uncertainty(Movable):
         return replace(self, depths=self.depths * shares[:, None], nearness=self.nearness / shares)
 
     def widened(self, factor: float) -> Uncertainty:
-        """Spreads so many times as wide; the distance stays."""
+        """Uncertainties that are multiplied by a factor. The distance stays."""
         return replace(self, depths=self.depths * factor, turns=self.turns * factor)
 
     @classmethod

@@ -29,7 +29,7 @@ def leans(keypoints: torch.Tensor) -> torch.Tensor:
         keypoints: Keypoints as networks see them (``network_keypoints``), shape (B, 24, 3).
 
     Returns:
-        From -π to π [rad], shape (B,).
+        Angles from -π to π [rad], shape (B,).
     """
     top, known = _middle(keypoints, _SHOULDERS)
     foot, found = _middle(keypoints, _FEET[0])
@@ -56,12 +56,12 @@ def turn_inputs(
             return pictures, keypoints, conditions
     some = pictures[rows]
     across = cell_centres(some.shape[-1], some.device)
-    # From places after the turn to those before it; torch's own products of matrices take a GPU longer.
+    # From positions after the turn to those before it; torch's own products of matrices take a GPU longer.
     right, down = _turns(angles[rows])[:, None, None].unbind(3)
-    places = right * across[:, None] + down * across[:, None, None]
+    positions = right * across[:, None] + down * across[:, None, None]
     pictures = pictures.clone()
     pictures[rows] = torch.nn.functional.grid_sample(
-        some, places, mode="nearest", padding_mode="border", align_corners=False
+        some, positions, mode="nearest", padding_mode="border", align_corners=False
     )
     turns = _turns(angles)
     points = keypoints[..., :2] @ turns.mT

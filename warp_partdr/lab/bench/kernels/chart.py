@@ -61,12 +61,12 @@ def _group(rows: Sequence[_Row], heading: str, name: str) -> _Lines:
 
 
 def _draw_panel(axes: Axes, lines: _Lines, batches: Sequence[int]) -> None:
-    places = [(place, row) for place, rows in enumerate(lines.values()) for row in rows]
+    points = [(line, row) for line, rows in enumerate(lines.values()) for row in rows]
     for index, (batch, (shape, filling)) in enumerate(zip(batches, _MARKS, strict=False)):
-        shown = [(place, row) for place, row in places if row["batch"] == batch]
+        shown = [(line, row) for line, row in points if row["batch"] == batch]
         axes.plot(
             [1e6 * row["median_s"] / batch for _, row in shown],
-            [place + 0.16 * (index - (len(batches) - 1) / 2) for place, _ in shown],  # marks of each B lower
+            [line + 0.16 * (index - (len(batches) - 1) / 2) for line, _ in shown],  # marks of each B lower
             linestyle="",
             marker=shape,
             markersize=5,

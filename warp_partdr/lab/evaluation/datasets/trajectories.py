@@ -132,8 +132,8 @@ def read_trajectories(
     form = skeleton_of_names(found.names, str(path))
     if form is None:
         raise InputError(f"{path}: names that tell nothing; expected joints such as RShoulder or left_hip")
-    places = np.array(form.places)
-    points = np.where((places >= 0)[None, :, None], found.points[:, places], np.nan)
+    indices = np.array(form.places)
+    points = np.where((indices >= 0)[None, :, None], found.points[:, indices], np.nan)
     known = read_cameras(cameras)
     choices = [_views(points @ _axes(each).T, known) for each in ((axes,) if axes is not None else AXES)]
     joints, keypoints, inside = max(choices, key=lambda choice: np.count_nonzero(choice[2]))

@@ -256,11 +256,12 @@ class ViewSelection:
     """Choice of rows.
 
     Attributes:
-        rows: "inside": those with all known keypoints in the picture; "baseline": those marked so; or "every" one.
-        people: Names of people or sets, such as "shelf/0" or "shelf"; empty: all.
+        rows: Kind of rows: "inside" for those with all known keypoints in the picture, "baseline" for those that are
+            marked so, or "every" for all.
+        people: Names of people or sets, such as "shelf/0" or "shelf". If it is empty, all are taken.
         leave_out: Names of people or sets that are left out.
-        frames: Names or numbers of moments; empty: all.
-        step: Take the first of so many rows, each.
+        frames: Names or numbers of moments. If it is empty, all are taken.
+        step: Distance of the rows that are taken: 1 takes each row, and 2 every second one.
     """
 
     rows: str = "inside"
@@ -455,10 +456,10 @@ def _keypoints(views: Views, row: int, there: np.ndarray, convention: str, wante
         form = _skeleton(_landmarks(views.joint_names), convention)
     else:
         form = _detected_skeleton(_landmarks(views.keypoint_names))
-    names, places = form.landmarks, np.array(form.places)
-    known = np.where(places >= 0, confidence[places], 0.0)
-    points = np.where(known[:, None] > 0, views.keypoints[row][places], 0.0)
-    truly = set(np.array(names)[np.isfinite(views.keypoints[row][places]).all(axis=1)].tolist())
+    names, indices = form.landmarks, np.array(form.places)
+    known = np.where(indices >= 0, confidence[indices], 0.0)
+    points = np.where(known[:, None] > 0, views.keypoints[row][indices], 0.0)
+    truly = set(np.array(names)[np.isfinite(views.keypoints[row][indices]).all(axis=1)].tolist())
     if wanted is not None and truly >= set(skeleton(wanted).landmarks):
         form = skeleton(wanted)
         known, points = (_take(each, names, form.landmarks) for each in (known, points))

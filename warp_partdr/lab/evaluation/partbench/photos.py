@@ -1,4 +1,4 @@
-"""PartBench's level "photo": the same people, shaded, of whom a fit gets what the packaged detector finds alone."""
+"""PartBench's level "photo": the same people, shaded. A fit gets only what the packaged detector finds."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def write_report(
         samples: People that were fitted.
         methods: Methods by name.
         measured_with: Facts about the machine, versions and so on.
-        device: "cpu" or a CUDA device.
+        device: Device, "cpu" or a CUDA device.
     """
     console = Console(width=170, record=True, file=io.StringIO(), highlight=False)
     for table in tables(report):

@@ -124,7 +124,7 @@ def _in_photo(index: int) -> Sample:
 
 
 def _turn(sample: Sample, quarters: int) -> Sample:
-    """A person whose picture is turned counterclockwise by so many quarters."""
+    """A person whose picture is turned counterclockwise by a number of quarters."""
     assert sample.parts is not None
     height, width = sample.parts.groups.shape
     turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), quarters).astype(np.float32)
