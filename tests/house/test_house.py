@@ -91,7 +91,6 @@ RIGHT_CARRIERS = {
 }
 # Those still to be mended, by a typed dataclass or by names: this list may only shrink.
 CARRIERS_TO_MEND = {
-    "_find: find_people(**how)",
     "_find_captured: CapturedRefinement(**rule)",
     "_window: person_windows(*one)",
     "body_maps: self.draw(**options)",
@@ -106,7 +105,6 @@ CARRIERS_TO_MEND = {
     "prepare_labels: self.prepare_picture(**images)",
     "refine: Refinement(**rule)",
     "refine_captured: CapturedRefinement(**rule)",
-    "register: Registered(*found)",
     "select: replace(**chosen)",
     "try_refine: Refinement(**rule)",
     "try_refine: refine(**rule)",

@@ -15,46 +15,49 @@ import typer
 from ..errors import InputError, told_as
 from ..inputs.films import film_facts, is_photo, read_frames
 from ..inputs.part_labels import scan_photo
+from .fit_request import FitRequest, QualityName, StartName
 from .loading import NO_MODEL, load_mesh_kernels
-from .options import EXIF, CameraOptions, NetworkOptions, PhotoFiles, say_distance, take_formats, take_whole
+from .options import EXIF, CameraOptions, NetworkOptions, RunSettings, say_distance
 from .register import read_model
 
 if TYPE_CHECKING:
     from ..pipelines.seen_film import SeenFilm
 
 
-def fit_motions(
-    files: PhotoFiles,
-    film: Path,
-    out: Path,
-    device: str,
-    model: str,
-    view: CameraOptions,
-    values: dict[str, Any],
-    min_score: float,
-) -> None:
-    """Fit motions to everyone in a film, or to one of them.
+def fit_motions(request: FitRequest) -> None:
+    """Fit motions to everyone in a film, or to one of them, and write and tell what was found.
 
-    Args:
-        files: Of which only ``person`` and networks may be given.
-        film: The film.
-        out: Folder for the results.
-        device: As the option says.
-        model: Name or file of the detailed model.
-        view: The camera, which stands still.
-        values: Settings: ``threads``, ``also``, and fields of ``SceneOptions``.
-        min_score: Least confidence that there is a person.
+    Raises:
+        InputError: If an option is of photos alone, or the film can't be fitted.
     """
+    film, files = request.photo, request.files
+    assert film is not None  # it is a film
+    if request.explain:
+        raise InputError("--explain: with a film; expected a photo")
+    if request.quality is not QualityName.balanced or request.start is not StartName.network:
+        raise InputError("--quality, --start: with a film; expected none, or --set mesh.iterations=30, for example")
     for name, given in (("keypoints", files.keypoints), ("parts", files.parts)):
         if given is not None:
             raise InputError(f"--{name}: {given}, with a film; expected a film alone")
     files.networks.check()
-    if model == NO_MODEL:
+    if request.model == NO_MODEL:
         raise InputError("--model: none, with a film; expected a detailed model")
-    check_film_view(view, [film])
+    check_film_view(request.view, [film])
     film_facts(film)  # faults of the file are told before anything is loaded
 
-    fit_films(FilmRun((film,), out, device, model, files.person, min_score, values, files.networks, view))
+    fit_films(
+        FilmRun(
+            films=(film,),
+            out=request.out,
+            device=request.device,
+            model=request.model,
+            person=files.person,
+            min_score=request.score,
+            settings=request.run,
+            networks=files.networks,
+            view=request.view,
+        )
+    )
 
 
 def check_film_view(view: CameraOptions, films: Sequence[Path]) -> None:
@@ -69,14 +72,14 @@ class FilmRun:
     """Films that are to be fitted, and how.
 
     Attributes:
-        films: Of the same moments.
+        films: Films of the same moments.
         out: Folder for the results.
         device: As the option says.
         model: Name or file of the detailed model.
         person: Whom alone.
         min_score: Least confidence that there is a person.
-        values: Settings: ``threads``, ``also``, and fields of ``SceneOptions``.
-        networks: Of others.
+        settings: Settings, of the fit those of ``SceneOptions``.
+        networks: Networks of others.
         view: The camera, or the lens of each of several.
         cameras: Or the file of calibrated ones; several cameras without are placed by the people.
         align: Whether it is to be found which frames of several films show one moment.
@@ -88,7 +91,7 @@ class FilmRun:
     model: str
     person: int | None
     min_score: float
-    values: dict[str, Any]
+    settings: RunSettings
     networks: NetworkOptions = field(default_factory=NetworkOptions)
     view: CameraOptions = field(default_factory=CameraOptions)
     cameras: Path | None = None
@@ -116,9 +119,8 @@ def fit_films(run: FilmRun) -> None:
 
     run.networks.check_film()
     films, where = run.films, choose_device(run.device)
-    set_num_threads(take_whole(run.values, "threads"))
-    formats = take_formats(run.values)
-    options = read_section(SceneOptions, run.values, base=SceneOptions.film())
+    set_num_threads(run.settings.threads)
+    options = read_section(SceneOptions, run.settings.fit, base=SceneOptions.film())
     check_folder(run.out)
     check_inputs(run.out, (*films, run.cameras), [CAMERAS, *map(overlay_name, range(len(films)))])
     rig = None if run.cameras is None else cameras_of_films(run.cameras, films, say=_say)
@@ -205,7 +207,7 @@ def fit_films(run: FilmRun) -> None:
             progress=progress,
             pieces=pieces,
         )
-        report = save_film_fit(fit, run.out, films=films, formats=formats, progress=progress)
+        report = save_film_fit(fit, run.out, films=films, formats=run.settings.formats, progress=progress)
         pieces.remove()
     for warning in report["warnings"]:
         typer.echo(f"partdr: warning: {warning}", err=True)

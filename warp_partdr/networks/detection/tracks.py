@@ -9,7 +9,6 @@ new shot, everybody gets a new number.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
 
 import numpy as np
 import torch
@@ -120,8 +119,14 @@ class PeopleTracker:
         return dict(followed)
 
     def _find(self, picture: np.ndarray | Pyramid, previous: list[FoundPerson]) -> list[FoundPerson]:
-        how: dict[str, Any] = {"device": self._device, "min_score": self._min_score, "landmarks": self._landmarks}
-        return find_people(picture, levels=_LEVELS, previous=previous, **how)
+        return find_people(
+            picture,
+            device=self._device,
+            min_score=self._min_score,
+            levels=_LEVELS,
+            previous=previous,
+            landmarks=self._landmarks,
+        )
 
     def _come_back(self, people: list[FoundPerson]) -> dict[int, FoundPerson]:
         """People who were lost and are where they may have got to since, by their numbers."""
