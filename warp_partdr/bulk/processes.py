@@ -50,7 +50,7 @@ def read_in_processes(
         processes: So many.
 
     Returns:
-        What ``PeopleFitter.rows`` takes, of each shard.
+        Groups for ``group_rows``, one of each shard.
 
     Raises:
         InputError: If a process ends before its time.
