@@ -101,6 +101,11 @@ def people_threads(device: str) -> int:
     return get_num_threads() if device == "cpu" else 1
 
 
+def pictures_at_a_time(device: str) -> int:
+    """Pictures in which people are looked for at a time, if they are small."""
+    return PICTURES[torch.device(device).type]
+
+
 @contextmanager
 def people_pool(work: PeopleWork) -> Iterator[ThreadPoolExecutor]:
     """Threads of the work; what still waits when the block ends is not begun."""
@@ -144,7 +149,7 @@ def group_rows(
 
 
 def made_by(pool: ThreadPoolExecutor, items: Iterator[Item]) -> Iterator[Item]:
-    """Items that the threads of a pool make one after the other, so that on CUDA one thread makes all launches."""
+    """Items, none of them None, that a pool's threads make one by one, so that on CUDA one thread makes all launches."""
     while (item := pool.submit(next, items, None).result()) is not None:
         yield item
 
@@ -176,8 +181,8 @@ class _Taken:
             return
         self._held.append(given)
         there = [math.prod(each.size) for _, each in self._held if isinstance(each, SourcePicture)]
-        kind = torch.device(self.how.device).type
-        if len(there) >= PICTURES[kind] or sum(there) >= _PIXELS[kind]:
+        device = self.how.device
+        if len(there) >= pictures_at_a_time(device) or sum(there) >= _PIXELS[torch.device(device).type]:
             self._cut()
 
     def end(self) -> None:
