@@ -149,7 +149,7 @@ def group_rows(
 
 
 def made_by(pool: ThreadPoolExecutor, items: Iterator[Item]) -> Iterator[Item]:
-    """Items, none of them None, that a pool's threads make one by one, so that on CUDA one thread makes all launches."""
+    """Items, none of them None, that a pool makes one by one, so that on CUDA one thread makes all launches."""
     while (item := pool.submit(next, items, None).result()) is not None:
         yield item
 
