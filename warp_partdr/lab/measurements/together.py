@@ -25,9 +25,9 @@ from ...solve.ellipsoids.batch import Batch
 from ...solve.ellipsoids.together import fit_together
 from ..clocks import Step, StepClock, synchronize
 from ..evaluation.partbench.samples import make_sample
-from ..figures import FigureTable
 from ..options import Counts, Device
 from ..synthetic.partbench_people import COCO
+from ..tables import FigureTable
 
 _DISTINCT = 64
 _STEPS = (
