@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from ..files.html_pages import html_page, picture_element
-from .drawing import DrawnPerson
+from .drawn_people import DrawnPerson
 from .histograms import Histogram, round_up
 from .reading import PeopleFiles
 from .survey import SCORES, Kinds, PersonScore, Survey

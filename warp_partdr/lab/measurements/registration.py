@@ -30,7 +30,7 @@ from ...models.registration import Registered, RegistrationOptions, Registration
 from ...models.surfaces import skin_vertices
 from ...render.part_mesh import PartMesh
 from ...results.palette import PART_COLOURS
-from ...results.pictures import blend, shade_mesh
+from ...results.shading import blend, shade_mesh
 from ..options import Mocap, tracked
 from ..silhouettes import measure_by_silhouettes
 from ..synthetic.mocap import Clip

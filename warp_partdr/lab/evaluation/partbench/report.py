@@ -15,8 +15,8 @@ from rich.console import Console
 from ....body.skeletons import MPJPE_SKELETON, skeleton
 from ....files.html_pages import html_page, picture_element
 from ....inputs.sample import Sample
+from ....results.overlays import draw_keypoints
 from ....results.palette import group_colours
-from ....results.pictures import draw_keypoints
 from ....solve.ellipsoids.result import FitResult
 from ...synthetic.scene_people import SceneSample
 from ..evaluate import Evaluated, Fitting, Report, tables
