@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +19,10 @@ from .options import EXIF, CameraOptions, NetworkOptions, RunSettings, say_dista
 from .register import read_model
 
 if TYPE_CHECKING:
+    from ..inputs.calibrated_camera import CalibratedCamera
+    from ..networks.predictors.film_sights import GivenNetworks
     from ..pipelines.seen_film import SeenFilm
+    from ..solve.scene.options import SceneOptions
 
 
 def fit_motions(request: FitRequest) -> None:
@@ -101,17 +102,11 @@ class FilmRun:
 def fit_films(run: FilmRun) -> None:
     """Find people, fit their motions, write and tell the results."""
     from ..files.sections import read_section
-    from ..inputs.camera_files import cameras_of_films
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
-    from ..networks.detection.film_people import find_film_people
-    from ..networks.predictors.film_sights import GivenNetworks, find_film_sights
     from ..pipelines.film import fit_film
-    from ..pipelines.film_cameras import place_film_cameras
     from ..pipelines.film_pieces import FilmPieces
-    from ..pipelines.film_times import film_starts
-    from ..pipelines.matched_times import match_films
-    from ..pipelines.seen_film import SeenFilm
+    from ..pipelines.found_films import FilmSearch
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save_film import CAMERAS, overlay_name, save_film_fit
     from ..solve.scene.options import SceneOptions
@@ -123,81 +118,40 @@ def fit_films(run: FilmRun) -> None:
     options = read_section(SceneOptions, run.settings.fit, base=SceneOptions.film())
     check_folder(run.out)
     check_inputs(run.out, (*films, run.cameras), [CAMERAS, *map(overlay_name, range(len(films)))])
-    rig = None if run.cameras is None else cameras_of_films(run.cameras, films, say=_say)
-    if rig is not None:  # faults are told before people are looked for
-        options.check_sights(1, len(films))
-        for film, camera in zip(films, rig, strict=True):
-            picture = next(read_frames(film)).picture
-            with told_as("picture", film):
-                camera.fitted((picture.shape[0], picture.shape[1]))
+    rig = _read_rig(run, options)
     photos = [film for film in films if rig is None and is_photo(film)]
     lenses = {film: run.view.of_photo(scan_photo(film), film) for film in photos}
-    loaded = run.networks.load(where)
-    networks = GivenNetworks(loaded.parts_from, loaded.keypoints_from)
+    search = FilmSearch(
+        films,
+        options,
+        lens=lambda film, size: lenses.get(film) or run.view.read(size, None),
+        device=where,
+        min_score=run.min_score,
+        networks=_load_networks(run.networks, where),
+        rig=rig,
+        person=run.person,
+        align=run.align,
+    )
     detailed = read_model(run.model, where)
+    others = [] if run.cameras is None or run.cameras.is_dir() else [run.cameras]
+    given = (*films, *others, *run.networks.files)
+    pieces = FilmPieces(
+        run.out,
+        given,
+        rig,
+        run.view,
+        run.networks,
+        options,
+        run.person,
+        run.model,
+        run.min_score,
+        run.align,
+    )
     with FitProgress() as progress:
         load_mesh_kernels(where)
-        others = [] if run.cameras is None or run.cameras.is_dir() else [run.cameras]
-        given = (*films, *others, *run.networks.files)
-        pieces = FilmPieces(
-            run.out,
-            given,
-            rig,
-            run.view,
-            run.networks,
-            options,
-            run.person,
-            run.model,
-            run.min_score,
-            run.align,
-        )
-        seen: list[SeenFilm] = []
-        for place, film in enumerate(films):
-            told = partial(progress, "people" if len(films) == 1 else f"people of {film.name}")
-            if run.networks.given:
-                ask = partial(
-                    find_film_sights,
-                    film,
-                    networks,
-                    min_score=run.min_score,
-                    device=where,
-                    progress=told,
-                    landmarks=options.landmarks,
-                )
-                people, sights = pieces.sights(place, networks, ask)
-            else:
-                find = partial(
-                    find_film_people,
-                    film,
-                    min_score=run.min_score,
-                    device=where,
-                    progress=told,
-                    landmarks=options.landmarks,
-                )
-                people, sights = pieces.people(place, find), None
-            if rig is None:
-                lens = lenses.get(film) or run.view.read(people.image_size, None)
-                seen.append(SeenFilm.of(people, lens, given=sights))
-            else:
-                seen.append(SeenFilm.calibrated(people, rig[place], given=sights))
-        with ExitStack() as named:
-            for place, film in enumerate(films):
-                named.enter_context(told_as(f"films[{place}]", film))
-            starts = None
-            if run.align:
-                starts = pieces.starts(partial(film_starts, seen, device=where, progress=progress))
-            seen = match_films(seen, starts)
-            if rig is None and len(films) > 1:
-                place_all = partial(
-                    place_film_cameras,
-                    seen,
-                    stature=options.stature,
-                    person=run.person,
-                    device=where,
-                    progress=progress,
-                )
-                seen = pieces.placed(seen, place_all)
-                options = replace(options, stature=None)  # cameras are as far away as it says
+        seen = search.find(pieces, progress)
+        if search.places_cameras:
+            options = replace(options, stature=None)  # cameras are as far away as it says
         fit = fit_film(
             seen,
             person=run.person,
@@ -215,6 +169,31 @@ def fit_films(run: FilmRun) -> None:
         for gap in each.given.gaps if each.given is not None else ():
             typer.echo(f"partdr: warning: {film}: {gap}", err=True)
     _tell(run, seen, report)
+
+
+def _read_rig(run: FilmRun, options: SceneOptions) -> list[CalibratedCamera] | None:
+    """Calibrated cameras of the films, if a file of them is given; faults are told before people are looked for."""
+    from ..inputs.camera_files import cameras_of_films
+
+    if run.cameras is None:
+        return None
+    rig = cameras_of_films(run.cameras, run.films, say=_say)
+    options.check_sights(1, len(run.films))
+    for film, camera in zip(run.films, rig, strict=True):
+        picture = next(read_frames(film)).picture
+        with told_as("picture", film):
+            camera.fitted((picture.shape[0], picture.shape[1]))
+    return rig
+
+
+def _load_networks(options: NetworkOptions, device: str) -> GivenNetworks | None:
+    """Networks of others, if there are any."""
+    from ..networks.predictors.film_sights import GivenNetworks
+
+    if not options.given:
+        return None
+    loaded = options.load(device)
+    return GivenNetworks(loaded.parts_from, loaded.keypoints_from)
 
 
 def _say(sentence: str) -> None:
