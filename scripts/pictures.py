@@ -24,9 +24,9 @@ from PIL import Image, ImageDraw, ImageFont, ImageSequence
 import warp_partdr as partdr
 from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.pipelines.photo import fit_photo, mask_labels
+from warp_partdr.results.overlays import draw_detailed, draw_overlay
 from warp_partdr.results.palette import PART_COLOURS, group_colours
-from warp_partdr.results.pictures import blend, shade_mesh, turntable_views
-from warp_partdr.results.save import draw_detailed, draw_overlay
+from warp_partdr.results.shading import blend, shade_mesh, turntable_views
 from warp_partdr.solve.mesh.mesh_stage import MeshFit, refine_mesh
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..models.load import load_model
 from ..models.model import Detailed
 from ..pipelines.film import Motion
-from ..results.film_pictures import PosedMotions
+from ..results.film_overlays import PosedMotions
 from ..results.load_film import FilmView, SavedFilm, load_film_fit
 from ..results.palette import PEOPLE_COLOURS
 

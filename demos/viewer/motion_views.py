@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..inputs.film_reader import FilmReader
-from ..results.film_pictures import draw_bodies, resized, zoomed_view
+from ..results.film_overlays import draw_bodies, resized, zoomed_view
 from ..results.load_film import FilmView
 from .motion_state import MotionState
 from .overlay import Overlay

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 from collections.abc import Callable, Iterator, Sequence
 from importlib.util import find_spec
@@ -14,6 +13,7 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from ..errors import InputError
+from ..files.html_pages import data_address
 from ..results.film_file import write_film
 from .buttons import Button
 from .plotted import Plotted
@@ -113,7 +113,7 @@ def _write_html(pictures: Sequence[np.ndarray], path: Path, rate: float) -> None
     sources = []
     for picture in pictures:
         Image.fromarray(picture).save(file := io.BytesIO(), "webp", quality=80)
-        sources.append(f'"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"')
+        sources.append(f'"{data_address(file.getvalue(), "webp")}"')
     page = _PAGE.replace("PAUSE", str(round(1000 / rate))).replace("PAPER", PAPER)
     path.write_text(page.replace("SOURCES", ",\n".join(sources)))  # last: pictures may hold any letters
 

@@ -22,7 +22,7 @@ from helpers.datasets import write_coco, write_folder
 
 from warp_partdr import FitOptions
 from warp_partdr.body.ellipbody import EllipBody
-from warp_partdr.bulk import people
+from warp_partdr.bulk import batches, people
 from warp_partdr.bulk import run as bulk_run
 from warp_partdr.bulk.rows import columns
 from warp_partdr.errors import InputError
@@ -230,7 +230,7 @@ def test_a_killed_run_leaves_whole_shards_alone(run: Run) -> None:
 def test_groups_and_batches_change_no_row(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     write_coco(Path("coco"))
     run(f"{COCO} --shard 5 --out whole")
-    monkeypatch.setattr(people, "_PICTURES", {"cpu": 1, "cuda": 1})
+    monkeypatch.setattr(batches, "PICTURES", {"cpu": 1, "cuda": 1})
     run(f"{COCO} --shard 5 --batch 1 --out out")
     one, other = pq.read_table("out"), pq.read_table("whole")
     for name in ("picture", "person", "annotation"):

@@ -63,18 +63,18 @@ def test_people_cut_out_together_are_as_alone(size: int, monkeypatch: pytest.Mon
     monkeypatch.setattr(cutting, "cut_labels", lambda *_: (_ for _ in ()).throw(MemoryError("no memory")))
     same = cutter.cut(held, {})
     assert told(cut) == told(same)
-    kinds = [(people.skeleton, people.seen.labels is None) for _, people in cut.people]
+    kinds = [(people.skeleton, people.observations.labels is None) for _, people in cut.people]
     assert len(kinds) == len(set(kinds)) == len(same.people)  # a batch for each format, with labels and without
     assert {without for _, without in kinds} == {True, False}
     for (places, people), (others, expected) in zip(cut.people, same.people, strict=True):
         np.testing.assert_array_equal(places, others)
         assert (people.crops, people.windows, people.warnings) == (expected.crops, expected.windows, expected.warnings)
-        np.testing.assert_array_equal(people.seen.points, expected.seen.points)
-        np.testing.assert_array_equal(people.seen.confidence, expected.seen.confidence)
-        assert (people.seen.labels is None) == (expected.seen.labels is None)
-        if people.seen.labels is not None and expected.seen.labels is not None:
-            assert people.seen.labels.shape[1:] == (size, size)
-            np.testing.assert_array_equal(people.seen.labels, expected.seen.labels)
+        np.testing.assert_array_equal(people.observations.points, expected.observations.points)
+        np.testing.assert_array_equal(people.observations.confidence, expected.observations.confidence)
+        assert (people.observations.labels is None) == (expected.observations.labels is None)
+        if people.observations.labels is not None and expected.observations.labels is not None:
+            assert people.observations.labels.shape[1:] == (size, size)
+            np.testing.assert_array_equal(people.observations.labels, expected.observations.labels)
 
 
 def test_whoever_is_at_fault_has_an_error_and_nobody_else() -> None:

@@ -14,6 +14,7 @@ from helpers.files import EXAMPLE, save_with_focal
 from PIL import Image
 
 from warp_partdr import FitOptions
+from warp_partdr.kernels import launch
 from warp_partdr.pipelines.photo import fit_photo
 from warp_partdr.results.save_photo import PHOTO_FILES
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
@@ -41,6 +42,16 @@ def test_a_photo_is_enough(run: Run, files: Path) -> None:
     (known,) = json.loads(Path("known", "people.json").read_text())["people"]
     assert known["camera"]["focal_px"] == 900
     assert known["distance"] == "for a known focal length"
+
+
+def test_threads_are_a_setting_of_a_photo_without_keypoints(
+    run: Run, files: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[int] = []
+    monkeypatch.setattr(launch, "set_num_threads", told.append)
+    Image.new("RGB", (320, 240), (128, 128, 128)).save("gray.png")
+    assert "nobody found in it" in run("fit gray.png --set threads=1 --device cpu")[2]
+    assert told == [1]
 
 
 def test_a_photo_s_own_focal_length_is_taken_unless_none_is_wanted(run: Run, files: Path) -> None:

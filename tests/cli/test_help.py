@@ -19,7 +19,7 @@ from warp_partdr import FitOptions, InputError, RendererEllipsoids, RendererMesh
 from warp_partdr.__main__ import start
 from warp_partdr.body.labels import LABEL_SETS
 from warp_partdr.body.skeletons import SKELETONS
-from warp_partdr.cli import fit
+from warp_partdr.cli import fit_request
 from warp_partdr.solve.ellipsoids import fitting
 from warp_partdr.solve.ellipsoids.stages import STAGES, Stage
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
@@ -117,6 +117,8 @@ def test_a_process_ends_with_its_code_and_all_that_it_said(tmp_path: Path) -> No
         ("fit --keypoints k.json --set mesh.clothes=no", "mesh.clothes: 'no'; expected a number"),
         ("fit --keypoints k.json --set mesh.size=96", "mesh: settings of a stage that needs part labels"),
         ("fit --keypoints k.json --set threads=-1", "threads: -1; expected 0 or more"),
+        ("fit photo.png --set threads=some", "threads: 'some'; expected 0 or more"),
+        ("scene photo.png p.png --set min_score=0.5", "min_score: 0.5, as a setting; expected the option --min-score"),
         ("fit --keypoints k.json --set outline=labels-first --set triangles=true", "labels-first"),
         ("fit --keypoints k.json --set outline=thick", "outline: 'thick'; expected a table, false or 'labels-first'"),
         (
@@ -187,6 +189,11 @@ def test_triangles_reach_the_fit(options_of: Callable[[str], FitOptions]) -> Non
     assert options_of("--set labels.renderer.gradient=coverage").stages[1].renderer == RendererEllipsoids("coverage")
 
 
+def test_no_lens_is_assumed_if_there_is_to_be_no_camera(options_of: Callable[[str], FitOptions]) -> None:
+    assert options_of("").guess_camera
+    assert not options_of("--focal none").guess_camera
+
+
 def test_settings_reach_the_fit(options_of: Callable[[str], FitOptions]) -> None:
     Path("own.toml").write_text(
         "trust_background = true\nseed = 3\n[weights]\nprior = 5\n[outline.weights]\nseg = 2.0\n"
@@ -232,6 +239,6 @@ def test_the_outline_stage_is_chosen(quality: str, options_of: Callable[[str], F
 
 
 def test_names_of_options_are_those_of_the_stages(options_of: Callable[[str], FitOptions]) -> None:
-    assert [each.value for each in fit.QualityName] == list(STAGES["network"])
-    assert [each.value for each in fit.StartName] == list(STAGES)
+    assert [each.value for each in fit_request.QualityName] == list(STAGES["network"])
+    assert [each.value for each in fit_request.StartName] == list(STAGES)
     assert options_of("") == FitOptions.at("balanced")

@@ -138,6 +138,13 @@ def test_a_film_s_people_have_a_file_each(run: Run) -> None:
     assert report()["files"].keys() == {"walk.person1.npz"}
 
 
+def test_a_film_without_a_camera_has_no_perspective(run: Run) -> None:
+    write_film(Path("film.mp4"), [np.asarray(photo(256))] * 3)
+    for option, known in (("--focal none", False), ("--focal 400", True), ("", False)):
+        assert run(f"predict film.mp4 --out out {option} --device cpu")[0] == 0
+        assert load_film_bodies("out/film.person0.npz").perspective == known
+
+
 def test_people_of_two_shots_have_a_file_each(run: Run) -> None:
     size = photo(256).size
     other = Image.open(EXAMPLE / "astronaut.jpg").convert("RGB").resize(size)

@@ -102,7 +102,6 @@ CARRIERS_TO_MEND = {
     "posed: pose_parts(*numbers)",
     "prepare: self._prepare_gradient(**scratch)",
     "prepare_labels: self.prepare_picture(**images)",
-    "register: Registered(*found)",
     "try_refine: Refinement(**rule)",
     "try_refine: refine(**rule)",
     "work: self._prepare_gradient(**scratch)",

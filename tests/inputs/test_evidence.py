@@ -36,7 +36,8 @@ from warp_partdr.inputs.observation import crop_evidence, resize_nearest
 from warp_partdr.inputs.part_labels import PartLabels, read_parts
 from warp_partdr.inputs.selection import select_person
 from warp_partdr.lab.evaluation.partbench.samples import make_sample
-from warp_partdr.results.save import draw_overlay, save_fit, score_labels
+from warp_partdr.results.overlays import draw_overlay
+from warp_partdr.results.save import save_fit, score_labels
 from warp_partdr.solve.ellipsoids.fitting import fit_body
 from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.result import FitResult
@@ -443,7 +444,7 @@ def test_labels_that_are_kept_small_are_those_of_the_large_ones(size: int, place
 def test_scores_of_a_large_picture_are_of_a_smaller_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result = fit_body(*example(), quality="fast")
     plain = save_fit(result, tmp_path)["parts"]
-    monkeypatch.setattr("warp_partdr.results.save.OVERLAY_SIDE", 256)
+    monkeypatch.setattr("warp_partdr.results.overlays.OVERLAY_SIDE", 256)
     scores = save_fit(result, tmp_path)["parts"]
     assert Image.open(tmp_path / "overlay.png").size == (192, 256)
     assert scores["pixels"]["person"] < 0.5 * plain["pixels"]["person"]

@@ -16,7 +16,7 @@ import pytest
 from warp_partdr import __version__
 from warp_partdr.errors import InputError
 from warp_partdr.lab import harness, options
-from warp_partdr.lab.figures import Estimate, FigureTable
+from warp_partdr.lab.tables import Estimate, FigureTable
 
 
 def measure_small(

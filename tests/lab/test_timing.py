@@ -18,8 +18,8 @@ from warp_partdr.lab.bench.launches import (
     time_kernels,
 )
 from warp_partdr.lab.bench.machine import about, copy_bandwidth
-from warp_partdr.lab.bench.report import format_time
 from warp_partdr.lab.bench.timing import capture, repeat, time_calls, time_graph
+from warp_partdr.lab.tables import format_time
 
 
 @wp.kernel

@@ -18,7 +18,6 @@ from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cli import bench
 from warp_partdr.inputs.observation import REFERENCE_SIZE, resize_nearest
 from warp_partdr.lab.bench.renderers import COVERAGE, EXACT, PARTDR
-from warp_partdr.lab.bench.report import TABLE_WIDTH
 from warp_partdr.lab.bench.tradeoff.chart import draw_tradeoff_chart
 from warp_partdr.lab.bench.tradeoff.fits import refine_all, score_bodies
 from warp_partdr.lab.bench.tradeoff.gradient import gradient_error, true_gradient
@@ -37,6 +36,7 @@ from warp_partdr.lab.bench.tradeoff.plan import (
 from warp_partdr.lab.bench.tradeoff.report import FLOAT32, FLOAT64, TradeoffReport, front
 from warp_partdr.lab.bench.tradeoff.tables import NOTES, print_tradeoff
 from warp_partdr.lab.synthetic.tradeoff_people import ANNY, ELLIPBODY, TRUTH_SIZE, People, draw_truth, make_people
+from warp_partdr.lab.tables import TABLE_WIDTH
 from warp_partdr.reference.ellipsoids import EllipsoidScene, ray_cast
 from warp_partdr.render.renderers import RendererMesh
 from warp_partdr.solve.ellipsoids.stepper import SHAPE_RATE

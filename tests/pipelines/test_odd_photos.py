@@ -20,7 +20,7 @@ from warp_partdr.cameras import Perspective
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.pipelines import photo as photos
 from warp_partdr.pipelines.photo import fit_photo, person_evidence
-from warp_partdr.results import save
+from warp_partdr.results import overlays
 from warp_partdr.results.body_file import load_body
 from warp_partdr.results.save_photo import save_photo_fit
 from warp_partdr.solve.ellipsoids.options import FitOptions
@@ -126,7 +126,7 @@ def test_files_of_a_large_photo_are_as_large_as_shown(tmp_path: Path, monkeypatc
     picture = np.asarray(Image.fromarray(example()[0]).resize((768, 1024)))
     found = fit_photo(picture, options=FAST, camera=Perspective.of_picture((1024, 768), fov=40))
     hidden = found.hidden_by(0)
-    monkeypatch.setattr(save, "OVERLAY_SIDE", 256)
+    monkeypatch.setattr(overlays, "OVERLAY_SIDE", 256)
     monkeypatch.setattr(photos, "_COMPARED", 200)
     assert found.hidden_by(0) == hidden == []
     save_photo_fit(found, tmp_path, photo=picture)

@@ -11,12 +11,13 @@ import torch
 from helpers.bodies import PICTURE_SIZE, seen_by
 from PIL import Image
 
+from warp_partdr import plot
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, PARENTS, PART_NAMES, THICKNESS_NAMES
 from warp_partdr.cameras import Perspective, WeakPerspective
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.results import plot
+from warp_partdr.results.figure_parts import part_patches
 from warp_partdr.results.palette import IGNORE_COLOUR, PART_COLOURS, group_colours
 from warp_partdr.solve.ellipsoids.fitting import fit_body
 from warp_partdr.solve.ellipsoids.options import FitOptions
@@ -138,9 +139,9 @@ def test_panels_name_the_groups_of_a_label_set(fit):
     labels = groups.part_groups[drawn()[0].numpy()]
     figure = plot.part_panels(labels, result, label_set="cdcl14")
     assert names(figure) == [name.replace("_", " ") for name in groups.group_names]
-    assert plot.part_patches(groups, np.array([[1, 255]], dtype=np.uint8))[1].get_label() == "ignored"
-    assert plot.part_patches(groups)[0].get_facecolor()[:3] == tuple(group_colours(groups.part_groups)[1] / 255)
-    assert plot.part_patches(groups, np.array([255]))[0].get_facecolor()[:3] == tuple(IGNORE_COLOUR / 255)
+    assert part_patches(groups, np.array([[1, 255]], dtype=np.uint8))[1].get_label() == "ignored"
+    assert part_patches(groups)[0].get_facecolor()[:3] == tuple(group_colours(groups.part_groups)[1] / 255)
+    assert part_patches(groups, np.array([255]))[0].get_facecolor()[:3] == tuple(IGNORE_COLOUR / 255)
 
 
 def quiver(figure):
@@ -312,7 +313,7 @@ def test_left_is_warm_and_right_is_cool():
 
 def test_plotting_opens_no_window_and_imports_matplotlib_for_the_first_figure():
     code = (
-        "import sys; import warp_partdr.results.plot as p; assert 'matplotlib' not in sys.modules; "
+        "import sys; import warp_partdr.results.figures as p; assert 'matplotlib' not in sys.modules; "
         "p.loss_curve([2.0, 1.0]);"
         "assert 'matplotlib' in sys.modules and 'matplotlib.pyplot' not in sys.modules"
     )

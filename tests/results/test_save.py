@@ -23,10 +23,10 @@ from warp_partdr.models.anny import anny
 from warp_partdr.models.model import detailed_mesh
 from warp_partdr.models.registration import Registered, RegistrationOptions, register
 from warp_partdr.render.mesh import draw_mesh
-from warp_partdr.results import save
+from warp_partdr.results import overlays, save
 from warp_partdr.results.body_file import load_body
+from warp_partdr.results.fit_charts import loss_chart, panels
 from warp_partdr.results.palette import PART_COLOURS, group_colours
-from warp_partdr.results.pictures import loss_chart, panels
 from warp_partdr.solve.ellipsoids.fitting import fit_body
 from warp_partdr.solve.ellipsoids.result import FitResult
 from warp_partdr.solve.ellipsoids.stages import Stage
@@ -228,7 +228,7 @@ def test_the_detailed_body_s_files_hold_its_pose_and_overlay(
 def test_the_detailed_body_is_drawn_without_a_photo_too(
     registered: Registered, result: FitResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(save, "OVERLAY_SIDE", 128)
+    monkeypatch.setattr(overlays, "OVERLAY_SIDE", 128)
     save.save_registered(registered, tmp_path, result.camera, (512, 384))
     shown = pixels(tmp_path / "detailed.png")
     assert shown.shape == (128, 96, 3)
@@ -332,11 +332,11 @@ def test_without_any_picture_the_overlay_holds_all_keypoints(bare: FitResult, tm
 def test_overlay_of_a_large_photo_is_smaller_and_shows_the_same(
     result: FitResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = np.asarray(save.draw_overlay(result, PHOTO.shape[:2], PHOTO)).astype(float)
-    monkeypatch.setattr(save, "OVERLAY_SIDE", 256)
-    small = np.asarray(save.draw_overlay(result, PHOTO.shape[:2], PHOTO)).astype(float)
+    whole = np.asarray(overlays.draw_overlay(result, PHOTO.shape[:2], PHOTO)).astype(float)
+    monkeypatch.setattr(overlays, "OVERLAY_SIDE", 256)
+    small = np.asarray(overlays.draw_overlay(result, PHOTO.shape[:2], PHOTO)).astype(float)
     assert small.shape == (256, 192, 3)
     blocks = whole.reshape(256, 2, 192, 2, 3).mean((1, 3))
     assert np.abs(small - blocks).mean() < 6
-    empty = np.asarray(save.draw_overlay(result, (10**6, 10**5))).shape
+    empty = np.asarray(overlays.draw_overlay(result, (10**6, 10**5))).shape
     assert empty == (256, 26, 3)

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.films import film_facts, read_frames
-from warp_partdr.results.film_pictures import PosedMotions
+from warp_partdr.results.film_overlays import PosedMotions
 from warp_partdr.results.save_film import draw_film
 from warp_partdr.viewer.motion_state import MotionSettings, open_motion
 from warp_partdr.viewer.motion_views import ViewPictures, arrange

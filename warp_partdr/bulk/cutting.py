@@ -66,11 +66,13 @@ class Cutter:
         camera: The camera of a picture by its name and (H, W), known or assumed; of all pictures or of none.
         skeleton: Format of keypoints in rows; those of other formats lose what it has not.
         label_size: Side [px] at which labels are kept, of people without masks of instances.
+        person: Number of the person in each picture who alone is cut out; None: everyone is.
     """
 
     camera: CameraOf = usual_camera
     skeleton: str | Skeleton = SKELETON
     label_size: int = LABEL_SIZE
+    person: int | None = None
 
     def cut(self, held: Sequence[Held], found: Mapping[int, Read]) -> Cut:
         """Cut people out; ``found`` are pictures with the people who were found in them, by their place."""
@@ -90,18 +92,22 @@ class Cutter:
             if isinstance(known, Exception):
                 rows.append(row | _fault(known))
                 continue
+            assert known.people is not None
+            count = len(known.people) + len(known.faults)
+            if not count:
+                rows.append(row | {"people": 0})
+                continue
             try:
                 camera = self.camera(name, (row["height"], row["width"]))
             except FAULTS as error:
                 rows.append(row | _fault(error))
                 continue
-            assert known.people is not None
-            row["people"] = len(known.people) + len(known.faults)
-            if not row["people"]:
-                rows.append(row)
+            row["people"] = count
             for number, person in enumerate(known.people):
-                warnings = [*row.get(FILE_WARNINGS, ()), *person.warnings]
-                rows.append(row | {"person": number, FILE_WARNINGS: warnings} | _describe(person, self.skeleton))
+                told = [*row.get(FILE_WARNINGS, ()), *person.warnings]
+                rows.append(row | {"person": number, FILE_WARNINGS: told} | _describe(person, self.skeleton))
+                if self.person not in (None, number):
+                    continue
                 try:
                     if index not in found:
                         check_inside(person.keypoints, (row["height"], row["width"]))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 import numpy as np
 
-from .drawing import DrawnPerson
+from ..files.html_pages import html_page, picture_element
+from .drawn_people import DrawnPerson
 from .histograms import Histogram, round_up
 from .reading import PeopleFiles
 from .survey import SCORES, Kinds, PersonScore, Survey
@@ -52,9 +52,7 @@ def write_page(files: PeopleFiles, survey: Survey, people: Sequence[DrawnPerson]
         _people(files, survey, people, note),
         _provenance(survey.made),
     ]
-    head = f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>{escape(title)}</title>"
-    top = f"<!DOCTYPE html>\n<html lang=en><head>{head}<style>{_STYLE}</style></head>"
-    return f"{top}<body>\n{_lines(parts)}</body></html>\n"
+    return html_page(title, _STYLE, _lines(parts))
 
 
 def _lines(parts: Iterable[str]) -> str:
@@ -192,8 +190,7 @@ def _people(files: PeopleFiles, survey: Survey, people: Sequence[DrawnPerson], n
     command = f"partdr export {files.folder} --rows {people[0].address if people else '0/0'} --to glb --out out"
     cards = []
     for each in people:
-        data = base64.b64encode(each.jpeg).decode()
-        shown = f"<img alt='row {each.address}' src='data:image/jpeg;base64,{data}'>"
+        shown = picture_element(each.jpeg, "jpeg", f"row {each.address}")
         warned = "".join(f"<br><span class=warn>{escape(warning)}</span>" for warning in each.warnings)
         caption = f"{each.value:.3g} {score.unit}<br>{escape(each.picture)}, person {each.person}"
         cards.append(f"<figure>{shown}<figcaption><b>{each.address}</b> {caption}{warned}</figcaption></figure>")

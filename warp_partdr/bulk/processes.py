@@ -50,7 +50,7 @@ def read_in_processes(
         processes: Number of processes.
 
     Returns:
-        Pictures or cut people of each shard, as ``PeopleFitter.rows`` takes them.
+        Groups for ``group_rows``, one of each shard.
 
     Raises:
         InputError: If a process ends before its time.

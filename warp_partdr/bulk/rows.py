@@ -130,6 +130,15 @@ class PeopleRows:
             parts.append(RowPart(np.array(numbers), {name: each}))
         return cls(len(rows), parts)
 
+    def each(self) -> list[Row]:
+        """Rows one by one, of which each has the values that it does not miss."""
+        rows: list[Row] = [{} for _ in range(self.count)]
+        for part in self.parts:
+            for name, values in part.columns.items():
+                for number, value in zip(part.rows.tolist(), values, strict=True):
+                    rows[number][name] = value
+        return rows
+
     def unread(self) -> list[int]:
         """Numbers of rows whose picture another run is to read again."""
         return sorted({int(row) for part in self.parts if UNREAD in part.columns for row in part.rows})

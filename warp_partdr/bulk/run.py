@@ -11,6 +11,7 @@ from itertools import islice
 from typing import NamedTuple
 
 from ..errors import printable
+from .batches import group_rows, people_pool
 from .cutting import Held, Read, read_picture
 from .people import PeopleFitter
 from .processes import needed_memory, read_in_processes, shared_memory
@@ -62,10 +63,8 @@ def make_dataset(
         todo = [index for index in range(shards.count) if index not in whole]
     tally = Tally()
     pool = ThreadPoolExecutor(threads, thread_name_prefix="decode")
-    workers = ThreadPoolExecutor(fitter.workers, thread_name_prefix="people")
     writer = ThreadPoolExecutor(1, thread_name_prefix="write")
     left = {index: shards.left(index) for index in todo}
-    fitting: deque[tuple[int, Callable[[], PeopleRows]]] = deque()
     writing: deque[tuple[int, Future[None]]] = deque()
     began = time.perf_counter()
 
@@ -77,29 +76,21 @@ def make_dataset(
             if written is not None:
                 written(index, tally)
 
-    def collect(ahead: int) -> None:
-        """Write shards, except for ``ahead`` of them that may still be fitted."""
-        nonlocal began
-        while len(fitting) > ahead:
-            index, finish = fitting.popleft()
-            rows, before, began = finish(), began, time.perf_counter()
-            settle()
-            shard = _Shard(shards, index, left[index], columns, round(began - before, 3))
-            writing.append((index, writer.submit(shard.write, rows, tally)))
-
     try:
         if processes:
             taken = read_in_processes(source, fitter.cutter, [left[index] for index in todo], processes)
         else:
             pictures = _read_ahead(source, (name for index in todo for name in left[index]), pool, threads)
             taken = (islice(pictures, len(left[index])) for index in todo)
-        for index, each in zip(todo, taken, strict=True):
-            fitting.append((index, fitter.begin(workers, each, told)))
-            collect(1)
-        collect(0)
+        with people_pool(fitter) as workers:
+            for index, rows in zip(todo, group_rows(fitter, workers, taken, told), strict=True):
+                before, began = began, time.perf_counter()
+                settle()
+                shard = _Shard(shards, index, left[index], columns, round(began - before, 3))
+                writing.append((index, writer.submit(shard.write, rows, tally)))
         settle()
     finally:
-        for threads_of in (pool, workers, writer):
+        for threads_of in (pool, writer):
             threads_of.shutdown(cancel_futures=True)
     return tally
 

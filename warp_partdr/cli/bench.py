@@ -122,7 +122,7 @@ def _save(
     out: Path, name: str, figures: dict[str, Any], show: Callable[[Console], None], chart: Figure | None = None
 ) -> None:
     """Write bench-NAME.json, and bench-NAME.png where there is a chart, and show the figures."""
-    from ..lab.bench.report import save_figures, wide_console
+    from ..lab.tables import save_figures, wide_console
 
     path = out / f"bench-{name.replace(':', '')}"
     files = [path.with_suffix(".json")]

@@ -232,35 +232,64 @@ def _people_at_a_time(device: str, *, meshes: bool) -> int:
     return people_at_a_time(None, device) if device == "cpu" else 256 if meshes else 1000
 
 
-def dataset(
+@dataclass(frozen=True, kw_only=True)
+class DatasetRequest:
+    """Arguments and options of ``partdr dataset``.
+
+    Raises:
+        InputError: If one is wrong whatever the pictures show, or a package is missing that it needs.
+    """
+
     pictures: Annotated[
         Path, Argument(help="Folder, list (.txt), film, tar files, or COCO's annotations (.json).", metavar="PICTURES")
-    ],
-    out: Annotated[Path, Option(help="Folder for the shards.", metavar="FOLDER")] = Path("dataset"),
-    images: Annotated[Path | None, Option(help="Folder of COCO's pictures, else its own.", metavar="FOLDER")] = None,
+    ]
+    out: Annotated[Path, Option(help="Folder for the shards.", metavar="FOLDER")] = Path("dataset")
+    images: Annotated[Path | None, Option(help="Folder of COCO's pictures, else its own.", metavar="FOLDER")] = None
     batch: Annotated[
         int | None, Option(help="People at a time; default: 1000, with meshes 256, on a CPU 16.", metavar="N", min=1)
-    ] = None,
-    device: DeviceOption = "auto",
-    labels: LabelsOption = None,
+    ] = None
+    device: DeviceOption = "auto"
+    labels: LabelsOption = None
     keypoint_format: Annotated[
         str | None,
         Option("--format", help="Of the keypoints, if the files do not say; or a JSON file.", metavar="NAME"),
-    ] = None,
-    *,
-    how: BulkOptions,
-    parts: ShardOptions,
-    view: CameraOptions,
-    cluster: ClusterOptions,
-) -> None:
+    ] = None
+    how: BulkOptions
+    parts: ShardOptions
+    view: CameraOptions
+    cluster: ClusterOptions
+
+    def __post_init__(self) -> None:
+        if find_spec("pyarrow") is None:
+            raise InputError(f"partdr dataset: without pyarrow; expected it: {install_command('dataset')}")
+        self.view.check()
+        self.cluster.check()
+
+    def absolute(self) -> DatasetRequest:
+        """Request with full paths of files and folders."""
+        return replace(
+            self,
+            pictures=self.pictures.absolute(),
+            out=self.out.absolute(),
+            images=self.images and self.images.absolute(),
+            how=self.how.absolute(),
+        )
+
+    def record(self, source: PictureSource, *, half: bool) -> dict[str, Any]:
+        """All that rows depend on but the pictures, as shards state it."""
+        return self.how.record(self.view, source, self.keypoint_format, half=half)
+
+    def setup(self, device: str, *, half: bool) -> FitterSetup:
+        """Options of the fitter on a device."""
+        return FitterSetup(self.how, self.view, self.batch, device, half)
+
+
+def dataset(request: DatasetRequest) -> None:
     """Fit a data set; see ``DATASET_HELP``."""
-    if find_spec("pyarrow") is None:
-        raise InputError(f"partdr dataset: without pyarrow; expected it: {install_command('dataset')}")
-    view.check()
-    cluster.check()
+    cluster = request.cluster
     if cluster.ray is not None:  # its processes have working folders of their own
-        pictures, out, images = pictures.absolute(), out.absolute(), images and images.absolute()
-        how = how.absolute()
+        request = request.absolute()
+    out = request.out
 
     from ..bulk.opening import open_source
     from ..bulk.shards import Shards
@@ -268,16 +297,16 @@ def dataset(
     from ..interop.precision import multiplies_bfloat16
     from ..results.result_sets import check_folder
 
-    source = open_source(pictures, images, labels, keypoint_format)
+    source = open_source(request.pictures, request.images, request.labels, request.keypoint_format)
     for warning in source.warnings:
         typer.echo(f"partdr: warning: {warning}", err=True)
-    where = choose_device(device) if cluster.ray is None else device
+    where = choose_device(request.device) if cluster.ray is None else request.device
     half = cluster.ray is None and multiplies_bfloat16(where)  # machines of a cluster may differ, its rows may not
     check_folder(out)
-    shards = Shards(out, source.names, parts.shard, how.record(view, source, keypoint_format, half=half))
+    shards = Shards(out, source.names, request.parts.shard, request.record(source, half=half))
     there = shards.there()
     done = {index for index, unread in there.items() if not unread}
-    todo = [index for index in parts.mine(shards.count) if index not in done]
+    todo = [index for index in request.parts.mine(shards.count) if index not in done]
     if source.left_out:
         typer.echo(f"partdr: {source.left_out}", err=True)
     if not todo:
@@ -288,10 +317,10 @@ def dataset(
             from ..bulk.cluster import connected_cluster
 
             room = stack.enter_context(connected_cluster(cluster.ray))
-            where = ("cuda" if room.get("GPU") else "cpu") if device == "auto" else device
+            where = ("cuda" if room.get("GPU") else "cpu") if request.device == "auto" else request.device
         about = _versions(where) | {"skeleton": describe_skeleton(source.skeleton)}
         work = _Work(source, replace(shards, about=about), todo, len(done))
-        work.run(FitterSetup(how, view, batch, where, half), cluster)
+        work.run(request.setup(where, half=half), cluster)
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ def report(
     files = _open(dataset, "report")
     _check_outside(out, dataset)
 
-    from ..bulk.drawing import draw_worst
+    from ..bulk.drawn_people import draw_worst
     from ..bulk.page import write_page
     from ..bulk.survey import survey_people
     from ..results.result_sets import check_folder, scratch_folder

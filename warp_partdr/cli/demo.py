@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import dataclass, fields
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -54,41 +55,73 @@ class WebAddress:
             raise InputError(f"port: {self.port}; expected 0 to {2**16 - 1}")
 
 
-def demo(
-    files: PersonFiles,
+@dataclass(frozen=True, kw_only=True)
+class DemoRequest:
+    """Arguments and options of ``partdr demo``.
+
+    Raises:
+        InputError: If one is wrong or excludes another, or the file of settings can't be read.
+    """
+
+    files: PersonFiles
     photo: Annotated[
         Path | None,
         Argument(help="Picture of the person to reach; or the folder of a fitted film.", metavar="[PHOTO|FOLDER]"),
-    ] = None,
+    ] = None
     start: Annotated[
         str,
         Option(
             help="Body to begin with: its name; network, what the label network says; or a body.npz of `partdr fit`.",
             metavar="NAME",
         ),
-    ] = _START,
-    target: Annotated[str, Option(help="Body to reach.", metavar="NAME")] = _TARGET,
+    ] = _START
+    target: Annotated[str, Option(help="Body to reach.", metavar="NAME")] = _TARGET
     record: Annotated[
         Path | None, Option(help="Write it to a file, without a window: .gif, .mp4 or .html.", metavar="FILE")
-    ] = None,
+    ] = None
     web: Annotated[
         bool, Option("--web", help="The same in a browser; drawn on this machine, which needs no screen.")
-    ] = False,
+    ] = False
     profile: Annotated[
         bool, Option("--profile", help="Print how long a change takes to be drawn, without a window.")
-    ] = False,
-    out: OutOption = Path("out"),
-    *,
-    settings: SettingOptions,
-) -> None:
+    ] = False
+    out: OutOption = Path("out")
+    settings: SettingOptions
+
+    def __post_init__(self) -> None:
+        if sum((self.web, self.record is not None, self.profile)) > 1:
+            raise InputError("--web, --record, --profile: more than one; expected one of them, or none for a window")
+        _ = self.address
+
+    @cached_property
+    def values(self) -> dict[str, Any]:
+        """Settings in nested tables, read once."""
+        return self.settings.read()
+
+    @cached_property
+    def address(self) -> WebAddress | None:
+        """Address of the page that --web shows."""
+        given = {name: value for name, value in self.values.items() if name in _ADDRESS_KEYS}
+        if given and not self.web:
+            raise InputError(f"{next(iter(given))}: without --web; expected both, or neither")
+        return read_section(WebAddress, given) if self.web else None
+
+    @property
+    def own_settings(self) -> dict[str, Any]:
+        """Settings of what is shown, without those of the page."""
+        return {name: value for name, value in self.values.items() if name not in _ADDRESS_KEYS}
+
+    @property
+    def off_screen(self) -> bool:
+        """True if no window is opened on a screen."""
+        return self.web or self.profile
+
+
+def demo(request: DemoRequest) -> None:
     """Play; see ``DEMO_HELP``."""
-    if sum((web, record is not None, profile)) > 1:
-        raise InputError("--web, --record, --profile: more than one; expected one of them, or none for a window")
-    values = settings.read()
-    address = _web_address(values, web)
-    if web:
+    if request.web:
         _viewer("web").check_backend()
-    elif record is None and not profile and not _has_display():
+    elif request.record is None and not request.profile and not _has_display():
         raise InputError(
             "demo: no display (DISPLAY is not set); expected one, or --web for a browser, or --record out.gif or "
             "out.html, which need none"
@@ -99,61 +132,58 @@ def demo(
 
     choose_device("cpu")
     torch.set_num_threads(1)  # the tensors are small
-    if record is not None:
-        _viewer("recording").check_format(record)
-    if photo is not None and photo.is_dir():
-        _check_folder(files, photo, start, target)
-        _show_film(photo, values, out, record, address=address if web else None, profile=profile)
-        return
-    seed, settings_of_demo = take_whole(values, "seed"), _viewer("settings").Settings
-    check_keys(values, [*(field.name for field in fields(settings_of_demo)), "seed", *_ADDRESS_KEYS])
-    chosen = read_section(settings_of_demo, values)
-    first, goal = _bodies(files, photo, start, target, seed)
+    if request.record is not None:
+        _viewer("recording").check_format(request.record)
+    if request.photo is not None and request.photo.is_dir():
+        _show_film(request, request.photo)
+    else:
+        _show_body(request)
+
+
+def _show_body(request: DemoRequest) -> None:
+    """Show a body and its refinement, in a window or as a page, or record them."""
+    values = request.own_settings
+    seed, settings = take_whole(values, "seed"), _viewer("settings").Settings
+    check_keys(values, [*(field.name for field in fields(settings)), "seed", *_ADDRESS_KEYS])
+    chosen = read_section(settings, values)
+    first, goal = _bodies(request, seed)
     shown = _viewer("state").DemoState(first, goal, chosen)
-    if record is not None:
-        _record(shown, record, chosen.steps)
+    if request.record is not None:
+        _record(shown, request.record, chosen.steps)
         return
-    window = _viewer("window").Window(shown, out, off_screen=profile or web, seed=seed + 1)
-    _show(window, address if web else None, f", at {chosen.size}x{chosen.size}" if profile else None)
+    window = _viewer("window").Window(shown, request.out, off_screen=request.off_screen, seed=seed + 1)
+    _show(window, request, f", at {chosen.size}x{chosen.size}")
 
 
-def _show_film(
-    folder: Path,
-    values: dict[str, Any],
-    out: Path,
-    record: Path | None,
-    *,
-    address: WebAddress | None,
-    profile: bool,
-) -> None:
+def _show_film(request: DemoRequest, folder: Path) -> None:
     """Show what ``partdr fit FILM`` left in a folder, in a window or as a page, or record it."""
-    opening = _viewer("motion_state")
+    _check_folder(request, folder)
+    opening, values = _viewer("motion_state"), request.own_settings
     check_keys(values, [*(field.name for field in fields(opening.MotionSettings)), *_ADDRESS_KEYS])
     state, films = opening.open_motion(folder, read_section(opening.MotionSettings, values))
-    if record is None:
-        off_screen = profile or address is not None
-        window = _viewer("motion_window").MotionWindow(state, films, out, off_screen=off_screen)
-        _show(window, address, "" if profile else None)
+    if request.record is None:
+        window = _viewer("motion_window").MotionWindow(state, films, request.out, off_screen=request.off_screen)
+        _show(window, request, "")
         return
     from .progress import FitProgress
 
     scene = _viewer("motion_scene").PlottedMotion(state, films)
     try:
         with FitProgress() as progress:
-            count = _viewer("motion_recording").record_motion(scene, record, progress)
+            count = _viewer("motion_recording").record_motion(scene, request.record, progress)
     finally:
         scene.close()
-    _tell_recorded(record, count)
+    _tell_recorded(request.record, count)
 
 
-def _show(window: Any, address: WebAddress | None, profile: str | None) -> None:
+def _show(window: Any, request: DemoRequest, size: str) -> None:
     """Open a window, or serve it at an address; or tell how fast it is, with these words about its size."""
-    if profile is not None:
+    if request.profile:
         for what, took in window.profile().items():
-            typer.echo(f"{what}: {took:.1f} ms from the change to its drawn picture{profile}")
+            typer.echo(f"{what}: {took:.1f} ms from the change to its drawn picture{size}")
         return
-    if address is not None:
-        _serve(window, address)
+    if request.address is not None:
+        _serve(window, request.address)
     else:
         window.show()
     if told := window.finish():
@@ -168,27 +198,19 @@ def _viewer(name: str) -> Any:
     return import_module(f"..viewer.{name}", __package__)
 
 
-def _web_address(values: dict[str, Any], web: bool) -> WebAddress:
-    """The settings of --web, taken out of the others."""
-    given = {name: values.pop(name) for name in _ADDRESS_KEYS if name in values}
-    if given and not web:
-        raise InputError(f"{next(iter(given))}: without --web; expected both, or neither")
-    return read_section(WebAddress, given)
-
-
-def _check_folder(files: PersonFiles, folder: Path, start: str, target: str) -> None:
+def _check_folder(request: DemoRequest, folder: Path) -> None:
     """Raise an InputError if something was given that a fitted film has no use for."""
-    given = {name: value for name, value in vars(files).items() if value is not None}
-    given |= {"start": start} if start != _START else {}
-    given |= {"target": target} if target != _TARGET else {}
+    given = {name: value for name, value in vars(request.files).items() if value is not None}
+    given |= {"start": request.start} if request.start != _START else {}
+    given |= {"target": request.target} if request.target != _TARGET else {}
     for name, value in given.items():
         option = "format" if name == "keypoint_format" else name
         raise InputError(f"--{option}: {value}, with {folder}, a folder of a fitted film; expected the folder alone")
 
 
-def _bodies(files: PersonFiles, photo: Path | None, start: str, target: str, seed: int) -> tuple[Any, Any]:
+def _bodies(request: DemoRequest, seed: int) -> tuple[Any, Any]:
     """The body to begin with and the target."""
-    targets = _viewer("targets")
+    targets, files, photo, start = _viewer("targets"), request.files, request.photo, request.start
     if files.keypoints is not None:
         goal = targets.person_target(files.read(photo))
     elif any(given is not None for given in (files.parts, files.labels, files.keypoint_format)):
@@ -203,7 +225,7 @@ def _bodies(files: PersonFiles, photo: Path | None, start: str, target: str, see
     elif files.person is not None:
         raise InputError(f"--person: {files.person}, without a photo or keypoints; expected one of them")
     else:
-        goal = targets.body_target(targets.body_of(target, seed + 1))  # another than a random start
+        goal = targets.body_target(targets.body_of(request.target, seed + 1))  # another than a random start
     if start.endswith(".npz"):
         return targets.read_body(start), goal
     return targets.network_body(goal) if start == targets.NETWORK else targets.body_of(start, seed), goal

@@ -134,13 +134,13 @@ def partbench(
     Ten minutes on two cores; --quick one.
     """
     check_counts(jobs=jobs, people=people)
-    from ..lab.bench.report import save_figures
     from ..lab.evaluation.partbench.crossed import CASES, CROSSED_METHODS, crossed_samples
     from ..lab.evaluation.partbench.methods import METHODS, QUICK
     from ..lab.evaluation.partbench.report import compare_methods, write_report
     from ..lab.evaluation.partbench.samples import CLIP, CROSSED, SCENES, partbench_samples
     from ..lab.evaluation.partbench.scenes import SCENE_METHODS, partbench_scenes
     from ..lab.synthetic.noise import LEVELS
+    from ..lab.tables import save_figures
     from ..results.result_sets import check_folder
 
     if out is not None:

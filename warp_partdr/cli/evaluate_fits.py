@@ -47,7 +47,7 @@ class RunOptions:
 
     def save(self, figures: dict[str, Any]) -> None:
         """Write figures to ``out``, if it was given."""
-        from ..lab.bench.report import save_figures
+        from ..lab.tables import save_figures
 
         if self.out is not None:
             save_figures(figures, self.out)
@@ -92,8 +92,8 @@ def fit_samples(
     ``clusters`` and ``together`` are the report's.
     """
     from ..lab.bench.machine import about
-    from ..lab.bench.report import wide_console
     from ..lab.evaluation.evaluate import evaluate, tables
+    from ..lab.tables import wide_console
     from .progress import FitProgress
 
     with FitProgress() as progress:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,46 +13,52 @@ import typer
 from ..errors import InputError, told_as
 from ..inputs.films import film_facts, is_photo, read_frames
 from ..inputs.part_labels import scan_photo
+from .fit_request import FitRequest, QualityName, StartName
 from .loading import NO_MODEL, load_mesh_kernels
-from .options import EXIF, CameraOptions, NetworkOptions, PhotoFiles, say_distance, take_formats, take_whole
+from .options import EXIF, CameraOptions, NetworkOptions, RunSettings, say_distance
 from .register import read_model
 
 if TYPE_CHECKING:
+    from ..inputs.calibrated_camera import CalibratedCamera
+    from ..networks.predictors.film_sights import GivenNetworks
     from ..pipelines.seen_film import SeenFilm
+    from ..solve.scene.options import SceneOptions
 
 
-def fit_motions(
-    files: PhotoFiles,
-    film: Path,
-    out: Path,
-    device: str,
-    model: str,
-    view: CameraOptions,
-    values: dict[str, Any],
-    min_score: float,
-) -> None:
-    """Fit motions to everyone in a film, or to one of them.
+def fit_motions(request: FitRequest) -> None:
+    """Fit motions to everyone in a film, or to one of them, and write and tell what was found.
 
-    Args:
-        files: Of which only ``person`` and networks may be given.
-        film: The film.
-        out: Folder for the results.
-        device: As the option says.
-        model: Name or file of the detailed model.
-        view: The camera, which stands still.
-        values: Settings: ``threads``, ``also``, and fields of ``SceneOptions``.
-        min_score: Least confidence that there is a person.
+    Raises:
+        InputError: If an option is of photos alone, or the film can't be fitted.
     """
+    film, files = request.photo, request.files
+    assert film is not None  # it is a film
+    if request.explain:
+        raise InputError("--explain: with a film; expected a photo")
+    if request.quality is not QualityName.balanced or request.start is not StartName.network:
+        raise InputError("--quality, --start: with a film; expected none, or --set mesh.iterations=30, for example")
     for name, given in (("keypoints", files.keypoints), ("parts", files.parts)):
         if given is not None:
             raise InputError(f"--{name}: {given}, with a film; expected a film alone")
     files.networks.check()
-    if model == NO_MODEL:
+    if request.model == NO_MODEL:
         raise InputError("--model: none, with a film; expected a detailed model")
-    check_film_view(view, [film])
+    check_film_view(request.view, [film])
     film_facts(film)  # faults of the file are told before anything is loaded
 
-    fit_films(FilmRun((film,), out, device, model, files.person, min_score, values, files.networks, view))
+    fit_films(
+        FilmRun(
+            films=(film,),
+            out=request.out,
+            device=request.device,
+            model=request.model,
+            person=files.person,
+            min_score=request.score,
+            settings=request.run,
+            networks=files.networks,
+            view=request.view,
+        )
+    )
 
 
 def check_film_view(view: CameraOptions, films: Sequence[Path]) -> None:
@@ -69,14 +73,14 @@ class FilmRun:
     """Films that are to be fitted, and how.
 
     Attributes:
-        films: Of the same moments.
+        films: Films of the same moments.
         out: Folder for the results.
         device: As the option says.
         model: Name or file of the detailed model.
         person: Whom alone.
         min_score: Least confidence that there is a person.
-        values: Settings: ``threads``, ``also``, and fields of ``SceneOptions``.
-        networks: Of others.
+        settings: Settings, of the fit those of ``SceneOptions``.
+        networks: Networks of others.
         view: The camera, or the lens of each of several.
         cameras: Or the file of calibrated ones; several cameras without are placed by the people.
         align: Whether it is to be found which frames of several films show one moment.
@@ -88,7 +92,7 @@ class FilmRun:
     model: str
     person: int | None
     min_score: float
-    values: dict[str, Any]
+    settings: RunSettings
     networks: NetworkOptions = field(default_factory=NetworkOptions)
     view: CameraOptions = field(default_factory=CameraOptions)
     cameras: Path | None = None
@@ -98,17 +102,11 @@ class FilmRun:
 def fit_films(run: FilmRun) -> None:
     """Find people, fit their motions, write and tell the results."""
     from ..files.sections import read_section
-    from ..inputs.camera_files import cameras_of_films
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
-    from ..networks.detection.film_people import find_film_people
-    from ..networks.predictors.film_sights import GivenNetworks, find_film_sights
     from ..pipelines.film import fit_film
-    from ..pipelines.film_cameras import place_film_cameras
     from ..pipelines.film_pieces import FilmPieces
-    from ..pipelines.film_times import film_starts
-    from ..pipelines.matched_times import match_films
-    from ..pipelines.seen_film import SeenFilm
+    from ..pipelines.found_films import FilmSearch
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save_film import CAMERAS, overlay_name, save_film_fit
     from ..solve.scene.options import SceneOptions
@@ -116,86 +114,44 @@ def fit_films(run: FilmRun) -> None:
 
     run.networks.check_film()
     films, where = run.films, choose_device(run.device)
-    set_num_threads(take_whole(run.values, "threads"))
-    formats = take_formats(run.values)
-    options = read_section(SceneOptions, run.values, base=SceneOptions.film())
+    set_num_threads(run.settings.threads)
+    options = read_section(SceneOptions, run.settings.fit, base=SceneOptions.film())
     check_folder(run.out)
     check_inputs(run.out, (*films, run.cameras), [CAMERAS, *map(overlay_name, range(len(films)))])
-    rig = None if run.cameras is None else cameras_of_films(run.cameras, films, say=_say)
-    if rig is not None:  # faults are told before people are looked for
-        options.check_sights(1, len(films))
-        for film, camera in zip(films, rig, strict=True):
-            picture = next(read_frames(film)).picture
-            with told_as("picture", film):
-                camera.fitted((picture.shape[0], picture.shape[1]))
+    rig = _read_rig(run, options)
     photos = [film for film in films if rig is None and is_photo(film)]
     lenses = {film: run.view.of_photo(scan_photo(film), film) for film in photos}
-    loaded = run.networks.load(where)
-    networks = GivenNetworks(loaded.parts_from, loaded.keypoints_from)
+    search = FilmSearch(
+        films,
+        options,
+        lens=lambda film, size: lenses.get(film) or run.view.read(size, None),
+        device=where,
+        min_score=run.min_score,
+        networks=_load_networks(run.networks, where),
+        rig=rig,
+        person=run.person,
+        align=run.align,
+    )
     detailed = read_model(run.model, where)
+    others = [] if run.cameras is None or run.cameras.is_dir() else [run.cameras]
+    given = (*films, *others, *run.networks.files)
+    pieces = FilmPieces(
+        run.out,
+        given,
+        rig,
+        run.view,
+        run.networks,
+        options,
+        run.person,
+        run.model,
+        run.min_score,
+        run.align,
+    )
     with FitProgress() as progress:
         load_mesh_kernels(where)
-        others = [] if run.cameras is None or run.cameras.is_dir() else [run.cameras]
-        given = (*films, *others, *run.networks.files)
-        pieces = FilmPieces(
-            run.out,
-            given,
-            rig,
-            run.view,
-            run.networks,
-            options,
-            run.person,
-            run.model,
-            run.min_score,
-            run.align,
-        )
-        seen: list[SeenFilm] = []
-        for place, film in enumerate(films):
-            told = partial(progress, "people" if len(films) == 1 else f"people of {film.name}")
-            if run.networks.given:
-                ask = partial(
-                    find_film_sights,
-                    film,
-                    networks,
-                    min_score=run.min_score,
-                    device=where,
-                    progress=told,
-                    landmarks=options.landmarks,
-                )
-                people, sights = pieces.sights(place, networks, ask)
-            else:
-                find = partial(
-                    find_film_people,
-                    film,
-                    min_score=run.min_score,
-                    device=where,
-                    progress=told,
-                    landmarks=options.landmarks,
-                )
-                people, sights = pieces.people(place, find), None
-            if rig is None:
-                lens = lenses.get(film) or run.view.read(people.image_size, None)
-                seen.append(SeenFilm.of(people, lens, given=sights))
-            else:
-                seen.append(SeenFilm.calibrated(people, rig[place], given=sights))
-        with ExitStack() as named:
-            for place, film in enumerate(films):
-                named.enter_context(told_as(f"films[{place}]", film))
-            starts = None
-            if run.align:
-                starts = pieces.starts(partial(film_starts, seen, device=where, progress=progress))
-            seen = match_films(seen, starts)
-            if rig is None and len(films) > 1:
-                place_all = partial(
-                    place_film_cameras,
-                    seen,
-                    stature=options.stature,
-                    person=run.person,
-                    device=where,
-                    progress=progress,
-                )
-                seen = pieces.placed(seen, place_all)
-                options = replace(options, stature=None)  # cameras are as far away as it says
+        seen = search.find(pieces, progress)
+        if search.places_cameras:
+            options = replace(options, stature=None)  # cameras are as far away as it says
         fit = fit_film(
             seen,
             person=run.person,
@@ -205,7 +161,7 @@ def fit_films(run: FilmRun) -> None:
             progress=progress,
             pieces=pieces,
         )
-        report = save_film_fit(fit, run.out, films=films, formats=formats, progress=progress)
+        report = save_film_fit(fit, run.out, films=films, formats=run.settings.formats, progress=progress)
         pieces.remove()
     for warning in report["warnings"]:
         typer.echo(f"partdr: warning: {warning}", err=True)
@@ -213,6 +169,31 @@ def fit_films(run: FilmRun) -> None:
         for gap in each.given.gaps if each.given is not None else ():
             typer.echo(f"partdr: warning: {film}: {gap}", err=True)
     _tell(run, seen, report)
+
+
+def _read_rig(run: FilmRun, options: SceneOptions) -> list[CalibratedCamera] | None:
+    """Calibrated cameras of the films, if a file of them is given; faults are told before people are looked for."""
+    from ..inputs.camera_files import cameras_of_films
+
+    if run.cameras is None:
+        return None
+    rig = cameras_of_films(run.cameras, run.films, say=_say)
+    options.check_sights(1, len(run.films))
+    for film, camera in zip(run.films, rig, strict=True):
+        picture = next(read_frames(film)).picture
+        with told_as("picture", film):
+            camera.fitted((picture.shape[0], picture.shape[1]))
+    return rig
+
+
+def _load_networks(options: NetworkOptions, device: str) -> GivenNetworks | None:
+    """Networks of others, if there are any."""
+    from ..networks.predictors.film_sights import GivenNetworks
+
+    if not options.given:
+        return None
+    loaded = options.load(device)
+    return GivenNetworks(loaded.parts_from, loaded.keypoints_from)
 
 
 def _say(sentence: str) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, is_dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -78,6 +78,28 @@ class SettingOptions:
             set_value(values, override)
         return values
 
+    def read_run(self) -> RunSettings:
+        """Settings of a run, checked as far as they are of no fit; an InputError for what is an option instead."""
+        values = self.read()
+        if "min_score" in values:
+            raise InputError(f"min_score: {shown(values['min_score'])}, as a setting; expected the option --min-score")
+        return RunSettings(take_whole(values, "threads"), take_formats(values), values)
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """Settings of a run of ``partdr fit`` or ``partdr scene``.
+
+    Attributes:
+        threads: Number of CPU threads; 0: one a core.
+        formats: Formats of more files of detailed bodies.
+        fit: Settings of the fit's options, in nested tables.
+    """
+
+    threads: int
+    formats: tuple[str, ...]
+    fit: Mapping[str, Any]
+
 
 # As ``results.further_files.FURTHER``, which is not loaded for --help.
 BodyFormat = StrEnum("BodyFormat", ["usda", "usdz", "fbx"])
@@ -95,10 +117,11 @@ def take_formats(values: dict[str, Any]) -> tuple[str, ...]:
 
 def check_further(given: Sequence[str] | None, option: str = "--to") -> tuple[str, ...]:
     """Formats of more files of detailed bodies, each once; an InputError if one can't be written here."""
-    from ..results.further_files import check_formats
-
     formats = tuple(dict.fromkeys(str(name) for name in given or ()))
-    check_formats(option, formats)
+    if formats:
+        from ..results.further_files import check_formats
+
+        check_formats(option, formats)
     return formats
 
 
@@ -375,29 +398,38 @@ def say_distance(metres: float, *, sure: bool, assumed: bool) -> str:
     return f"{'' if sure else 'about '}{metres:.1f} m away{lens}"
 
 
-def grouped(command: Callable[..., None], *, required: Sequence[str] = ()) -> Callable[..., None]:
+def grouped(command: Callable[..., None]) -> Callable[..., None]:
     """Make a command for Typer of a function that takes dataclasses: each of their fields becomes an option.
 
     Args:
-        command: The function; a field's annotation and default are those of an option.
-        required: Fields that the command line must give, whatever their default.
+        command: The function. Fields may be dataclasses of options, too. The annotation and the default of any other
+            field are those of an option.
     """
-    hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
-    options: dict[str, inspect.Parameter] = {}
-    for name, parameter in inspect.signature(command).parameters.items():
-        taken = inspect.signature(groups[name]).parameters if name in groups else {name: parameter}
-        kinds = get_type_hints(groups[name], include_extras=True) if name in groups else hints
-        for option, each in taken.items():
-            default = inspect.Parameter.empty if option in required else each.default
-            options[option] = each.replace(kind=each.KEYWORD_ONLY, annotation=kinds[option], default=default)
 
     def run(**given: Any) -> None:
-        for name, kind in groups.items():
-            given[name] = kind(**{field.name: given.pop(field.name) for field in fields(kind)})
-        command(**given)
+        _call_with(command, given)
 
-    run.__signature__ = inspect.Signature(list(options.values()))  # type: ignore[attr-defined]
+    run.__signature__ = inspect.Signature(list(_options_of(command)))  # type: ignore[attr-defined]
     run.__annotations__ = {}
     run.__name__, run.__doc__ = command.__name__, command.__doc__
     return run
+
+
+def _options_of(function: Callable[..., Any]) -> Iterator[inspect.Parameter]:
+    """Parameters of a function or a dataclass; those of a dataclass stand in its parameter's place."""
+    kinds = get_type_hints(function, include_extras=True)
+    for name, parameter in inspect.signature(function).parameters.items():
+        if is_dataclass(kinds[name]):
+            yield from _options_of(kinds[name])
+        else:
+            yield parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kinds[name])
+
+
+def _call_with(function: Callable[..., Any], given: Mapping[str, Any]) -> Any:
+    """Call a function with options by their names, of which those of dataclasses are made."""
+    kinds = get_type_hints(function)
+    arguments = {
+        name: _call_with(kinds[name], given) if is_dataclass(kinds[name]) else given[name]
+        for name in inspect.signature(function).parameters
+    }
+    return function(**arguments)

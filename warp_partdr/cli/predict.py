@@ -2,14 +2,38 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from typer import Argument, Option
 
-from ..errors import InputError
+from ..errors import InputError, printable
+from ..inputs.part_labels import read_photo
+from ..inputs.photo_files import LeftOut
 from ..networks.detection import MIN_SCORE
-from .options import CameraOptions, DeviceOption, LabelsOption, LandmarksOption, MinScoreOption
+from .options import (
+    EXIF,
+    CameraOptions,
+    DeviceOption,
+    LabelsOption,
+    LandmarksName,
+    LandmarksOption,
+    MinScoreOption,
+    check_person,
+    check_score,
+    people_at_a_time,
+    say_people,
+)
+
+if TYPE_CHECKING:
+    from ..bulk.named_files import NamedFile
+    from ..bulk.predict import PeoplePredictor
+    from ..cameras import Perspective
+    from ..inputs.sample import Sample
 
 PREDICT_HELP = """Say at once where bodies are: pose and measurements of people in photos and films, without
 refinement. For many people; `partdr fit` starts with the same and goes on.
@@ -29,42 +53,179 @@ out; the exit code is then 1.
 """
 
 
-def predict(
-    paths: Annotated[list[Path], Argument(help="Photos, films, or folders of them.", metavar="PATH")],
-    labels: LabelsOption = None,
-    out: Annotated[Path, Option(help="Folder for the bodies.", metavar="FOLDER")] = Path("out"),
+@dataclass(frozen=True, kw_only=True)
+class PredictRequest:
+    """Arguments and options of ``partdr predict``.
+
+    Raises:
+        InputError: If one is wrong whatever the pictures show.
+    """
+
+    paths: Annotated[list[Path], Argument(help="Photos, films, or folders of them.", metavar="PATH")]
+    labels: LabelsOption = None
+    out: Annotated[Path, Option(help="Folder for the bodies.", metavar="FOLDER")] = Path("out")
     network: Annotated[
         Path | None,
         Option(help="A network of `partdr train`; by default the packaged one.", metavar="FILE.safetensors"),
-    ] = None,
+    ] = None
     person: Annotated[
         int | None, Option(help="Whom to take of each photo or film, 0 = first; default: all.", metavar="N")
-    ] = None,
-    min_score: MinScoreOption = None,
-    landmarks: LandmarksOption = None,
+    ] = None
+    min_score: MinScoreOption = None
+    landmarks: LandmarksOption = None
     batch: Annotated[
         int | None, Option(help="People at a time in the network; default: 64, on a CPU 16.", metavar="N")
-    ] = None,
-    device: DeviceOption = "auto",
-    *,
-    view: CameraOptions,
-) -> None:
-    """Predict bodies; see ``PREDICT_HELP``."""
-    from .predict_folder import predict_folder
-    from .predict_found import Taken, predict_found
+    ] = None
+    device: DeviceOption = "auto"
+    view: CameraOptions
 
-    if batch is not None and batch < 1:
-        raise InputError(f"--batch: {batch}; expected 1 or more")
-    described = [path for path in paths if path.is_dir() and any(path.glob("*.keypoints.json"))]
-    if described:
-        if len(paths) > 1:
-            raise InputError(f"{described[0]}: a folder with keypoints, among others; expected it alone")
-        for name, given in (("--person", person), ("--min-score", min_score), ("--landmarks", landmarks)):
-            if given is not None:
-                raise InputError(f"{name}: {given}, with a folder of keypoints; expected photos or films alone")
-        predict_folder(described[0], labels, out, network, batch, device, view)
-        return
-    if labels is not None:
-        raise InputError(f"--labels: {labels}, without a folder of keypoints; expected them with it")
-    score, heavy = MIN_SCORE if min_score is None else min_score, landmarks == "heavy"
-    predict_found(paths, out, network, device, view, Taken(person, score, batch, "heavy" if heavy else "full"))
+    def __post_init__(self) -> None:
+        if self.batch is not None and self.batch < 1:
+            raise InputError(f"--batch: {self.batch}; expected 1 or more")
+        if self.described is not None:
+            if len(self.paths) > 1:
+                raise InputError(f"{self.described}: a folder with keypoints, among others; expected it alone")
+            for name in ("person", "min_score", "landmarks"):
+                if (given := getattr(self, name)) is not None:
+                    option = f"--{name.replace('_', '-')}"
+                    raise InputError(f"{option}: {given}, with a folder of keypoints; expected photos or films alone")
+            return
+        if self.labels is not None:
+            raise InputError(f"--labels: {self.labels}, without a folder of keypoints; expected them with it")
+        check_score("--min-score", self.score)
+        check_person(self.person)
+
+    @property
+    def described(self) -> Path | None:
+        """The folder with keypoints, if there is one among the paths."""
+        return next((path for path in self.paths if path.is_dir() and any(path.glob("*.keypoints.json"))), None)
+
+    @property
+    def score(self) -> float:
+        """Least confidence that there is a person."""
+        return MIN_SCORE if self.min_score is None else self.min_score
+
+    def report(self) -> dict[str, Any]:
+        """The beginning of ``predictions.json``."""
+        return {"network": None if self.network is None else str(self.network)}
+
+    def predictor(self, device: str) -> PeoplePredictor:
+        """Finder of people and predictor of their bodies, loaded to a device."""
+        from ..bulk.batches import FindRule
+        from ..bulk.cutting import Cutter
+        from ..bulk.predict import PeoplePredictor
+        from ..networks.regression.checkpoint import load_label_network
+
+        return PeoplePredictor(
+            load_label_network(self.network, device=device),
+            device,
+            people_at_a_time(self.batch, device),
+            FindRule(self.score, "heavy" if self.landmarks is LandmarksName.HEAVY else "full"),
+            Cutter(person=self.person),
+        )
+
+
+def predict(request: PredictRequest) -> None:
+    """Predict bodies; see ``PREDICT_HELP``."""
+    if request.described is None:
+        _predict_files(request)
+    else:
+        _predict_folder(request, request.described)
+
+
+def _predict_files(request: PredictRequest) -> None:
+    """Find people in photos and films, and predict their bodies."""
+    from ..bulk.named_files import count_pictures, named_files
+
+    left_out = LeftOut()
+    files = named_files(request.paths, left_out)
+    if left_out:
+        typer.echo(f"partdr: {left_out}", err=True)
+    total = count_pictures(files)
+    _check_view(request.view, files)
+
+    from ..body.template import JOINT_NAMES
+    from ..bulk.predict import predict_files
+    from ..interop.devices import choose_device
+    from ..networks.detection.person import SKELETON
+    from ..results.result_sets import PREDICTIONS_REPORT, check_folder, replacing
+    from .progress import PictureProgress
+
+    where = choose_device(request.device)
+    check_folder(request.out)
+    report = request.report() | {"joints": list(JOINT_NAMES), "keypoints": SKELETON, "people": []}
+    with PictureProgress(total) as progress, replacing(request.out, PREDICTIONS_REPORT, report) as temporary:
+        predictor = request.predictor(where)
+        started = time.perf_counter()
+        found = predict_files(
+            files,
+            predictor,
+            request.view.read,
+            temporary,
+            passed=progress,
+            say=lambda line: progress.say(f"partdr: {line}"),
+        )
+        seconds = time.perf_counter() - started
+        report |= found.report()
+    counts = {"photo": found.photos, "frame": found.frames}
+    passed = [f"{count} {kind}{'s' * (count > 1)}" for kind, count in counts.items() if count]
+    speed = f"{sum(counts.values()) / seconds:.1f} a second"
+    typer.echo(f"{say_people(len(found.people))} in {' and '.join(passed)}; {speed}, {where}")
+    typer.echo(f"{request.out / PREDICTIONS_REPORT} names the files of their bodies")
+    if found.unreadable:
+        raise typer.Exit(1)
+
+
+def _check_view(view: CameraOptions, files: Sequence[NamedFile]) -> None:
+    """Find faults of the options before people are looked for."""
+    if view.focal == EXIF and (films := [file.path for file in files if file.is_film]):
+        raise InputError(f"--focal: exif, with {films[0]}, a film; expected pixels, or --fov")
+    view.check()
+
+
+def _predict_folder(request: PredictRequest, folder: Path) -> None:
+    """Predict the body of the person of each picture in a folder with keypoints."""
+    from ..body.labels import label_set
+    from ..lab.evaluation.datasets import read_folder
+
+    left_out = LeftOut()
+    labels = None if request.labels is None else label_set(request.labels)
+    samples = list(read_folder(folder, labels, left_out))
+    if left_out:
+        typer.echo(f"partdr: {left_out}", err=True)
+    cameras = [_camera(request.view, sample) for sample in samples] if request.view.given else None
+
+    from ..bulk.predict import predict_samples
+    from ..interop.devices import choose_device
+    from ..results.result_sets import PREDICTIONS_REPORT, check_folder, replacing
+    from .progress import PictureProgress
+
+    where = choose_device(request.device)
+    check_folder(request.out)
+    predictor = request.predictor(where)
+    names = [{"file": f"{sample.name}.npz", "picture": printable(_file(sample).name)} for sample in samples]
+    report = request.report() | {"people": names}
+    with PictureProgress(len(samples)) as progress, replacing(request.out, PREDICTIONS_REPORT, report) as temporary:
+        speeds = predict_samples(
+            samples,
+            cameras,
+            predictor,
+            temporary,
+            passed=progress,
+            say=lambda line: progress.say(f"partdr: {line}"),
+        )
+    typer.echo(
+        f"{say_people(len(samples))}: {speeds.network:.0f} a second through the network, "
+        f"{speeds.whole:.0f} a second with cropping; batches of {predictor.batch}, {where}"
+    )
+    typer.echo(f"{request.out} holds a body of each: N.npz")
+
+
+def _file(sample: Sample) -> Path:
+    assert isinstance(sample.picture, Path)  # of a folder
+    return sample.picture
+
+
+def _camera(view: CameraOptions, sample: Sample) -> Perspective | None:
+    """The camera of a sample's picture."""
+    return view.read(read_photo(_file(sample)).shape[:2], _file(sample))

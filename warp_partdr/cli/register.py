@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -54,84 +55,82 @@ class ClotheOptions:
     ] = False
 
 
-def register_body(
-    body: Annotated[Path, Argument(help="body.npz of partdr fit, or another method's body.", metavar="BODY")],
-    model: Annotated[str, Option(help=f"{MODEL_HELP}.", metavar="NAME")] = "anny",
-    photo: Annotated[Path | None, Option(help="The fit's picture, to draw the body over.", metavar="FILE")] = None,
+@dataclass(frozen=True, kw_only=True)
+class RegisterRequest:
+    """Arguments and options of ``partdr register``."""
+
+    body: Annotated[Path, Argument(help="body.npz of partdr fit, or another method's body.", metavar="BODY")]
+    model: Annotated[str, Option(help=f"{MODEL_HELP}.", metavar="NAME")] = "anny"
+    photo: Annotated[Path | None, Option(help="The fit's picture, to draw the body over.", metavar="FILE")] = None
     parts: Annotated[
         Path | None, Option(help="The fit's part labels, to say how well the detailed body fills them.", metavar="FILE")
-    ] = None,
-    labels: LabelsOption = None,
+    ] = None
+    labels: LabelsOption = None
     keypoints: Annotated[
         Path | None, Option(help="2D keypoints, if another method's body is to follow them, too.", metavar="FILE")
-    ] = None,
-    out: OutOption = Path("out"),
+    ] = None
+    out: OutOption = Path("out")
     to: Annotated[
         list[BodyFormat] | None, Option(help="Also detailed.usda, .usdz or .fbx (by Blender).", metavar="NAME")
-    ] = None,
-    device: DeviceOption = "auto",
-    *,
-    how: ClotheOptions,
-) -> None:
+    ] = None
+    device: DeviceOption = "auto"
+    how: ClotheOptions
+
+    @cached_property
+    def formats(self) -> tuple[str, ...]:
+        """Formats of more files; an InputError if one can't be written here."""
+        return check_further(self.to)
+
+    def check_out(self) -> None:
+        """Raise an InputError if results can't be written, or would replace one of the files that were given."""
+        from ..results.result_sets import check_folder, check_inputs
+        from ..results.save import DETAILED_FILES, SMPLX_FILE
+
+        check_folder(self.out)
+        named = [Path(name) for name in (self.labels, self.model) if name]
+        check_inputs(
+            self.out, [self.body, self.photo, self.parts, self.keypoints, *named], [*DETAILED_FILES, SMPLX_FILE]
+        )
+
+
+def register_body(request: RegisterRequest) -> None:
     """Register a detailed model; see ``REGISTER_HELP``."""
-    from ..inputs.part_labels import check_sizes, read_labelled_parts
-    from ..results.body_file import BODY_ARRAYS, load_body
+    from ..inputs.part_labels import read_labelled_parts
     from ..solve.mesh.given_files import is_given
 
-    picture = None if photo is None else read_shown_photo(photo)
-    image = read_labelled_parts(parts, labels)
-    formats = check_further(to)
-    if is_given(body):
-        if image is None:
-            raise InputError(f"--parts: missing; expected the part labels that {body}, another method's, is to follow")
-        if how.inscribed or how.grow:
-            raise InputError(f"--inscribed, --grow: with {body}, another method's body; expected one of partdr fit")
-        files = _GivenFiles(body, model, photo, keypoints, labels, parts)
-        _refine(files, picture, image, out, device, formats)
-        return
-    if keypoints is not None:
-        raise InputError(f"--keypoints: with {body}, a fit's; expected another method's body")
-    fitted = load_body(body)
+    picture = None if request.photo is None else read_shown_photo(request.photo)
+    parts = read_labelled_parts(request.parts, request.labels)
+    _ = request.formats  # faults in it are told before anything is made
+    told = _refine(request, picture, parts) if is_given(request.body) else _clothe_fit(request, picture, parts)
+    typer.echo(told)
+
+
+def _clothe_fit(request: RegisterRequest, photo: np.ndarray | None, parts: PartLabels | None) -> str:
+    """Clothe the body of a fit and write it; returns a line about it."""
+    from ..inputs.part_labels import check_sizes
+    from ..results.body_file import BODY_ARRAYS, load_body
+
+    if request.keypoints is not None:
+        raise InputError(f"--keypoints: with {request.body}, a fit's; expected another method's body")
+    fitted = load_body(request.body)
     height, width = fitted.image_size.tolist()
-    seen = {"photo": picture, "parts": None if image is None else image.groups}
+    seen = {"photo": photo, "parts": None if parts is None else parts.groups}
     check_sizes(body=(height, width), **{name: each.shape[:2] for name, each in seen.items() if each is not None})
 
     import torch
 
     from ..body.posing import pose
     from ..interop.devices import choose_device
-    from ..results.result_sets import check_folder, check_inputs
-    from ..results.save import DETAILED_FILES, SMPLX_FILE
     from .progress import FitProgress
 
-    where = choose_device(device)
-    check_folder(out)
-    given = (body, photo, parts, *(Path(name) for name in (labels, model) if name))
-    check_inputs(out, given, (*DETAILED_FILES, SMPLX_FILE))
-    detailed_model = read_model(model, where)
+    where = choose_device(request.device)
+    request.check_out()
+    model = read_model(request.model, where)
     posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in BODY_ARRAYS))
-    person = None if image is None else _evidence_of(posed, fitted.camera(), image)
-    view = SeenBody(fitted.camera(), (height, width), picture, person)
+    evidence = None if parts is None else _evidence_of(posed, fitted.camera(), parts)
+    view = SeenBody(fitted.camera(), (height, width), photo, evidence)
     with FitProgress() as progress:
-        told = clothe(posed, detailed_model, out, view, how, formats=formats, progress=progress)
-    typer.echo(told)
-
-
-@dataclass(frozen=True)
-class _GivenFiles:
-    """Files of another method's body, as the command line names them."""
-
-    body: Path
-    model: str
-    photo: Path | None
-    keypoints: Path | None
-    labels: str | None
-    parts: Path | None
-
-    def paths(self) -> list[Path | None]:
-        """Paths of all files; names of models and label sets count as paths, too."""
-        labels = None if self.labels is None else Path(self.labels)
-        return [self.body, Path(self.model), self.photo, self.keypoints, labels, self.parts]
+        return clothe(posed, model, request.out, view, request.how, formats=request.formats, progress=progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,34 +150,31 @@ class SeenBody:
     evidence: Evidence | None
 
 
-def _refine(
-    files: _GivenFiles,
-    photo: np.ndarray | None,
-    parts: PartLabels,
-    out: Path,
-    device: str,
-    formats: tuple[str, ...],
-) -> None:
-    """Refine another method's body and write it; the files are those of the command line."""
+def _refine(request: RegisterRequest, photo: np.ndarray | None, parts: PartLabels | None) -> str:
+    """Refine another method's body and write it; returns a line about it."""
+    body, how = request.body, request.how
+    if parts is None:
+        raise InputError(f"--parts: missing; expected the part labels that {body}, another method's, is to follow")
+    if how.inscribed or how.grow:
+        raise InputError(f"--inscribed, --grow: with {body}, another method's body; expected one of partdr fit")
+
     from ..inputs.keypoint_files import read_keypoints
     from ..inputs.keypoints import choose_person
     from ..inputs.part_labels import check_sizes
     from ..interop.devices import choose_device
-    from ..results.result_sets import check_folder, check_inputs
-    from ..results.save import DETAILED_FILES, SMPLX_FILE, save_registered
+    from ..results.save import save_registered
     from ..solve.mesh.given_files import read_given
     from ..solve.mesh.given_start import refine_given
     from .progress import FitProgress
 
     height, width = parts.groups.shape[:2]
     check_sizes(photo=None if photo is None else photo.shape[:2], parts=(height, width))
-    where = choose_device(device)
-    check_folder(out)
-    check_inputs(out, files.paths(), (*DETAILED_FILES, SMPLX_FILE))
-    given, camera = read_given(files.body, read_model(files.model, where), (height, width))
+    where = choose_device(request.device)
+    request.check_out()
+    given, camera = read_given(body, read_model(request.model, where), (height, width))
     people = []
-    if files.keypoints is not None:
-        people = read_keypoints(files.keypoints, photo=files.photo, size=(height, width))
+    if request.keypoints is not None:
+        people = read_keypoints(request.keypoints, photo=request.photo, size=(height, width))
     person = choose_person(people, parts.groups) if people else None
     others = [other for other in people if other is not person]
     started = time.perf_counter()
@@ -188,19 +184,19 @@ def _refine(
         seconds = round(time.perf_counter() - started, 3)
         report = save_registered(
             fit.body,
-            out,
+            request.out,
             fit.camera,
             (height, width),
             photo=photo,
             evidence=fit.ellipbody.evidence,
             clothes=fit.clothes,
-            formats=formats,
-            start=str(files.body),
+            formats=request.formats,
+            start=str(body),
             seconds=seconds,
         )
     for warning in fit.ellipbody.evidence.warnings:
         typer.echo(f"partdr: warning: {warning}", err=True)
-    typer.echo(say_detailed(report, out))
+    return say_detailed(report, request.out)
 
 
 def _evidence_of(posed: Posed, camera: Camera, parts: PartLabels) -> Evidence:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +13,16 @@ from ..errors import InputError
 from ..inputs.films import film_facts
 from ..networks.detection import MIN_SCORE
 from .fit_film import FilmRun, check_film_view, fit_films
-from .options import CameraOptions, DeviceOption, NetworkOptions, OutOption, SettingOptions, check_person, check_score
+from .options import (
+    CameraOptions,
+    DeviceOption,
+    NetworkOptions,
+    OutOption,
+    RunSettings,
+    SettingOptions,
+    check_person,
+    check_score,
+)
 
 SCENE_HELP = """Fit motions to everyone in films of several cameras: with a second view, depth is no guess.
 
@@ -41,43 +51,60 @@ class RigOptions:
     align: Annotated[bool, Option("--align", help="Find which frames show one moment.")] = False
 
 
-def scene(
-    films: Annotated[list[Path], Argument(help="Films of the same moments.", metavar="FILM...", show_default=False)],
-    out: OutOption = Path("out"),
+@dataclass(frozen=True, kw_only=True)
+class SceneRequest:
+    """Arguments and options of ``partdr scene``.
+
+    Raises:
+        InputError: If one is wrong whatever the films show, or the file of settings can't be read.
+    """
+
+    films: Annotated[list[Path], Argument(help="Films of the same moments.", metavar="FILM...", show_default=False)]
+    out: OutOption = Path("out")
     person: Annotated[
         int | None, Option(help="Whom alone, 0 = the most and largest seen; default: everyone.", metavar="N")
-    ] = None,
-    model: Annotated[str, Option(help="Detailed body: anny, or a model's file.", metavar="NAME")] = "anny",
-    min_score: Annotated[float, Option(help="Least confidence that there is a person.", metavar="SHARE")] = MIN_SCORE,
-    device: DeviceOption = "auto",
-    *,
-    rig: RigOptions,
-    view: CameraOptions,
-    networks: NetworkOptions,
-    settings: SettingOptions,
-) -> None:
+    ] = None
+    model: Annotated[str, Option(help="Detailed body: anny, or a model's file.", metavar="NAME")] = "anny"
+    min_score: Annotated[float, Option(help="Least confidence that there is a person.", metavar="SHARE")] = MIN_SCORE
+    device: DeviceOption = "auto"
+    rig: RigOptions
+    view: CameraOptions
+    networks: NetworkOptions
+    settings: SettingOptions
+
+    def __post_init__(self) -> None:
+        _ = self.run
+        check_score("--min-score", self.min_score)
+        if len({film.resolve() for film in self.films}) < len(self.films):
+            raise InputError("FILM: the same one twice; expected films of different cameras")
+        if self.rig.cameras is not None and self.view.given:
+            raise InputError(f"--focal, --fov, --principal: with --cameras {self.rig.cameras}; expected one of them")
+        check_person(self.person)
+        check_film_view(self.view, self.films)
+        self.networks.check()
+
+    @cached_property
+    def run(self) -> RunSettings:
+        """Settings, read once."""
+        return self.settings.read_run()
+
+
+def scene(request: SceneRequest) -> None:
     """Fit motions; see ``SCENE_HELP``."""
-    values, score = settings.read(), check_score("--min-score", min_score)
-    if len({film.resolve() for film in films}) < len(films):
-        raise InputError("FILM: the same one twice; expected films of different cameras")
-    if rig.cameras is not None and view.given:
-        raise InputError(f"--focal, --fov, --principal: with --cameras {rig.cameras}; expected one of them")
-    check_person(person)
-    check_film_view(view, films)
-    networks.check()
-    for film in films:
+    for film in request.films:
         film_facts(film)  # faults are told before anything is loaded
-    run = FilmRun(
-        tuple(films),
-        out,
-        device,
-        model,
-        person,
-        score,
-        values,
-        networks=networks,
-        view=view,
-        cameras=rig.cameras,
-        align=rig.align,
+    fit_films(
+        FilmRun(
+            films=tuple(request.films),
+            out=request.out,
+            device=request.device,
+            model=request.model,
+            person=request.person,
+            min_score=request.min_score,
+            settings=request.run,
+            networks=request.networks,
+            view=request.view,
+            cameras=request.rig.cameras,
+            align=request.rig.align,
+        )
     )
-    fit_films(run)

@@ -11,7 +11,7 @@ from unittest.mock import patch
 
 import torch
 
-from .figures import FigureTable
+from .tables import FigureTable
 
 
 def synchronize(device: str) -> None:

@@ -24,7 +24,7 @@ from ..interop.devices import choose_device
 
 if TYPE_CHECKING:
     from .evaluation.evaluate import Report
-    from .figures import FigureTable
+    from .tables import FigureTable
 
 COMMAND = "python -m warp_partdr.lab"
 _FOLDER = Path(__file__).parent / "measurements"
@@ -142,7 +142,6 @@ def _show(result: FigureTable | Report | str, markdown: bool) -> None:
     """Print a result."""
     from rich.console import Console
 
-    from .bench.report import make_table
     from .evaluation.evaluate import Report, tables
 
     console = Console(width=_WIDTH, highlight=False)
@@ -154,8 +153,7 @@ def _show(result: FigureTable | Report | str, markdown: bool) -> None:
     elif markdown:
         print(f"{result.title}\n\n{result.markdown()}\n", flush=True)
     else:
-        left = [index for index, form in enumerate(result.columns.values()) if form == ""]
-        console.print(make_table(result.title, [*result.columns], result.texts(), left=left))
+        console.print(result.on_screen())
 
 
 @dataclass(frozen=True)
@@ -190,7 +188,7 @@ class Record:
 
 
 def _save(path: Path, record: Record) -> None:
-    from .bench.report import save_figures
+    from .tables import save_figures
 
     save_figures(record.to_json(), path)
     print(f"{path} holds the same figures")

@@ -228,9 +228,17 @@ def register(
     with torch.no_grad():
         rotations, detailed = posed_model(stretched=True)
         loss.search(detailed.vertices)
-        unexplained = measures.differences(shape) - measures.logs
-        found = shape.detach(), rotations, translation.detach(), measures.stretches, measures.logs.exp(), unexplained
-        return Registered(model, *found, detailed, terms(detailed))
+        return Registered(
+            model,
+            shape=shape.detach(),
+            rotations=rotations,
+            translation=translation.detach(),
+            stretches=measures.stretches,
+            growth=measures.logs.exp(),
+            unexplained=measures.differences(shape) - measures.logs,
+            detailed=detailed,
+            losses=terms(detailed),
+        )
 
 
 def ungrown(

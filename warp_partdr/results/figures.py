@@ -1,133 +1,325 @@
-"""Parts of figures: an empty one, legends, pictures on axes, and the checks of what is to be drawn."""
+"""Figures of bodies, fits and gradients.
+
+Each of them is a ``matplotlib.figure.Figure`` that belongs to no window: ``figure.savefig("figure.png")`` needs no
+screen, and ``figure.axes`` are there to be changed. Of a batch, the first body is shown. Parts have the colours of
+``palette``, as in all other pictures and files. Matplotlib is loaded by the first figure.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import torch
 
-from ..body.labels import BACKGROUND, IGNORE, LabelSet, label_set
-from ..body.parameters import BodyParameters
+from ..body.labels import BACKGROUND, LabelSet, label_set
 from ..body.posing import Posed
-from ..body.template import LENGTH_NAMES, SIZE_COLUMNS, THICKNESS_NAMES
-from ..cameras import Camera, first_of
-from ..render.ellipsoids import draw_ellipsoids
+from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, THICKNESS_NAMES
+from ..cameras import Camera, WeakPerspective
+from ..inputs.keypoints import Keypoints2D
+from ..inputs.part_labels import PartLabels
+from ..metrics import mpjpe, pa_mpjpe
+from ..render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
+from ..render.mesh import mesh_label_loss
+from ..render.part_mesh import ellipbody_mesh
 from ..solve.ellipsoids.result import FitResult
-from .palette import IGNORE_COLOUR, group_colours
+from ..solve.ellipsoids.stepper import Refined
+from .figure_parts import (
+    DPI,
+    PARTS,
+    Body,
+    Image,
+    add_legend,
+    body_sizes,
+    draw_groups,
+    empty_figure,
+    find_label_set,
+    first_body,
+    first_camera,
+    legend_columns,
+    outline_labels,
+    part_patches,
+    plain_name,
+    read_groups,
+    show_picture,
+    to_numpy,
+)
+from .fit_charts import panels
+from .overlays import body_over, draw_keypoints
+from .palette import DEPTH_COLOURS, group_colours
+from .shading import blend, shade_body, turntable_views
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
-
-Body = FitResult | BodyParameters | Posed
-Image = np.ndarray | torch.Tensor
-
-PARTS = "ellipbody20"  # the label set where none is given
-DPI = 100
-
-
-def part_patches(groups: LabelSet, labels: Image | None = None) -> list[Patch]:
-    """Handles of a legend: colour and name of each group or, given ``labels``, of what is in it, ignored pixels too."""
-    from matplotlib.patches import Patch
-
-    colours = group_colours(groups.part_groups) / 255
-    present = range(1, groups.num_groups + 1) if labels is None else np.unique(to_numpy(labels)).tolist()
-    named = [(colours[k], plain_name(groups.group_names[k - 1])) for k in present if 0 < k <= groups.num_groups]
-    if IGNORE in present:
-        named.append((IGNORE_COLOUR / 255, "ignored"))
-    return [Patch(facecolor=colour, edgecolor="0.4", linewidth=0.5, label=name) for colour, name in named]
-
-
-def empty_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """An empty figure [inches], which no window owns."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), dpi=DPI, layout=layout)
+_BETWEEN = ("#0f4890", "#dd6623")  # two bodies, cool and warm
+_STAGES = ("#f6f6f6", "#e8edf3")
 
 
-def add_legend(figure: Figure, patches: list[Patch]) -> None:
-    """Name parts below the axes."""
-    columns = legend_columns(figure.get_figwidth() * DPI)
-    figure.legend(
-        handles=patches, loc="outside lower center", ncols=columns, frameon=False, fontsize=8, columnspacing=1.2
+def overlay(
+    body: Body, photo: np.ndarray, *, camera: Camera | None = None, keypoints: Keypoints2D | None = None
+) -> Figure:
+    """A body over the photo it was fitted to.
+
+    Args:
+        body: A fit, parameters or a posed body.
+        photo: Shape (H, W, 3), uint8.
+        camera: In pixels of the photo; a fit brings its own.
+        keypoints: Drawn over it, where they are confident.
+
+    Raises:
+        ValueError: If ``photo`` is no RGB picture, or ``camera`` is missing.
+    """
+    from PIL import Image as PilImage
+
+    photo = np.asarray(photo)
+    if photo.ndim != 3 or photo.shape[2] != 3 or photo.dtype != np.uint8 or not photo.size:
+        raise ValueError(f"photo: {photo.dtype} {photo.shape}; expected uint8 (H, W, 3)")
+    size = photo.shape[0], photo.shape[1]
+    posed, seen = first_body(body), first_camera(body, camera)
+    picture = PilImage.fromarray(body_over(photo, posed, seen, 0.7))
+    if keypoints is not None:
+        draw_keypoints(picture, keypoints)
+    figure = empty_figure(6.0 * min(size[1] / size[0], 2.0) + 0.6, 7.1)
+    show_picture(figure.subplots(), np.asarray(picture))
+    add_legend(figure, part_patches(label_set(PARTS), draw_ellipsoids(posed, seen, size).labels))
+    return figure
+
+
+def part_panels(
+    target: PartLabels | Image, drawn: FitResult | Image, *, label_set: LabelSet | str | None = None
+) -> Figure:
+    """Labels of the target, drawn ones and where they differ, side by side, with the names of the parts.
+
+    Args:
+        target: Labels as read from a file, or group ids: 0 = background, 255 = ignore, shape (H, W), uint8.
+        drawn: A fit, or group ids of the same shape.
+        label_set: What the group ids mean; that of ``target`` where it brings one, else the 20 parts.
+
+    Raises:
+        ValueError: If the two are no label images of one shape, or ids are none of the set's.
+    """
+    groups = find_label_set(target.label_set if label_set is None and isinstance(target, PartLabels) else label_set)
+    expected = read_groups("target", target.groups if isinstance(target, PartLabels) else target, groups)
+    if isinstance(drawn, FitResult):
+        shown = draw_groups(drawn.posed, drawn.camera, expected.shape, groups)
+    else:
+        shown = read_groups("drawn", drawn, groups)
+    if shown.shape != expected.shape:
+        raise ValueError(f"drawn: shape {shown.shape}; expected {expected.shape} as the target")
+    sheet = np.asarray(panels(expected, shown, group_colours(groups.part_groups)))
+    patches = part_patches(groups, np.stack([expected, shown]))
+    rows = -(-len(patches) // legend_columns(sheet.shape[1]))
+    width, height = sheet.shape[1] / DPI, sheet.shape[0] / DPI
+    below = 0.2 * rows + 0.1
+    # One pixel of the sheet is one of the figure's, so that labels stay sharp.
+    figure = empty_figure(width, height + below, layout=None)
+    axes = figure.add_axes((0, below / (height + below), 1, height / (height + below)))
+    axes.imshow(sheet, interpolation="nearest", aspect="auto")
+    axes.set_axis_off()
+    figure.legend(handles=patches, loc="lower center", ncols=legend_columns(sheet.shape[1]), frameon=False, fontsize=8)
+    return figure
+
+
+def gradient_field(
+    body: Body,
+    target: Image,
+    *,
+    camera: Camera | None = None,
+    label_set: LabelSet | str | None = None,
+    renderer: Literal["exact", "mesh"] = "exact",
+    subdivisions: int = 1,
+) -> Figure:
+    """Pull of part labels on a body: arrows against the gradient in x and y, their colour against it in z.
+
+    The loss is L_seg [px of label maps], its gradient with respect to points in the camera frame [px/m]: the
+    ellipsoids' centres ("exact"), or the mesh's vertices ("mesh"; those without a gradient have no arrow).
+
+    Args:
+        body: A fit, parameters or a posed body.
+        target: Group ids to be reached in the camera's picture: 0 = background, 255 = ignore, shape (H, W), uint8.
+        camera: In pixels of the target; a fit brings its own.
+        label_set: What the group ids mean; the 20 parts by default.
+        renderer: "exact" ellipsoids, or their "mesh".
+        subdivisions: Level of the mesh, 0 to 3.
+
+    Raises:
+        ValueError: If ``target`` is no label image of the set, ``renderer`` is unknown or ``camera`` is missing.
+    """
+    if renderer not in ("exact", "mesh"):
+        raise ValueError(f"renderer: {renderer!r}; expected exact, mesh")
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+
+    groups = find_label_set(label_set)
+    expected = read_groups("target", target, groups)
+    posed, seen = first_body(body), first_camera(body, camera)
+    goal = torch.from_numpy(expected)[None].to(posed.centres.device)
+    if renderer == "exact":
+        name, width, dot = "centres", 0.008, 40
+        points = posed.centres.clone().requires_grad_()
+        moved = Posed(posed.joints, posed.rotations, points, posed.axes, posed.semi_axes)
+        part_labels = groups.part_groups[1:].tolist()
+        loss, _ = ellipsoid_label_loss(moved, seen, goal, part_labels=part_labels, gradient="partdr")
+    else:
+        name, width, dot = f"vertices of E{subdivisions}", 0.004, 10
+        points = posed.vertices(subdivisions).requires_grad_()
+        mesh = ellipbody_mesh(subdivisions, device=points.device).relabel(groups.part_groups)
+        loss, _ = mesh_label_loss(points, mesh, seen, goal)
+    (slope,) = torch.autograd.grad(loss.sum(), points)
+    downhill = -slope[0].cpu().numpy()
+    places = seen.project(points.detach())[0, :, :2].cpu().numpy()
+
+    colours = group_colours(groups.part_groups)
+    colours[BACKGROUND] = 255
+    figure = empty_figure(5.5 * min(expected.shape[1] / expected.shape[0], 2.0) + 1.6, 6.6)
+    axes = figure.subplots()
+    show_picture(axes, (0.4 * colours[expected] + 0.6 * 255).astype(np.uint8))
+    outline_labels(axes, draw_groups(posed, seen, expected.shape, groups))
+    there = np.abs(downhill).max(1) > 0
+    longest = float(np.linalg.norm(downhill[:, :2], axis=1).max(initial=0)) or 1.0
+    steepest = float(np.abs(downhill[:, 2]).max(initial=0)) or 1.0
+    colour_map = LinearSegmentedColormap.from_list("depth", DEPTH_COLOURS / 255)
+    norm = Normalize(-steepest, steepest)
+    sixth = max(expected.shape) / 6  # of the picture: the longest arrow
+    u, v = places[there].T
+    arrows = axes.quiver(
+        u,
+        v,
+        *downhill[there].T,
+        angles="xy",
+        scale_units="xy",
+        scale=longest / sixth,
+        width=width,
+        edgecolor="white",
+        linewidth=0.4,
+        cmap=colour_map,
+        norm=norm,
+        zorder=3,
     )
+    axes.scatter(u, v, dot, downhill[there, 2], zorder=4, cmap=colour_map, norm=norm)
+    key = float(f"{longest / 2:.1g}")
+    axes.quiverkey(arrows, 0.12, 0.95, key, f"-dL/dx, -dL/dy: {key:g} px/m", labelpos="E", color=DEPTH_COLOURS[1] / 255)
+    figure.colorbar(arrows, ax=axes, shrink=0.8, label="-dL/dz [px/m]; above 0: away from the viewer")
+    axes.set_title(f"L_seg = {float(loss.detach()):.0f} px; its pull on the {name}")
+    add_legend(figure, part_patches(groups, expected))
+    return figure
 
 
-def legend_columns(width: float) -> int:
-    """Number of a legend's columns that fit into a width [px]."""
-    return max(int(width // 135), 1)
+def loss_curve(history: FitResult | Refined | Sequence[float] | np.ndarray, *, label: str = "energy") -> Figure:
+    """Course of a loss, on a logarithmic scale if it is positive; a fit's stages stand apart: their weights differ.
+
+    Args:
+        history: A fit, a refinement (one line a body), or losses of shape (iterations,) or (iterations, B).
+        label: Of the vertical axis.
+
+    Raises:
+        ValueError: If there are no values.
+    """
+    from matplotlib.ticker import LogFormatter
+
+    names = [stage.name for stage in history.stages] if isinstance(history, FitResult) else []
+    values = history.history if isinstance(history, FitResult | Refined) else np.asarray(history, dtype=np.float64)
+    curves = values if isinstance(values, list) else [to_numpy(values)]
+    if not curves or any(curve.ndim not in (1, 2) for curve in curves) or not sum(len(curve) for curve in curves):
+        raise ValueError(f"history: {len(curves)} empty or of a wrong shape; expected one loss or more an iteration")
+    figure = empty_figure(8.0, 3.6)
+    axes = figure.subplots()
+    first = 0
+    for index, curve in enumerate(curves):
+        last = first + len(curve)
+        axes.plot(np.arange(first, last) + 0.5, curve, color=_BETWEEN[0], linewidth=1.6)
+        if names:
+            axes.axvspan(first, last, color=_STAGES[index % 2], zorder=0)
+            place = axes.get_xaxis_transform()
+            axes.text((first + last) / 2, 1.02, names[index], ha="center", va="bottom", transform=place)
+        first = last
+    if all((curve > 0).all() for curve in curves):
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
+    axes.set(xlim=(0, first), xlabel="iteration", ylabel=label)
+    axes.grid(axis="y", which="both", alpha=0.3)
+    return figure
 
 
-def show_picture(axes: Axes, picture: np.ndarray) -> None:
-    """A picture whose pixel (v, u) has its centre at (u + 0.5, v + 0.5)."""
-    height, width = picture.shape[:2]
-    axes.imshow(picture, extent=(0, width, height, 0))
-    axes.set_xlabel("u [px]")
-    axes.set_ylabel("v [px]")
+def turntable(body: Body, *, turns: Sequence[float] = (0, 90, 180, 270)) -> Figure:
+    """A body from all sides.
+
+    Args:
+        body: A fit, parameters or a posed body.
+        turns: About the vertical [degrees]; 0 is the camera's view.
+
+    Raises:
+        ValueError: If there are no turns.
+    """
+    if not turns:
+        raise ValueError("turns: none; expected one angle or more")
+    views = np.stack(turntable_views(first_body(body), tuple((float(turn), 0.0) for turn in turns)))
+    rows, columns = (np.flatnonzero((views < 255).any(axes)) for axes in ((0, 2, 3), (0, 1, 3)))
+    views = views[:, rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]  # all cut alike, to where a body is
+    figure = empty_figure(4.0 * len(turns) * views.shape[2] / views.shape[1] + 0.5, 5.0)
+    for axes, turn, view in zip(figure.subplots(1, len(turns), squeeze=False)[0], turns, views, strict=True):
+        axes.imshow(view)
+        axes.set_axis_off()
+        axes.set_title(f"{turn:g}°")
+    add_legend(figure, part_patches(label_set(PARTS)))
+    return figure
 
 
-def outline_labels(axes: Axes, labels: np.ndarray) -> None:
-    """The borders of all labels."""
-    v, u = (np.arange(side) + 0.5 for side in labels.shape)
-    for group in np.unique(labels[labels != BACKGROUND]):
-        axes.contour(u, v, labels == group, levels=[0.5], colors="0.25", linewidths=0.8)
+def compare_bodies(first: Body, second: Body, *, names: tuple[str, str] = ("first", "second")) -> Figure:
+    """Two bodies with their pelvises in one place: from the front, from the side, joint by joint and size by size.
 
+    The first one is shaded from the front, with the outline of the second; joints and sizes are of both.
 
-def draw_groups(posed: Posed, camera: Camera, size: tuple[int, ...], groups: LabelSet) -> np.ndarray:
-    """Group ids of a body, shape (H, W), uint8."""
-    image = draw_ellipsoids(posed, camera, (size[0], size[1]), part_labels=groups.part_groups[1:].tolist())
-    return image.labels[0].cpu().numpy()
+    Args:
+        first: A fit, parameters or a posed body.
+        second: The same.
+        names: What to call them.
+    """
+    bodies = [first_body(body) for body in (first, second)]
+    joints = [body.joints[0].cpu().double() - body.joints[0, :1].cpu().double() for body in bodies]
+    low = torch.stack(joints).amin((0, 1)).numpy() - 0.15
+    high = torch.stack(joints).amax((0, 1)).numpy() + 0.15
+    across, down, deep = high - low
+    widths = (5.3 * across / down, 5.3 * deep / down, 2.6, 3.0)
+    figure = empty_figure(sum(widths) + 4.5, 6.4)
+    front, side, distance, sizes = figure.subplots(1, 4, width_ratios=widths)
 
+    scale = 480 / float(max(high[:2] - low[:2]))
+    size = int(np.ceil(down * scale)), int(np.ceil(across * scale))
+    extent = (low[0], low[0] + size[1] / scale, low[1] + size[0] / scale, low[1])
+    shades = []
+    for body in bodies:
+        pelvis = body.joints[:, 0, :2].cpu()
+        corner = torch.tensor(low[:2], dtype=pelvis.dtype)
+        camera = WeakPerspective(pelvis.new_tensor([scale]), -(pelvis + corner) * scale)
+        shades.append(shade_body(body, camera, size))
+    white = np.full((*size, 3), 255, dtype=np.uint8)
+    front.imshow(blend(white, shades[0], 0.75), extent=extent)
+    front.contour(shades[1][..., 3], levels=[127], colors=_BETWEEN[1], extent=extent, origin="upper", linewidths=1.2)
+    for axes, axis, label in ((front, 0, "x [m], right"), (side, 2, "z [m], away from the viewer")):
+        for colour, points in zip(_BETWEEN, joints, strict=True):
+            ends = torch.stack([points[BONE_STARTS], points[1:]])
+            axes.plot(ends[..., axis], ends[..., 1], "o-", color=colour, markersize=3)
+        axes.set_aspect("equal")
+        axes.set_xlabel(label)
+    front.set(title="front", ylabel="y [m], down")
+    side.set(title="side", xlim=(low[2], high[2]), ylim=extent[2:])
 
-def body_sizes(posed: Posed) -> np.ndarray:
-    """``LENGTH_NAMES``, then ``THICKNESS_NAMES`` of a body [m], shape (27,)."""
-    sizes = np.zeros(len(LENGTH_NAMES) + len(THICKNESS_NAMES))
-    sizes[np.array(SIZE_COLUMNS)] = 2 * posed.semi_axes[0].cpu().numpy()
-    return sizes
+    apart = (joints[0] - joints[1]).norm(dim=-1).numpy() * 1000
+    distance.barh(np.arange(len(apart)), apart, color="#6d6d6d")
+    distance.set_yticks(np.arange(len(apart)), [plain_name(name) for name in JOINT_NAMES])
+    distance.invert_yaxis()
+    mean, aligned = (float(metric(*joints)) * 1000 for metric in (mpjpe, pa_mpjpe))
+    title = f"MPJPE {mean:.0f} mm, PA-MPJPE {aligned:.0f} mm"
+    distance.set(xlabel="distance of joints [mm]", title=title)
 
-
-def first_body(body: Body) -> Posed:
-    """The first body of what was given, without gradients."""
-    if not isinstance(body, Body):
-        raise TypeError(f"body: {type(body).__name__}; expected FitResult, BodyParameters or Posed")
-    posed = body.posed if isinstance(body, FitResult) else body.posed() if isinstance(body, BodyParameters) else body
-    if posed.joints.shape[0] == 0:
-        raise ValueError("body: none in the batch; expected one or more")
-    return Posed(*(tensor[:1].detach() for tensor in vars(posed).values()))
-
-
-def first_camera(body: Body, camera: Camera | None) -> Camera:
-    """The first camera of what was given; a fit brings its own."""
-    if camera is None and isinstance(body, FitResult):
-        camera = body.camera
-    if camera is None:
-        raise ValueError(f"camera: none; expected one, as {type(body).__name__} doesn't say how large the picture is")
-    return first_of(camera)
-
-
-def find_label_set(given: LabelSet | str | None) -> LabelSet:
-    """The label set that was given or named; the 20 parts if none was."""
-    return given if isinstance(given, LabelSet) else label_set(given or PARTS)
-
-
-def to_numpy(image: Image) -> np.ndarray:
-    """An image on the host, without its gradient."""
-    return image.detach().cpu().numpy() if isinstance(image, torch.Tensor) else np.asarray(image)
-
-
-def read_groups(name: str, image: Image, groups: LabelSet) -> np.ndarray:
-    """Group ids (H, W) on the host; of a batch, the first."""
-    labels = to_numpy(image)
-    labels = labels[0] if labels.ndim == 3 and len(labels) else labels
-    if labels.ndim != 2 or labels.dtype != np.uint8 or not labels.size:
-        raise ValueError(f"{name}: {labels.dtype} {labels.shape}; expected uint8 group ids (H, W)")
-    if (strange := labels[(labels > groups.num_groups) & (labels != IGNORE)]).size:
-        raise ValueError(f"{name}: id {strange[0]}; expected 0 to {groups.num_groups} of {groups.name}, or {IGNORE}")
-    return labels
-
-
-def plain_name(name: str) -> str:
-    """A name without underscores."""
-    return name.replace("_", " ")
+    rows = np.arange(len(LENGTH_NAMES) + len(THICKNESS_NAMES))
+    for offset, colour, body, name in zip((-0.2, 0.2), _BETWEEN, bodies, names, strict=True):
+        sizes.barh(rows + offset, body_sizes(body) * 100, 0.4, color=colour, label=name)
+    sizes.set_yticks(rows, [*LENGTH_NAMES, *THICKNESS_NAMES])
+    sizes.invert_yaxis()
+    sizes.set(xlabel="size [cm]", title="lengths and thicknesses")
+    figure.legend(handles=sizes.get_legend_handles_labels()[0], loc="outside lower center", ncols=2, frameon=False)
+    return figure

@@ -28,10 +28,9 @@ import torch
 from ..body.lens import find_camera, turn_to_rays
 from ..body.posing import pose
 from ..body.template import BODY_SHAPES, JOINT_NAMES, PART_NAMES
-from ..cameras import Crop
 from ..errors import InputError
 from ..files.array_files import read_npz
-from ..inputs.observation import Observation
+from ..inputs.cut_people import CutPerson
 from ..networks.detection.film_people import SEEN
 from ..networks.regression.label_network import LabelNetwork
 from ..networks.regression.predict import predict_bodies
@@ -45,24 +44,24 @@ _BODY = {**BODY_SHAPES, "camera_scale": (), "camera_translation": (2,)}
 ROW = np.dtype([(name, *kind) for name, kind in SEEN.items()] + [(name, np.float32, _BODY[name]) for name in _BODY])
 
 
-def predict_files(
-    seen: Sequence[tuple[Observation, Crop]], sizes: Sequence[tuple[int, int]], network: LabelNetwork
-) -> list[BodyFile]:
-    """Bodies of people as ``body.npz`` holds them, in one pass of the network.
+def predict_arrays(people: Sequence[CutPerson], network: LabelNetwork) -> dict[str, np.ndarray]:
+    """Bodies of people in one pass of the network.
 
     Args:
-        seen: Of ``crop_evidence``, one or more people.
-        sizes: (H, W) of each one's picture [px].
-        network: On the observations' device.
+        people: One or more, on the network's device.
+        network: In evaluation mode.
+
+    Returns:
+        Arrays of ``body.npz`` by their names, a row a person, without the pictures' sizes.
     """
-    bodies, files = predict_bodies([observation for observation, _ in seen], network), []
-    for row, ((observation, crop), size) in enumerate(zip(seen, sizes, strict=True)):
-        body, lens = bodies.select(slice(row, row + 1)), observation.lens
+    bodies, files = predict_bodies([person.observation for person in people], network), []
+    for row, person in enumerate(people):
+        body, lens, crop = bodies.select(slice(row, row + 1)), person.observation.lens, person.crop
         if lens is not None:
             body = turn_to_rays(body, lens)
         camera, pelvis = find_camera(body, lens, crop.size[0])
-        files.append(body_file(body, camera.in_full(crop), size, None if pelvis is None else pelvis[0]))
-    return files
+        files.append(body_file(body, camera.in_full(crop), crop.size, None if pelvis is None else pelvis[0]))
+    return {name: np.stack([getattr(file, name) for file in files]) for name in (*_BODY, "camera_perspective")}
 
 
 @dataclass(frozen=True)

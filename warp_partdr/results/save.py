@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,19 +34,19 @@ from ..render.mesh import draw_mesh
 from ..solve.ellipsoids.result import FitResult
 from .body_file import BodyFile
 from .ellipbody_files import ellipbody_scene
+from .fit_charts import loss_chart, panels
 from .further_files import save_further
+from .overlays import draw_detailed, draw_overlay, shown_at
 from .palette import group_colours
-from .pictures import blend, draw_keypoints, loss_chart, panels, shade_body, shade_detailed
 from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, names_file, replacing
 from .skinned_files import save_detailed
 
 if TYPE_CHECKING:
-    from PIL.Image import Image
+    pass
 
 RESULT_FILES = ("body.npz", "body.json", "ellipbody.glb", "overlay.png", "parts.png", "loss.png", FIT_REPORT)
 DETAILED_FILES = (*(f"detailed.{kind}" for kind in ("png", "glb", "obj", "ply", "bvh", "npz")), REGISTRATION_REPORT)
 SMPLX_FILE = "detailed.smplx.npz"  # one more, of SMPL's models alone
-OVERLAY_SIDE = 2048  # [px]; a larger photo's overlay is made smaller: no screen shows more, and shading takes memory
 
 
 @one_torch_thread()
@@ -202,45 +201,6 @@ def save_detailed_arrays(registered: Registered, folder: Path, clothes: torch.Te
     tensors |= {} if clothes is None else {"clothes": clothes}
     numbers: dict[str, Any] = {name: value[0].cpu().numpy() for name, value in tensors.items()}
     np.savez(folder / "detailed.npz", model=np.array(registered.model.name), **numbers)
-
-
-def draw_overlay(result: FitResult, size: tuple[int, int], photo: np.ndarray | None = None) -> Image:
-    """The body and the keypoints over the photo, or on gray; at most ``OVERLAY_SIDE`` pixels a side."""
-    overlay, zoom = _over(partial(shade_body, result.posed), result.camera, size, photo, 0.72)
-    keypoints = result.evidence.keypoints
-    draw_keypoints(overlay, replace(keypoints, points=keypoints.points * zoom))
-    return overlay
-
-
-def draw_detailed(
-    registered: Registered, camera: Camera, size: tuple[int, int], photo: np.ndarray | None = None
-) -> Image:
-    """The detailed body over the photo, or on gray; at most ``OVERLAY_SIDE`` pixels a side."""
-    return _over(partial(shade_detailed, registered.detailed, registered.model), camera, size, photo, 0.9)[0]
-
-
-def _over(
-    shade: Callable[[Camera, tuple[int, int]], np.ndarray],
-    camera: Camera,
-    size: tuple[int, int],
-    photo: np.ndarray | None,
-    opacity: float,
-) -> tuple[Image, float]:
-    """Shading over the photo, or over gray, as it is shown, and its pixels a pixel of the picture."""
-    from PIL import Image
-
-    zoom, (height, width) = shown_at(size)
-    canvas = Image.new("RGB", (width, height), (235, 235, 235)) if photo is None else Image.fromarray(photo)
-    if canvas.size != (width, height):
-        canvas = canvas.resize((width, height), Image.Resampling.LANCZOS)
-    rgba = shade(zoomed(camera, zoom, (height, width)), (height, width))
-    return Image.fromarray(blend(np.asarray(canvas), rgba, opacity)), zoom
-
-
-def shown_at(size: tuple[int, int], side: int | None = None) -> tuple[float, tuple[int, int]]:
-    """Zoom and (H, W) at which a picture is shown and compared: at most ``side`` px a side, or ``OVERLAY_SIDE``."""
-    zoom = min(1.0, (side or OVERLAY_SIDE) / max(size))
-    return zoom, (max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1))
 
 
 def body_file(

@@ -28,11 +28,11 @@ from ..pipelines.photo import PACKAGED
 from ..pipelines.seen_film import SeenFilm
 from ..solve.ellipsoids.stages import Progress
 from .film_file import write_film
-from .film_pictures import PosedMotions, draw_bodies, resized, zoomed_view
+from .film_overlays import PosedMotions, draw_bodies, resized, zoomed_view
 from .further_files import check_formats, save_further
+from .overlays import shown_at
 from .predictions import ROW, FilmBodies
 from .result_sets import PEOPLE_REPORT, replacing
-from .save import shown_at
 from .scene_file import Actor, NamedView, scene_glb
 from .skinned_files import Poses, bvh, glb
 

@@ -14,8 +14,8 @@ from ..interop.torch_threads import one_torch_thread
 from ..pipelines.photo import PhotoFit
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .further_files import FURTHER_FILES
+from .overlays import as_shown, draw_detailed, draw_keypoints, shown_at
 from .palette import PART_COLOURS
-from .pictures import draw_keypoints
 from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, replacing
 from .save import (
     DETAILED_FILES,
@@ -24,10 +24,8 @@ from .save import (
     check_photo,
     describe_body,
     describe_distance,
-    draw_detailed,
     save_fit,
     save_registered,
-    shown_at,
 )
 from .scene_places import ScenePlace, place_on_ground
 
@@ -65,7 +63,7 @@ def save_photo_fit(
     keypoints = [fit.people[place].keypoints for place in fit.fits]
     placed = dict(zip(fit.fits, place_on_ground(list(fit.fits.values()), keypoints, size), strict=True))
     report: dict[str, Any] = {"people": [_describe(fit, place, placed[place]) for place in fit.fits]}
-    small = _as_shown(photo)  # once for all, which takes long
+    small = as_shown(photo)  # once for all, which takes long
     overlay = small
     for place in sorted(fit.fits, key=lambda place: -placed[place].distance):  # the farthest first
         overlay = np.asarray(draw_detailed(fit.fits[place].body, fit.fits[place].camera, size, overlay))
@@ -99,20 +97,10 @@ def draw_people(fit: PhotoFit, photo: np.ndarray) -> Image:
     places = 1 + np.arange(len(fit.people)) % (len(PART_COLOURS) - 1)
     tints = np.concatenate([PART_COLOURS[:1], PART_COLOURS[places]]).astype(np.float32)
     share = (_TINT * (owners > 0))[..., None].astype(np.float32)
-    image = _picture(((1 - share) * _as_shown(photo) + share * tints[owners]).astype(np.uint8))
+    image = _picture(((1 - share) * as_shown(photo) + share * tints[owners]).astype(np.uint8))
     for person in fit.people:
         draw_keypoints(image, replace(person.keypoints, points=person.keypoints.points * zoom))
     return image
-
-
-def _as_shown(photo: np.ndarray) -> np.ndarray:
-    """The photo, made smaller if it is large."""
-    from PIL import Image
-
-    _, (height, width) = shown_at((photo.shape[0], photo.shape[1]))
-    if photo.shape[:2] == (height, width):
-        return photo
-    return np.asarray(Image.fromarray(photo).resize((width, height), Image.Resampling.LANCZOS))
 
 
 def _picture(pixels: np.ndarray) -> Image:

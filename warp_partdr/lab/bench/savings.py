@@ -18,9 +18,9 @@ from ...render.mesh import mesh_label_loss
 from ...render.options import Gradient
 from ...render.part_mesh import PartMesh, ellipbody_mesh
 from ...solve.ellipsoids.stages import Progress
+from ..tables import RecordColumn, print_tables, record_table
 from .jobs import run_jobs
 from .machine import in_words
-from .report import make_table, print_tables
 from .scene import BenchScene
 from .timing import peak_memory, time_in_turn
 
@@ -194,22 +194,30 @@ def _in_larger_picture(
     return camera.in_full(Crop(start, start, 1.0, (_SIZE, _SIZE))), labels
 
 
-_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {  # heading: name in the row, format
-    "what": ("name", str),
-    "whole": ("whole", str),
-    "needed": ("needed", str),
-    "whole [ms]": ("whole_s", lambda seconds: f"{1e3 * seconds:.2f}"),
-    "needed [ms]": ("needed_s", lambda seconds: f"{1e3 * seconds:.2f}"),
-    "nothing [ms]": ("nothing_s", lambda seconds: f"{1e3 * seconds:.2f}" if seconds else ""),
-    "left": ("left", lambda share: f"{100 * share:.0f} %"),
-    "whole [MB]": ("whole_bytes", lambda size: "" if size is None else f"{size / 1e6:.1f}"),
-    "needed [MB]": ("needed_bytes", lambda size: "" if size is None else f"{size / 1e6:.1f}"),
-}
+def _milliseconds(seconds: float) -> str:
+    return f"{1e3 * seconds:.2f}" if seconds else ""
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.1f}"
+
+
+_COLUMNS = (
+    RecordColumn("what", "name"),
+    RecordColumn("whole", "whole"),
+    RecordColumn("needed", "needed"),
+    RecordColumn("whole [ms]", "whole_s", _milliseconds),
+    RecordColumn("needed [ms]", "needed_s", _milliseconds),
+    RecordColumn("nothing [ms]", "nothing_s", _milliseconds),
+    RecordColumn("left", "left", lambda share: f"{100 * share:.0f} %"),
+    RecordColumn("whole [MB]", "whole_bytes", _megabytes),
+    RecordColumn("needed [MB]", "needed_bytes", _megabytes),
+)
 
 
 def print_savings(rows: Sequence[Mapping[str, Any]], machine: Mapping[str, str], console: Console) -> None:
     """A table."""
-    cells = [[form(row[name]) for name, form in _COLUMNS.values()] for row in rows]
     title = "Model only what a scene requires: L_seg and its gradient through torch, medians"
     note = "left: needed over whole, each less the time of a scene without parts, where that was taken."
-    print_tables([in_words(machine)], [make_table(title, [*_COLUMNS], cells, left=(0, 1, 2))], [], [note], console)
+    table = record_table(title, _COLUMNS, rows, left=(0, 1, 2))
+    print_tables([in_words(machine)], [table], [], [note], console)

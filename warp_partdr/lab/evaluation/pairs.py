@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ... import metrics
+from ..tables import Estimate
 from .evaluate import Report
 from .scoring import Score, sum_clusters
 
@@ -52,12 +53,12 @@ def _compare(pairs: list[list[Score]]) -> str:
             sums = sum_clusters(np.stack([gains, np.ones(len(gains))], axis=1), clusters)
             text = f"{name} {gains.mean():+.1f}"
             if len(sums) > 1 or len(gains) == 1:
-                low, high = metrics.bootstrap_sum(sums, lambda sums: sums[..., 0] / sums[..., 1])
-                text = f"{text} ({low:+.1f} to {high:+.1f})"
+                interval = metrics.bootstrap_sum(sums, lambda sums: sums[..., 0] / sums[..., 1])
+                text = f"{name} {Estimate(gains.mean(), *interval):+.1f}"
             parts.append(f"{text} {unit}")
     counts = np.array([[score.pixels.parts for score in pair if score.pixels is not None] for pair in pairs])
     if counts.ndim == 4:
         gain = lambda sums: metrics.part_f1(sums[..., 0, :, :]) - metrics.part_f1(sums[..., 1, :, :])  # noqa: E731
-        low, high = metrics.bootstrap_sum(sum_clusters(counts, clusters), gain)
-        parts.append(f"part F1 {float(gain(counts.sum(0))):+.4f} ({low:+.4f} to {high:+.4f})")
+        interval = metrics.bootstrap_sum(sum_clusters(counts, clusters), gain)
+        parts.append(f"part F1 {Estimate(float(gain(counts.sum(0))), *interval):+.4f}")
     return ", ".join(parts)

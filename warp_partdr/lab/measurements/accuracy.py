@@ -34,8 +34,8 @@ from ..evaluation.datasets import read_folder
 from ..evaluation.evaluate import Method, evaluate, no_labels, one_thread, silhouette
 from ..evaluation.partbench.methods import fit_anny
 from ..evaluation.scoring import summarise
-from ..figures import Cell, FigureTable
 from ..options import Jobs
+from ..tables import Cell, FigureTable
 
 _LABELS = label_set("cdcl14")
 

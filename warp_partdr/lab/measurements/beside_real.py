@@ -25,10 +25,10 @@ from ..evaluation.evaluate import Fitting, Method, all_parts, evaluate, one_thre
 from ..evaluation.pairs import compare_pairs
 from ..evaluation.partbench.samples import make_sample
 from ..evaluation.real import MESH, NETWORK, real_methods
-from ..figures import FigureTable, pooled_estimate
 from ..options import Levels, Names, NetworkFile, People
 from ..synthetic.noise import LEVELS, noisy_keypoints
 from ..synthetic.partbench_people import OTHER_FORMATS
+from ..tables import FigureTable, pooled_estimate
 
 _UNKNOWN_SIZE = (10**6, 10**6)  # (H, W) [px]: nothing lies beyond the border
 _FIGURES = (("PA-MPJPE [mm]", "pa_mpjpe_mm", 1), ("MPJPE [mm]", "mpjpe_mm", 1), ("stature [%]", "stature_share", 100))

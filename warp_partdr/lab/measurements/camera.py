@@ -15,8 +15,8 @@ from ...solve.ellipsoids.fitting import fit_body
 from ...solve.ellipsoids.options import FitOptions
 from ..evaluation.partbench.samples import make_sample
 from ..evaluation.scoring import score_fit
-from ..figures import FigureTable, estimate_mean
 from ..options import Levels, People, tracked
+from ..tables import FigureTable, estimate_mean
 
 _COLUMNS = {
     "quality": "",

@@ -29,10 +29,10 @@ from ...solve.scene.fitting import fit_scene
 from ...solve.scene.looks import look_at
 from ...solve.scene.options import SceneOptions
 from ..evaluation.evaluate import one_thread
-from ..figures import FigureTable, estimate_mean
 from ..options import Device, Jobs, People
 from ..synthetic.mocap_files import FRAME_RATE, held_out_windows
 from ..synthetic.scene_people import SceneSample, make_clip, make_views
+from ..tables import FigureTable, estimate_mean
 
 _ERRORS = "angle [degrees]", "direction [degrees]", "distance [%]", "time [s]"
 _BODIES = "first camera alone", "both, found", "both, known"

@@ -27,9 +27,9 @@ import numpy as np
 import pyarrow.parquet as pq
 from cyclopts import Parameter
 
-from ..figures import FigureTable
 from ..options import Device, Settings
 from ..people_files import add_file, kept_people
+from ..tables import FigureTable
 
 _DISTINCT, _IN_A_TAR, _BROKEN_EVERY = 40, 10_000, 100
 _SMALL, _LARGE = "96k", "2g"  # of the disk

@@ -20,9 +20,9 @@ from ...solve.ellipsoids.fitting import fit_body
 from ...solve.ellipsoids.options import FitOptions
 from ...solve.mesh.mesh_stage import refine_mesh
 from ..evaluation.partbench.samples import make_sample
-from ..figures import FigureTable, estimate_mean
 from ..options import Levels, People, tracked
 from ..synthetic.partbench_people import draw_shape
+from ..tables import FigureTable, estimate_mean
 
 
 def measure_girths(*, people: People = range(300, 340), levels: Levels = ("realistic",)) -> Iterator[FigureTable]:

@@ -39,9 +39,9 @@ from ...pipelines.photo import fit_photo
 from ...pipelines.seen_film import SeenFilm
 from ...solve.ellipsoids.options import FitOptions
 from ..evaluation.partbench.photos import shade_person
-from ..figures import Estimate, FigureTable, estimate_mean
 from ..options import Counts, People, tracked
 from ..synthetic.partbench_people import COCO, make_person
+from ..tables import Estimate, FigureTable, estimate_mean
 
 _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 _JOINTS = [f"{side}_{name}" for name in _LIMBS for side in ("left", "right")]

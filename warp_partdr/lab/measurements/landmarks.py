@@ -19,10 +19,10 @@ from ...body.rotations import rotation_from_axis_angle
 from ...body.template import BONE_STARTS, JOINT_NAMES, MEAN_STATURE, PART_NAMES, SHAPE_INDICES, template
 from ...models.anny import anny, anny_shape
 from ...models.measuring import statures
-from ..figures import FigureTable
 from ..synthetic import people
 from ..synthetic.pose_sampler import PoseBank, PoseSampler
 from ..synthetic.poses import mean_body
+from ..tables import FigureTable
 
 _SEED = 1000
 # Parts at whose end, and at whose beginning, a limb's joint is; without sides.

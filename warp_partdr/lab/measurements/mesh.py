@@ -32,8 +32,8 @@ from ...solve.mesh.mesh_stage import refine_meshes
 from ...solve.mesh.steps import find_steps
 from ..clocks import Step, StepClock, synchronize
 from ..evaluation.partbench.samples import make_sample
-from ..figures import FigureTable
 from ..options import Counts, Device
+from ..tables import FigureTable
 
 _STEPS = (
     Step(mesh_stage, "gather_starts", "starts"),

@@ -14,9 +14,9 @@ import torch
 from ...metrics import mpjpe, pa_mpjpe
 from ...networks.regression.checkpoint import load_label_network
 from ...networks.regression.label_network import KNOWN_LENS, USUAL_LENS
-from ..figures import FigureTable
 from ..options import Mocap, NetworkFile
 from ..synthetic.training_people import PeopleBatch
+from ..tables import FigureTable
 from ..training.config import make_config
 from ..training.label_task import LSP_JOINTS, LabelTask, errors_of, spreads_of
 

@@ -24,9 +24,9 @@ from ...solve.ellipsoids.options import FitOptions
 from ...solve.ellipsoids.result import FitResult
 from ...solve.mesh.mesh_stage import MeshFit, refine_meshes
 from ...solve.scene.overlapping import refine_people
-from ..figures import FigureTable, estimate_mean
 from ..options import People, tracked
 from ..synthetic.scene_people import SceneSample, make_pair
+from ..tables import FigureTable, estimate_mean
 
 _FIGURES = (
     "PA-MPJPE [mm]",

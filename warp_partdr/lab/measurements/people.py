@@ -32,8 +32,8 @@ from ...networks.detection.people import find_people_in
 from ...networks.regression.checkpoint import packaged_network
 from ...networks.regression.predict import ask_network
 from ..clocks import synchronize
-from ..figures import FigureTable
 from ..options import Device
+from ..tables import FigureTable
 
 _EXAMPLE = Path(__file__).resolve().parents[2] / "assets" / "example"
 _RUNS = 5

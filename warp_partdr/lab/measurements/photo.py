@@ -20,8 +20,8 @@ from ...inputs.keypoints import person_height
 from ...inputs.part_labels import read_labelled_parts, read_photo
 from ...metrics import confusion, foreground_counts, part_f1
 from ...pipelines.photo import fit_photo
-from ..figures import Cell, FigureTable
 from ..options import tracked
+from ..tables import Cell, FigureTable
 
 _COARSE = label_set("lsp6")
 _COLUMNS = {

@@ -17,10 +17,10 @@ import torch
 
 from ...body.rotations import rotation_from_axis_angle
 from ...body.template import JOINT_NAMES, LENGTH_NAMES, template
-from ..figures import FigureTable
 from ..options import Mocap
 from ..synthetic.pose_sampler import PoseBank, PoseSampler
 from ..synthetic.poses import mean_body
+from ..tables import FigureTable
 
 _POSES, _DRAWS, _SEED, _POOL = 20_000, 6, 1, 4096
 _LIMBS = (

@@ -16,8 +16,8 @@ from ...inputs.part_labels import read_photo
 from ...networks.detection import people as finding
 from ...networks.detection.asset import PeopleNetworks, packaged_people_networks
 from ...networks.detection.person import FoundPerson
-from ..figures import Cell, FigureTable
 from ..options import Device
+from ..tables import Cell, FigureTable
 
 _EXAMPLES = Path(__file__).resolve().parents[2] / "assets" / "example"
 _COLUMNS = {

@@ -30,13 +30,13 @@ from ...models.registration import Registered, RegistrationOptions, Registration
 from ...models.surfaces import skin_vertices
 from ...render.part_mesh import PartMesh
 from ...results.palette import PART_COLOURS
-from ...results.pictures import blend, shade_mesh
-from ..figures import FigureTable
+from ...results.shading import blend, shade_mesh
 from ..options import Mocap, tracked
 from ..silhouettes import measure_by_silhouettes
 from ..synthetic.mocap import Clip
 from ..synthetic.mocap_files import held_out_frames
 from ..synthetic.people import PHENOTYPE_RANGES, pose_anny, rotations_along
+from ..tables import FigureTable
 
 _DEPTH = 0.002  # [m] inside an ellipsoid that counts
 _INSIDE = 0.005  # share of the true person's vertices that may be so deep in an inscribed body

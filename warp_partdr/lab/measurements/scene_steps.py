@@ -30,9 +30,9 @@ from ...solve.scene.looks import look_at
 from ...solve.scene.options import SceneOptions
 from ...solve.scene.start import gather_scene
 from ..clocks import synchronize
-from ..figures import FigureTable
 from ..options import Device
 from ..synthetic.scene_people import make_views
+from ..tables import FigureTable
 
 _MESH, _REPEATS = MeshOptions(iterations=50), 5
 

@@ -16,8 +16,8 @@ from ...solve.ellipsoids.options import FitOptions
 from ...solve.mesh.mesh_stage import refine_mesh
 from ..evaluation.partbench.samples import make_sample
 from ..evaluation.scoring import score_fit
-from ..figures import FigureTable, estimate_mean
 from ..options import Levels, People, Settings, tracked, with_setting
+from ..tables import FigureTable, estimate_mean
 
 _PLAIN = "without settings"
 

@@ -38,9 +38,9 @@ from ...kernels.launch import get_num_threads
 from ...models.anny import anny
 from ...networks.regression.checkpoint import packaged_network
 from ..clocks import synchronize
-from ..figures import FigureTable
 from ..options import Counts
 from ..people_files import add_file, kept_people
+from ..tables import FigureTable
 
 _DISTINCT, _IN_A_TAR, _SHARD, _BATCH, _SOME = 40, 5_000, 1_000, 1_000, 256
 _FIRST, _MOST_SECONDS = 2, 60  # shards that don't count, and seconds that do

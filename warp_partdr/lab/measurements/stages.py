@@ -24,10 +24,10 @@ from ...solve.mesh.mesh_stage import MeshFit, refine_mesh
 from ..evaluation.evaluate import all_parts, no_labels, silhouette
 from ..evaluation.partbench.samples import make_sample
 from ..evaluation.scoring import Score, score_fit, summarise
-from ..figures import FigureTable, estimate_mean, pooled_estimate
 from ..options import Levels, NetworkFile, People, tracked
 from ..synthetic.partbench_people import draw_quantiles
 from ..synthetic.population import population
+from ..tables import FigureTable, estimate_mean, pooled_estimate
 
 _ALONE = "network"
 # The mesh stage from the fast quality on: what both are given, and the stage's own quality.

@@ -28,12 +28,12 @@ from ...solve.ellipsoids.options import FitOptions
 from ...solve.mesh.given_start import refine_given
 from ...solve.mesh.mesh_stage import refine_mesh
 from ..evaluation.partbench.samples import make_sample
-from ..figures import FigureTable, estimate_mean
 from ..options import People, tracked
 from ..synthetic import people as synthetic_people
 from ..synthetic.partbench_people import _PITCH, draw_shape, make_person, pose_kind
 from ..synthetic.pose_recipes import draw_pose
 from ..synthetic.poses import mean_body
+from ..tables import FigureTable, estimate_mean
 
 _LEVELS = (36.0, 55.0)  # [mm], PA-MPJPE of starts
 _KINDS = ("depth", "any")

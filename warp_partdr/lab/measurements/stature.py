@@ -25,9 +25,9 @@ from ..evaluation.partbench.samples import CLIP, check_levels, make_sample
 from ..evaluation.partbench.scenes import partbench_scenes
 from ..evaluation.scene_scoring import SceneBodies, score_scene
 from ..evaluation.scoring import Score, score_fit
-from ..figures import FigureTable, estimate_mean
 from ..options import People, tracked
 from ..synthetic.partbench_people import draw_shape
+from ..tables import FigureTable, estimate_mean
 
 _FIGURES = ("pa_mpjpe", "mpjpe", "pve", "world_mpjpe")
 _Found = dict[tuple[str, bool], list[list[float]]]  # figures of each person, by what was fitted and if it was known

@@ -14,10 +14,10 @@ from ...body.template import LENGTH_NAMES, THICKNESS_NAMES
 from ...models.anny import anny, anny_shape
 from ...models.growth import THICKNESS_RATIOS, Growth
 from ...models.surfaces import vertex_parts
-from ..figures import FigureTable
 from ..options import tracked
 from ..silhouettes import measure_by_silhouettes
 from ..synthetic.people import PHENOTYPES
+from ..tables import FigureTable
 
 _SEED = 1000
 

@@ -26,9 +26,9 @@ from ...solve.ellipsoids.energy import Energy
 from ...solve.ellipsoids.fitting import fit_people
 from ..clocks import Step, StepClock, synchronize
 from ..evaluation.partbench.samples import make_sample
-from ..figures import FigureTable
 from ..options import Counts, Device
 from ..synthetic.partbench_people import COCO
+from ..tables import FigureTable
 
 _DISTINCT = 64
 _STEPS = (

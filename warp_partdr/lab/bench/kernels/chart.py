@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
-from ....results.figures import empty_figure
+from ....results.figure_parts import empty_figure
 from ..machine import in_words
 from .plan import CALLS, KERNELS, OTHERS, TARGETS
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from ...tables import RecordColumn, format_time, print_tables, record_table
 from ..machine import in_words
-from ..report import format_time, make_table, print_tables
 from ..timing import Timing
 from .plan import GROUPS, Run
 
@@ -82,42 +82,38 @@ def _megabytes(value: float) -> str:
     return _number(1e-6 * value)
 
 
-_COLUMNS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (  # heading, name in the JSON, format
-    ("", "name", str),
-    ("renderer", "renderer", str),
-    ("B", "batch", lambda batch: str(batch or "")),
-    ("px", "size_px", lambda size: str(size or "")),
-    ("", "how", str),
-    ("median", "median_s", format_time),
-    ("spread", "spread_s", format_time),
-    ("fastest", "fastest_s", format_time),
-    ("images/s", "images_per_second", _number),
-    ("moved [MB]", "moved_bytes", _megabytes),
-    ("of a copy", "share_of_copy_bandwidth", lambda share: f"{100 * share:.0f} %"),
-    ("memory [MB]", "memory_bytes", _megabytes),
-    ("agrees", "label_agreement", lambda share: f"{100 * share:.3f} %"),
+_COLUMNS = (
+    RecordColumn("", "name"),
+    RecordColumn("renderer", "renderer"),
+    RecordColumn("B", "batch", lambda batch: str(batch or "")),
+    RecordColumn("px", "size_px", lambda size: str(size or "")),
+    RecordColumn("", "how"),
+    RecordColumn("median", "median_s", format_time),
+    RecordColumn("spread", "spread_s", format_time),
+    RecordColumn("fastest", "fastest_s", format_time),
+    RecordColumn("images/s", "images_per_second", _number),
+    RecordColumn("moved [MB]", "moved_bytes", _megabytes),
+    RecordColumn("of a copy", "share_of_copy_bandwidth", lambda share: f"{100 * share:.0f} %"),
+    RecordColumn("memory [MB]", "memory_bytes", _megabytes),
+    RecordColumn("agrees", "label_agreement", lambda share: f"{100 * share:.3f} %"),
 )
 _WORDS = (0, 1, 4)  # columns
 _OF_SEVERAL = ("spread_s", "fastest_s")  # empty where there is one run
+_GRADIENT_COLUMNS = (
+    RecordColumn("", "renderer"),
+    RecordColumn("of", "mesh"),
+    RecordColumn("cosine", "cosine", lambda value: f"{value:.4f}"),
+    RecordColumn("length", "length", lambda value: f"{value:.3f}"),
+)
 
 
 def print_kernels(figures: Mapping[str, Any], console: Console) -> None:
     """A table for each group of rows."""
     copies = f"A copy within the device reads and writes {figures['copy_bandwidth_bytes_per_second'] / 1e9:.4g} GB/s"
-    headings = [heading for heading, _, _ in _COLUMNS]
+    rows = [row if row["repeats"] > 1 else {**row, **dict.fromkeys(_OF_SEVERAL)} for row in figures["rows"]]
     tables = [
-        make_table(group, headings, [_cells(row) for row in figures["rows"] if row["group"] == group], left=_WORDS)
-        for group in GROUPS
+        record_table(group, _COLUMNS, [row for row in rows if row["group"] == group], left=_WORDS) for group in GROUPS
     ]
     if figures["gradients"]:
-        cells = [
-            [row["renderer"], row["mesh"], f"{row['cosine']:.4f}", f"{row['length']:.3f}"]
-            for row in figures["gradients"]
-        ]
-        tables.append(make_table(_GRADIENTS, ["", "of", "cosine", "length"], cells, left=(0, 1)))
+        tables.append(record_table(_GRADIENTS, _GRADIENT_COLUMNS, figures["gradients"], left=(0, 1)))
     print_tables([in_words(figures["machine"]), copies], tables, figures["remarks"], NOTES, console)
-
-
-def _cells(row: Mapping[str, Any]) -> list[str]:
-    hidden = _OF_SEVERAL if row["repeats"] == 1 else ()
-    return ["" if row[key] is None or key in hidden else form(row[key]) for _, key, form in _COLUMNS]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ....results.figures import empty_figure
+from ....results.figure_parts import empty_figure
 from ...synthetic.tradeoff_people import ANNY, ELLIPBODY
 from ..machine import in_words
 from ..renderers import COVERAGE, EXACT, PARTDR

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
-from ....metrics import bootstrap_sum
 from ...synthetic.tradeoff_people import ANNY, ELLIPBODY
+from ...tables import estimate_mean
 from ..renderers import LEVELS
 from .plan import DISTANCE, Setting
 
@@ -81,7 +81,6 @@ def mesh_gains(report: TradeoffReport) -> list[str]:
             fits = [report.fit(truth, Setting(name)) for name in (coarse, fine)]
             for what, column in (("mesh itself", "own_part_f1"), ("ellipsoids", "part_f1")):
                 gain = fits[1][column] - fits[0][column]
-                low, high = bootstrap_sum(gain / len(gain), lambda sums: sums)
-                step = f"{coarse} to E{LEVELS[fine]}: {gain.mean():+.4f} ({low:+.4f} to {high:+.4f})"
+                step = f"{coarse} to E{LEVELS[fine]}: {estimate_mean(gain):+.4f}"
                 said.append(f"{truth}: part F1 of the {what}, {step}")
     return said

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...synthetic.tradeoff_people import ANNY, ELLIPBODY
+from ...tables import RecordColumn, make_table, print_tables, record_table
 from ..machine import in_words
-from ..report import make_table, print_tables
 from .plan import DISTANCE, ITERATIONS, NAMES, SIZE, Setting
 from .report import CONVERGED, KEYPOINTS_TOO, LABELS_ALONE, Row, TradeoffReport, front, mesh_gains
 
@@ -109,22 +110,35 @@ def _gradients_table(report: TradeoffReport) -> Table:
     return make_table(title, [_RENDERER, "px", *map(str, distances)], rows, sections=True)
 
 
+def _formatted(form: str, factor: float = 1.0) -> Callable[[float], str]:
+    return lambda value: format(factor * value, form)
+
+
 def _precisions_table(report: TradeoffReport) -> Table:
-    forms = ("{renderer}", "{numbers}", "{part_f1:.4f}", "{joint_error_mm:.2f}", "{moved_mm:.2f}", "{ms:.3g}")
-    rows = []
-    for row in report.precisions:
-        means = {name: row[name].mean() for name in ("part_f1", "joint_error_mm")}
-        rows.append([form.format(**{**row, **means, "ms": 1e3 * row["seconds"]}) for form in forms])
-    headings = [_RENDERER, "numbers", "part F1", "joints [mm]", "joints moved [mm]", "an iteration [ms]"]
-    return make_table(f"Numbers: {ITERATIONS} iterations in torch at {SIZE} px", headings, rows, left=(0, 1))
+    columns = (
+        RecordColumn(_RENDERER, "renderer"),
+        RecordColumn("numbers", "numbers"),
+        RecordColumn("part F1", "part_f1", lambda values: f"{values.mean():.4f}"),
+        RecordColumn("joints [mm]", "joint_error_mm", lambda values: f"{values.mean():.2f}"),
+        RecordColumn("joints moved [mm]", "moved_mm", _formatted(".2f")),
+        RecordColumn("an iteration [ms]", "seconds", _formatted(".3g", 1e3)),
+    )
+    title = f"Numbers: {ITERATIONS} iterations in torch at {SIZE} px"
+    return record_table(title, columns, report.precisions, left=(0, 1))
 
 
 def _qualities_table(report: TradeoffReport) -> Table:
-    columns = {"part_f1": ".3f", "foreground_f1": ".3f", "pa_mpjpe_mm": ".1f", "seconds": ".2f"}
-    rows = [
-        [quality, level, *(f"{figures[name]:{form}}" for name, form in columns.items())]
+    columns = (
+        RecordColumn("quality", "quality"),
+        RecordColumn("level", "level"),
+        RecordColumn("part F1", "part_f1", _formatted(".3f")),
+        RecordColumn("foreground F1", "foreground_f1", _formatted(".3f")),
+        RecordColumn("joints, PA [mm]", "pa_mpjpe_mm", _formatted(".1f")),
+        RecordColumn("time [s]", "seconds", _formatted(".2f")),
+    )
+    records = [
+        {"quality": quality, "level": level, **figures}
         for level, qualities in report.qualities.items()
         for quality, figures in qualities.items()
     ]
-    headings = ["quality", "level", "part F1", "foreground F1", "joints, PA [mm]", "time [s]"]
-    return make_table("Whole fits of PartBench's people", headings, rows, left=(0, 1))
+    return record_table("Whole fits of PartBench's people", columns, records, left=(0, 1))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import io
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,9 +13,10 @@ from PIL import Image, ImageDraw
 from rich.console import Console
 
 from ....body.skeletons import MPJPE_SKELETON, skeleton
+from ....files.html_pages import html_page, picture_element
 from ....inputs.sample import Sample
+from ....results.overlays import draw_keypoints
 from ....results.palette import group_colours
-from ....results.pictures import draw_keypoints
 from ....solve.ellipsoids.result import FitResult
 from ...synthetic.scene_people import SceneSample
 from ..evaluate import Evaluated, Fitting, Report, tables
@@ -97,16 +97,15 @@ def write_report(
         cases.append(f"<h3>{html.escape(caption)}</h3>{_img(picture)}")
     listed = "".join(f"<li>{html.escape(finding)}</li>" for finding in compare_methods(report))
     about = ", ".join(f"{key} {value}" for key, value in measured_with.items())
-    path.write_text(
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>PartBench {VERSION}</title>'
-        f"<style>{_STYLE}</style><h1>PartBench {VERSION}</h1><p>{html.escape(about)}</p>"
+    body = (
+        f"<h1>PartBench {VERSION}</h1><p>{html.escape(about)}</p>"
         f"{console.export_html(inline_styles=True, code_format='<pre>{code}</pre>')}"
         f"<h2>Differences on the same people</h2><ul>{listed}</ul>"
         f"<h2>The worst fits of &ldquo;{html.escape(' and '.join(drawn))}&rdquo;, one a person</h2>"
         "<p>What the fit saw; the truth; the fit; joints from the person's side as the camera has it, of scenes from "
-        f"above (blue: true, red: fitted).</p>{''.join(cases)}</html>\n",
-        encoding="utf-8",
+        f"above (blue: true, red: fitted).</p>{''.join(cases)}"
     )
+    path.write_text(html_page(f"PartBench {VERSION}", _STYLE, body), encoding="utf-8")
 
 
 def worst(report: Report, method: str) -> list[Score]:
@@ -148,5 +147,4 @@ def _side_view(sample: Sample, result: FitResult, side: int) -> Image.Image:
 def _img(picture: Image.Image) -> str:
     buffer = io.BytesIO()
     picture.save(buffer, "PNG", optimize=True)
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<img alt="seen, true, fitted, from the side" src="data:image/png;base64,{data}">'
+    return picture_element(buffer.getvalue(), "png", "seen, true, fitted, from the side")

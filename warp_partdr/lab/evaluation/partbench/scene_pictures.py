@@ -7,8 +7,8 @@ from PIL import Image, ImageDraw
 
 from ....body.skeletons import MPJPE_JOINTS, MPJPE_SKELETON, skeleton
 from ....body.template import NUM_PARTS
+from ....results.overlays import draw_keypoints
 from ....results.palette import group_colours
-from ....results.pictures import draw_keypoints
 from ...synthetic.scene_people import LABELS, SceneSample
 from ..scene_scoring import SceneBodies, draw_scene
 

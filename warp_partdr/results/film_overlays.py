@@ -1,4 +1,4 @@
-"""Pictures of a film's people: their meshes frame by frame, and how a view sees them."""
+"""Bodies over the frames of a film: the people's meshes frame by frame, and how a view sees them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from ..cameras import Perspective, zoomed
 from ..inputs.calibrated_camera import CalibratedCamera
 from ..inputs.films import scaled
 from ..inputs.scene import View
-from ..models.model import Detailed, detailed_mesh
+from ..models.model import Detailed
 from ..models.registration import Registered
 from ..pipelines.film import Motion
-from .palette import PART_COLOURS
-from .pictures import SKIN_COLOUR, blend, shade_mesh
+from .overlays import skin_over
+from .shading import SKIN_COLOUR
 
 _POSED = 16  # frames whose meshes are in memory at a time
 
@@ -71,11 +71,9 @@ def draw_bodies(
         view: Of a picture of this size.
         colours: RGB of each person, shape (3,), uint8; default: that of skin.
     """
-    size = (picture.shape[0], picture.shape[1])
     seen = {person: view.to_camera(body.vertices) for person, body in bodies.items()}
     away = {person: float(view.to_camera(body.joints[:, :1])[0, 0, 2]) for person, body in bodies.items()}
     for person in sorted(seen, key=lambda one: -away[one]):
         colour = SKIN_COLOUR if colours is None else colours[person]
-        mesh, table = detailed_mesh(motions[person].model).to("cpu"), np.broadcast_to(colour, PART_COLOURS.shape)
-        picture = blend(picture, shade_mesh(seen[person], mesh, view.camera, size, table), 0.9)
+        picture = skin_over(picture, seen[person], motions[person].model, view.camera, colour)
     return picture

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from warp_partdr.lab.figures import Estimate, FigureTable, estimate_mean
+from warp_partdr.lab.tables import Estimate, FigureTable, RecordColumn, estimate_mean, format_time, record_table
 from warp_partdr.metrics import bootstrap_sum
 
 
@@ -45,3 +45,17 @@ def test_a_table_is_the_same_in_texts_markdown_and_json():
     }
     with pytest.raises(ValueError, match=r"cells: 2; expected 4"):
         table.add("short", 1.0)
+
+
+def test_records_leave_empty_what_is_not_known():
+    columns = (RecordColumn("name", "name"), RecordColumn("time", "seconds", format_time), RecordColumn("MB", "size"))
+    records = [{"name": "one", "seconds": 2.0, "size": None}, {"name": "other", "seconds": None, "size": None}]
+    table = record_table("All", columns, records)
+    assert [column.header for column in table.columns] == ["name", "time"]  # no record has a size
+    assert [list(column.cells) for column in table.columns] == [["one", "other"], ["2 s", ""]]
+
+
+def test_a_table_of_figures_has_words_at_the_left_of_the_screen():
+    table = FigureTable("All", {"fit": "", "error": ".1f"}, [("one", 1.25)]).on_screen()
+    assert [column.justify for column in table.columns] == ["left", "right"]
+    assert [list(column.cells) for column in table.columns] == [["one"], ["1.2"]]

@@ -13,7 +13,7 @@ import numpy as np
 from ..body.skeletons import Skeleton, skeleton
 from ..cameras import Crop
 from ..models.model import DetailedModel
-from ..results.pictures import blend, draw_keypoints, shade_body, shade_detailed
+from ..results.overlays import GRAY, body_over, draw_keypoints, gray_picture, skin_over
 from .reading import Address, PeopleFiles, PersonRow, by_shard
 from .survey import Worst
 
@@ -21,10 +21,8 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 SIDE = 280  # [px], longer side of a panel
-_GRAY = (235, 235, 235)
 _MARGIN = 0.08  # of what is shown, around it
 _BEYOND = 0.75  # of the box, how far beyond it a body is shown
-_OPACITY = {False: 0.72, True: 0.9}  # of ellipsoids, and of a detailed body, as in a fit's pictures
 
 
 @dataclass(frozen=True)
@@ -105,14 +103,12 @@ def draw_person(
 
     crop = _crop(person)
     camera = person.saved.camera().in_crop(crop)
-    detailed = model is not None and person.detailed
-    if detailed:
-        assert model is not None
-        rgba = shade_detailed(person.registered(model).clothed(person.clothes), model, camera, crop.size)
+    below = gray_picture(crop.size) if photo is None else _cut(photo, crop)
+    if model is not None and person.detailed:
+        clothed = person.registered(model).clothed(person.clothes)
+        over = Image.fromarray(skin_over(below, clothed.vertices, model, camera))
     else:
-        rgba = shade_body(person.posed, camera, crop.size)
-    below = np.full((*crop.size, 3), _GRAY, dtype=np.uint8) if photo is None else _cut(photo, crop)
-    over = Image.fromarray(blend(below, rgba, _OPACITY[detailed]))
+        over = Image.fromarray(body_over(below, person.posed, camera))
     seen = over if photo is None else Image.fromarray(below)
     keypoints = person.keypoints(form)
     moved = (keypoints.points - np.array([crop.left, crop.top], dtype=np.float32)) * np.float32(crop.zoom)
@@ -144,7 +140,7 @@ def _cut(photo: np.ndarray, crop: Crop) -> np.ndarray:
 
     left, top = int(crop.left), int(crop.top)
     height, width = (round(side / crop.zoom) for side in crop.size)
-    window = Image.new("RGB", (width, height), _GRAY)
+    window = Image.new("RGB", (width, height), GRAY)
     rows, columns = (slice(max(start, 0), max(start + side, 0)) for start, side in ((top, height), (left, width)))
     part = photo[rows, columns]
     if part.size:

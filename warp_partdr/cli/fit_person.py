@@ -1,0 +1,165 @@
+"""``partdr fit`` of the person whose keypoints and, perhaps, part labels are given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from ..errors import InputError
+from .fit_request import FitRequest
+from .loading import NO_MODEL, load_kernels, load_mesh_kernels
+from .register import SeenBody, clothe, describe_scores, read_model, say_detailed
+
+if TYPE_CHECKING:
+    from ..cameras import Perspective
+    from ..inputs.person import PersonInputs
+    from ..models.model import DetailedModel
+    from ..solve.ellipsoids.options import FitOptions
+    from ..solve.mesh.mesh_stage import MeshFit
+
+_FAULTS = (ValueError, RuntimeError)  # of a detailed body, also those of torch and Warp: no memory left, for example
+
+
+def fit_person(request: FitRequest) -> None:
+    """Fit a body to one person, and write and tell what was found.
+
+    Raises:
+        InputError: If the files and options don't go together, or the detailed body fails.
+    """
+    if request.min_score is not None:
+        raise InputError(f"--min-score: {request.min_score:g}, with --keypoints; expected a photo alone")
+    person = request.files.read(request.photo)
+
+    # Loaded after the files, so that faults in them are found at once.
+    from ..interop.devices import choose_device
+    from ..kernels.launch import set_num_threads
+    from ..results.result_sets import check_folder
+    from ..results.save import image_size, save_fit
+    from ..solve.ellipsoids.fitting import fit_body
+    from ..solve.mesh.mesh_stage import refine_mesh
+    from .progress import FitProgress
+
+    where = choose_device(request.device)
+    set_num_threads(request.run.threads)
+    with_labels = person.parts is not None
+    options = _options(request, with_labels=with_labels)
+    check_folder(request.out)
+    _check_inputs(request, options)
+    size = image_size(person.keypoints, person.parts, person.photo)
+    camera = request.view.of_photo(size, request.photo)
+    detailed_model = None if request.model == NO_MODEL else read_model(request.model, where)
+    if request.explain:
+        _explain(person, options, camera, detailed_model)
+    mesh, failure = None, None
+    with FitProgress() as progress:
+        load_kernels(where, options, with_labels=with_labels)
+        result = fit_body(
+            person.keypoints,
+            person.parts,
+            others=person.others,
+            options=options,
+            device=where,
+            camera=camera,
+            progress=progress,
+        )
+        if with_labels and detailed_model is not None:
+            try:
+                load_mesh_kernels(where)
+                mesh = refine_mesh(result, detailed_model, options=options.mesh, progress=progress)
+                result = mesh.ellipbody
+            except _FAULTS as error:
+                failure = error
+        progress("writing results", 1, 1)
+        report = save_fit(result, request.out, photo=person.photo, mesh=None if mesh is None else mesh.body)
+    for warning in result.warnings:
+        typer.echo(f"partdr: warning: {warning}", err=True)
+    _summarise(report, request.out)
+    if detailed_model is None:
+        return
+    seen = SeenBody(result.camera, size, person.photo, result.evidence)
+    try:
+        if failure is not None:
+            raise failure
+        with FitProgress() as progress:
+            if mesh is None:
+                formats = request.run.formats
+                told = clothe(result.posed, detailed_model, request.out, seen, formats=formats, progress=progress)
+            else:
+                told = _save_mesh(mesh, request, seen)
+    except _FAULTS as error:
+        raise InputError(f"{error}; {request.out} holds the fit without its detailed body") from error
+    typer.echo(told)
+
+
+def _options(request: FitRequest, *, with_labels: bool) -> FitOptions:
+    """Options of the fit; an InputError if they are of a stage that it does not have."""
+    from ..solve.ellipsoids.settings import MESH
+    from ..solve.ellipsoids.stages import OUTLINE
+
+    formats, changed = request.run.formats, request.run.fit
+    if formats and request.model == NO_MODEL:
+        raise InputError(f"also: {', '.join(formats)}, with --model none; expected a detailed model")
+    options = request.fit_options()
+    clothed = with_labels and request.model != NO_MODEL
+    if MESH in changed and not clothed:
+        raise InputError(f"{MESH}: settings of a stage that needs part labels and a detailed model; expected both")
+    if OUTLINE in changed and not with_labels:
+        raise InputError(f"{OUTLINE}: settings of a stage that needs part labels; expected some")
+    return request.options_before_mesh() if clothed else options
+
+
+def _check_inputs(request: FitRequest, options: FitOptions) -> None:
+    """Raise an InputError if a result would replace one of the files that were given."""
+    from ..results.result_sets import check_inputs
+    from ..results.save import DETAILED_FILES, RESULT_FILES, SMPLX_FILE
+
+    files = request.files
+    named = [options.network, files.keypoint_format, files.labels, request.model]
+    given = [request.photo, files.keypoint_file(request.photo), files.parts, request.settings.config]
+    given += [Path(name) for name in named if name]
+    check_inputs(request.out, given, (*RESULT_FILES, *DETAILED_FILES, SMPLX_FILE))
+
+
+def _save_mesh(mesh: MeshFit, request: FitRequest, seen: SeenBody) -> str:
+    """Write the files of the mesh stage; returns a line about them."""
+    from ..results.save import save_registered
+
+    report = save_registered(
+        mesh.body,
+        request.out,
+        seen.camera,
+        seen.image_size,
+        photo=seen.photo,
+        evidence=seen.evidence,
+        clothes=mesh.clothes,
+        formats=request.run.formats,
+        seconds=round(mesh.ellipbody.stage_seconds["mesh"], 3),
+    )
+    return say_detailed(report, request.out)
+
+
+def _explain(
+    person: PersonInputs, options: FitOptions, camera: Perspective | None, model: DetailedModel | None
+) -> None:
+    from rich.console import Console
+
+    from ..solve.ellipsoids.explain import explain, explain_mesh, print_choices
+
+    choices = explain(person.keypoints, person.parts, others=person.others, options=options, camera=camera)
+    if model is not None:
+        choices.append(explain_mesh(model, person.parts, options.mesh))
+    print_choices(choices, Console(highlight=False))
+
+
+def _summarise(report: dict[str, Any], out: Path) -> None:
+    count, start = report["hypotheses"], report["start"]
+    alone = start == "network" and count == 1
+    begun = "started from the label network's body" if alone else f"{count} hypotheses, the {start}'s won"
+    share = report["keypoints"]["mean_distance_share_of_person_height"]
+    off = f"keypoints {report['keypoints']['mean_distance_px']:.1f} px off on average"
+    off += f" ({100 * share:.1f} % of the person's height)" if share else ""
+    scores = [describe_scores(report)] if "parts" in report else []
+    typer.echo("; ".join([f"{begun}, {report['seconds_total']:.1f} s", off, *scores]))
+    typer.echo(f"{out / 'overlay.png'} shows the body, {out / 'body.json'} its measurements")

@@ -1,0 +1,107 @@
+"""Request of ``partdr fit``: its arguments and options, checked once and handed down whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Argument, Option
+
+from ..errors import InputError
+from ..networks.detection import MIN_SCORE
+from .options import (
+    CameraOptions,
+    DeviceOption,
+    MinScoreOption,
+    OutOption,
+    PhotoFiles,
+    RunSettings,
+    SettingOptions,
+    check_person,
+    check_score,
+)
+from .register import MODEL_HELP
+
+if TYPE_CHECKING:
+    from ..solve.ellipsoids.options import FitOptions
+
+# Keys of ``solve.ellipsoids.stages.STAGES``, which is not loaded for --help.
+StartName = StrEnum("StartName", ["network", "search"])
+QualityName = StrEnum("QualityName", ["fast", "balanced", "accurate"])
+
+# Of these, the default stands in the text: typer would give each a line of its own.
+_MODEL_HELP = f"Detailed model: {MODEL_HELP}; none skips it. Default: anny."
+_QUALITY_HELP = "fast, balanced (default) or accurate, whose mesh stage takes three times as long (docs/accuracy.md)."
+_START_HELP = "network (default; a search if that ends far off) or search."
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitRequest:
+    """Arguments and options of ``partdr fit``.
+
+    Raises:
+        InputError: If one is wrong whatever the picture shows, or the file of settings can't be read.
+    """
+
+    files: PhotoFiles
+    photo: Annotated[Path | None, Argument(help="Photo or film; with keypoints optional.", metavar="PHOTO")] = None
+    out: OutOption = Path("out")
+    model: Annotated[str, Option(help=_MODEL_HELP, metavar="NAME", show_default=False)] = "anny"
+    quality: Annotated[QualityName, Option(help=_QUALITY_HELP, metavar="NAME", show_default=False)] = (
+        QualityName.balanced
+    )
+    start: Annotated[StartName, Option(help=_START_HELP, metavar="NAME", show_default=False)] = StartName.network
+    min_score: MinScoreOption = None
+    device: DeviceOption = "auto"
+    explain: Annotated[bool, Option("--explain", help="First say what is modelled, what is left out, and why.")] = False
+    view: CameraOptions
+    settings: SettingOptions
+
+    def __post_init__(self) -> None:
+        _ = self.run
+        check_score("--min-score", self.score)
+        check_person(self.files.person)
+
+    @cached_property
+    def run(self) -> RunSettings:
+        """Settings, read once."""
+        return self.settings.read_run()
+
+    @property
+    def score(self) -> float:
+        """Least confidence that there is a person."""
+        return MIN_SCORE if self.min_score is None else self.min_score
+
+    def fit_options(self) -> FitOptions:
+        """Options of the fit: those of the quality and the start, with the settings and what is said of the camera.
+
+        Raises:
+            InputError: If a setting is wrong.
+        """
+        from ..solve.ellipsoids.options import FitOptions
+        from ..solve.ellipsoids.settings import change_options
+
+        options = FitOptions.at(self.quality.value, self.start.value)  # type: ignore[arg-type]
+        options = change_options(options, self.run.fit)
+        if options.network is not None and self.start is StartName.search:
+            raise InputError(
+                f"network: {options.network}, with --start search, which has none; expected one of the two"
+            )
+        return replace(options, guess_camera=False) if self.view.refused else options
+
+    def options_before_mesh(self) -> FitOptions:
+        """Options of a fit that the mesh stage goes on from: without the outline stage, whose result it would not use.
+
+        Raises:
+            InputError: If that stage was changed, or another setting is wrong.
+        """
+        from ..solve.ellipsoids.stages import OUTLINE
+
+        options = self.fit_options()
+        if OUTLINE in self.run.fit:
+            told = f"{OUTLINE}: settings of a stage that the mesh stage replaces"
+            raise InputError(f"{told}; expected --keypoints, --parts and --model none with it")
+        return options.without_outline()
