@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
 
@@ -11,9 +12,9 @@ import warp as wp
 
 from ..interop.arrays import warp_array
 from ..interop.captured_function import call_captured
-from ..interop.derivatives import differentiate_again, is_transformed
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
+from ..interop.operation import Gradients, OperationWithTwin
 from ..kernels import joint_chain as kernels
 
 
@@ -25,10 +26,7 @@ def chain_joints(parents: tuple[int, ...], rotations: torch.Tensor, bones: torch
         rotations: Of each joint against its parent, shape (B, J, 3, 3), float32 or float64.
         bones: From each joint's parent to it, in the parent's axes; of the root, its position; shape (B, J, 3).
     """
-    if torch.compiler.is_compiling() or is_transformed(rotations, bones):
-        return multiply_joints(parents, rotations, bones)
-    found: torch.Tensor = _Chain.apply(parents, rotations, bones)
-    return found
+    return _Chain(parents)(rotations, bones)[0]
 
 
 def multiply_joints(parents: tuple[int, ...], rotations: torch.Tensor, bones: torch.Tensor) -> torch.Tensor:
@@ -68,23 +66,22 @@ def _tree(parents: tuple[int, ...], device: str) -> Any:
     return kernels.make_joint_tree(parents, device)
 
 
-class _Chain(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, parents: tuple[int, ...], rotations: torch.Tensor, bones: torch.Tensor) -> torch.Tensor:
-        shape = torch.Size((*rotations.shape[:2], 4, 4))
-        (transforms,) = call_captured(_prepare, (rotations, bones), (shape,), parents)
-        ctx.parents = parents
-        ctx.save_for_backward(rotations, bones, transforms)
-        return transforms
+@dataclass(frozen=True)
+class _Chain(OperationWithTwin):
+    parents: tuple[int, ...]
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        rotations, bones, transforms = ctx.saved_tensors
-        if torch.is_grad_enabled():
-            products = partial(multiply_joints, ctx.parents)
-            return None, *differentiate_again(products, (rotations, bones), adjoints[0])
-        saved = rotations, bones, transforms, adjoints[0]
-        return None, *call_captured(_prepare_adjoint, saved, (rotations.shape, bones.shape), ctx.parents)
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        shape = torch.Size((*inputs[0].shape[:2], 4, 4))
+        transforms = call_captured(_prepare, inputs, (shape,), self.parents)
+        return transforms, transforms
+
+    def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
+        rotations, bones, _ = saved
+        return call_captured(_prepare_adjoint, (*saved, *adjoints), (rotations.shape, bones.shape), self.parents)
+
+    def plain(self, inputs: Tensors) -> Tensors:
+        rotations, bones = inputs
+        return (multiply_joints(self.parents, rotations, bones),)
 
 
 def _prepare(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]) -> Launch:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 
 from ..interop.arrays import warp_array
 from ..interop.captured_function import call_captured
-from ..interop.derivatives import differentiate_again, is_transformed
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
+from ..interop.operation import Gradients, OperationWithTwin, split_missing
 from ..kernels import joint_chain as chain
 from ..kernels import joint_maps as kernels
 from .joint_chain import joint_types, multiply_joints, tree_on
@@ -30,52 +30,32 @@ def map_joints(
         translation: Place of the root, shape (B, 3).
         rest: Places of joints at rest, where their axes are those of the body, shape (B, J, 3).
     """
-    if torch.compiler.is_compiling() or is_transformed(rotations, translation, rest):
-        return _map(parents, rotations, translation, rest)
-    found: Tensors = _Mapped.apply(parents, rotations, translation, rest)
-    return found
+    return _Mapped(parents)(rotations, translation, rest)
 
 
-def _map(parents: tuple[int, ...], rotations: torch.Tensor, translation: torch.Tensor, rest: torch.Tensor) -> Tensors:
-    bones = torch.cat([translation[:, None], rest[:, 1:] - rest[:, list(parents[1:])]], dim=1)
-    transforms = multiply_joints(parents, rotations, bones)
-    places = transforms[..., :3, 3]
-    return transforms, places, map_rows(transforms[..., :3, :3], places, rest)
+@dataclass(frozen=True)
+class _Mapped(OperationWithTwin):
+    parents: tuple[int, ...]
 
-
-class _Mapped(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any, parents: tuple[int, ...], rotations: torch.Tensor, translation: torch.Tensor, rest: torch.Tensor
-    ) -> Tensors:
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        rest = inputs[2]
         batch, joints = rest.shape[:2]
         shapes = torch.Size((batch, joints, 4, 4)), rest.shape, torch.Size((batch, 12, joints))
-        found = call_captured(_prepare, (rotations, translation, rest), shapes, parents)
-        ctx.parents = parents
-        ctx.set_materialize_grads(False)  # zeros are made once, in the graph's buffers
-        ctx.save_for_backward(rotations, translation, rest, found[0])
-        return found
+        found = call_captured(_prepare, inputs, shapes, self.parents)
+        return found, found[:1]
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor | None) -> tuple[torch.Tensor | None, ...]:
-        rotations, translation, rest, transforms = ctx.saved_tensors
-        given = tuple([adjoint for adjoint in adjoints if adjoint is not None])
-        if not given:
-            return None, None, None, None
-        missing = tuple([adjoint is None for adjoint in adjoints])
-        inputs = rotations, translation, rest
-        if torch.is_grad_enabled():
-            own = partial(_some, ctx.parents, missing)
-            return None, *differentiate_again(own, inputs, torch.cat([each.flatten() for each in given]))
+    def adjoint(self, saved: Tensors, adjoints: Gradients) -> Gradients:
+        rotations, translation, rest, _ = saved
         shapes = rotations.shape, translation.shape, rest.shape
-        saved = rotations, translation, rest, transforms, *given
-        return None, *call_captured(_prepare_adjoint, saved, shapes, ctx.parents, missing)
+        given, missing = split_missing(adjoints)
+        return call_captured(_prepare_adjoint, (*saved, *given), shapes, self.parents, missing)
 
-
-def _some(parents: tuple[int, ...], missing: Sequence[bool], *inputs: torch.Tensor) -> torch.Tensor:
-    """All results that are not missing, flattened into one vector."""
-    found = zip(_map(parents, *inputs), missing, strict=True)
-    return torch.cat([each.flatten() for each, none in found if not none])
+    def plain(self, inputs: Tensors) -> Tensors:
+        rotations, translation, rest = inputs
+        bones = torch.cat([translation[:, None], rest[:, 1:] - rest[:, list(self.parents[1:])]], dim=1)
+        transforms = multiply_joints(self.parents, rotations, bones)
+        places = transforms[..., :3, 3]
+        return transforms, places, map_rows(transforms[..., :3, :3], places, rest)
 
 
 def _prepare(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]) -> Launch:
