@@ -15,7 +15,7 @@ import warp as wp
 from ..body.landmarks import without_side
 from ..body.template import PARENTS, PART_NAMES
 from ..errors import check_whole
-from ..interop.arrays import warp_array
+from ..interop.arrays import warp_array, warp_arrays
 from ..interop.captured_function import Fixed, call_captured
 from ..interop.checks import check_tensor
 from ..interop.graph_cache import Launch
@@ -115,16 +115,16 @@ class _Placed(Operation):
 
 def _prepare_placed(inputs: Tensors, outputs: Tensors, joints: Fixed) -> Launch:
     """Launch that places capsules, from those at rest, joints' frames and moves."""
-    rest, frames, moves = (warp_array(t, kind) for t, kind in zip(inputs, (None, wp.mat44, wp.vec3), strict=True))
+    rest, frames, moves = warp_arrays(inputs, (None, wp.mat44, wp.vec3))
     carried, placed = warp_array(joints.tensor), warp_array(outputs[0])
     return partial(kernels.launch_place_capsules, rest, frames, moves, carried, placed)
 
 
 def _prepare_placed_adjoint(inputs: Tensors, outputs: Tensors, joints: Fixed) -> Launch:
     """Launch that fills gradients of capsules at rest and frames from these and the adjoint of placed ones."""
-    rest, frames, adjoint = (warp_array(t, kind) for t, kind in zip(inputs, (None, wp.mat44, None), strict=True))
-    found = warp_array(outputs[0]), warp_array(outputs[1], wp.mat44)
-    return partial(kernels.launch_place_capsules_adjoint, rest, frames, warp_array(joints.tensor), adjoint, found)
+    rest, frames, adjoint = warp_arrays(inputs, (None, wp.mat44, None))
+    carried, (by_rest, by_frames) = warp_array(joints.tensor), warp_arrays(outputs, (None, wp.mat44))
+    return partial(kernels.launch_place_capsules_adjoint, rest, frames, carried, adjoint, (by_rest, by_frames))
 
 
 @dataclass(frozen=True)

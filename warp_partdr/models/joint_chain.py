@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import torch
 import warp as wp
 
-from ..interop.arrays import warp_array
+from ..interop.arrays import warp_arrays
 from ..interop.captured_function import call_captured
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
@@ -87,7 +86,7 @@ class _Chain(OperationWithTwin):
 def _prepare(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]) -> Launch:
     """Launch that fills the joints' frames from their rotations and bones."""
     types = joint_types(inputs[0])
-    *local, transforms = _arrays((*inputs, *outputs), (types.mat, types.vec, types.frame))
+    *local, transforms = warp_arrays((*inputs, *outputs), (types.mat, types.vec, types.frame))
     return partial(kernels.launch_chain, tree_on(parents, inputs[0]), types.scalar(1.0), local, transforms)
 
 
@@ -96,13 +95,9 @@ def _prepare_adjoint(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]
     types = joint_types(inputs[0])
     scratch = [torch.empty_like(each) for each in outputs]
     kinds = types.mat, types.vec
-    *saved, adjoint = _arrays(inputs, (*kinds, types.frame, types.frame))
-    found = _arrays((*scratch, *outputs), kinds * 2)
+    *saved, adjoint = warp_arrays(inputs, (*kinds, types.frame, types.frame))
+    found = warp_arrays((*scratch, *outputs), kinds * 2)
     return partial(kernels.launch_chain_adjoint, tree_on(parents, inputs[0]), saved, adjoint, found)
-
-
-def _arrays(tensors: Tensors, kinds: Sequence[type]) -> list[Any]:
-    return [warp_array(each, kind) for each, kind in zip(tensors, kinds, strict=True)]
 
 
 def joint_types(like: torch.Tensor) -> kernels.JointTypes:

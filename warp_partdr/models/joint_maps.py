@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 
-from ..interop.arrays import warp_array
+from ..interop.arrays import warp_array, warp_arrays
 from ..interop.captured_function import call_captured
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
@@ -61,8 +60,8 @@ class _Mapped(OperationWithTwin):
 def _prepare(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]) -> Launch:
     """Launches that fill frames, places and maps from rotations, translation and rest."""
     types, tree = joint_types(inputs[0]), tree_on(parents, inputs[0])
-    rotations, translation, rest = _arrays(inputs, (types.mat, types.vec, types.vec))
-    transforms, places, maps = _arrays(outputs, (types.frame, types.vec, types.scalar))
+    rotations, translation, rest = warp_arrays(inputs, (types.mat, types.vec, types.vec))
+    transforms, places, maps = warp_arrays(outputs, (types.frame, types.vec, types.scalar))
     bones = warp_array(torch.empty_like(inputs[2]), types.vec)
 
     def launch() -> None:
@@ -87,16 +86,12 @@ def _prepare_adjoint(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]
     batch, joints = at_rest.shape[:2]
     shapes = frames.shape, at_rest.shape, (batch, 12, joints)
     sent = [at_rest.new_zeros(s) if none else next(given) for none, s in zip(missing, shapes, strict=True)]
-    adjoints = _arrays(tuple(sent), (types.frame, types.vec, types.scalar))
-    rotations, translation, rest, transforms = _arrays(inputs[:4], (types.mat, types.vec, types.vec, types.frame))
-    grad_rotations, grad_translation, grad_rest = _arrays(outputs, (types.mat, types.vec, types.vec))
-    bones, turn_sums, place_sums, grad_bones, sums = (
-        warp_array(torch.empty_like(like), kind)
-        for like, kind in zip(
-            (at_rest, outputs[0], at_rest, at_rest, frames),
-            (types.vec, types.mat, types.vec, types.vec, types.frame),
-            strict=True,
-        )
+    adjoints = warp_arrays(tuple(sent), (types.frame, types.vec, types.scalar))
+    rotations, translation, rest, transforms = warp_arrays(inputs[:4], (types.mat, types.vec, types.vec, types.frame))
+    grad_rotations, grad_translation, grad_rest = warp_arrays(outputs, (types.mat, types.vec, types.vec))
+    scratch = [torch.empty_like(each) for each in (at_rest, at_rest, outputs[0], at_rest, frames)]
+    bones, grad_bones, turn_sums, place_sums, sums = warp_arrays(
+        scratch, (types.vec, types.vec, types.mat, types.vec, types.frame)
     )
 
     def launch() -> None:
@@ -107,7 +102,3 @@ def _prepare_adjoint(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]
         kernels.launch_bones_adjoint(tree, grad_bones, grad_translation, grad_rest)
 
     return launch
-
-
-def _arrays(tensors: Tensors, kinds: Sequence[type]) -> list[Any]:
-    return [warp_array(each, kind) for each, kind in zip(tensors, kinds, strict=True)]

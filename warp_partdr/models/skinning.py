@@ -7,7 +7,7 @@ from functools import partial
 import torch
 import warp as wp
 
-from ..interop.arrays import warp_array
+from ..interop.arrays import warp_array, warp_arrays
 from ..interop.captured_function import Fixed, call_captured
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
@@ -68,18 +68,15 @@ class _Blended(OperationWithTwin):
 
 def _prepare_blend(inputs: Tensors, outputs: Tensors, weights: Fixed) -> Launch:
     """Launch that fills carried vertices from joints' maps and vertices."""
-    maps, rest = warp_array(inputs[0]), warp_array(inputs[1], wp.vec3)
+    maps, rest = warp_arrays(inputs, (None, wp.vec3))
     return partial(kernels.launch_blend, sparse_matrix(weights).rows, maps, rest, warp_array(outputs[0], wp.vec3))
 
 
 def _prepare_blend_adjoint(inputs: Tensors, outputs: Tensors, weights: Fixed) -> Launch:
     """Launch that fills gradients of joints' maps and vertices from these and the adjoint of what was carried."""
-    maps, (rest, adjoint, grad_rest) = (
-        warp_array(inputs[0]),
-        (warp_array(t, wp.vec3) for t in (*inputs[1:], outputs[1])),
-    )
-    found = warp_array(outputs[0]), grad_rest
-    return partial(kernels.launch_blend_adjoint, sparse_matrix(weights), maps, rest, adjoint, found)
+    maps, rest, adjoint = warp_arrays(inputs, (None, wp.vec3, wp.vec3))
+    grad_maps, grad_rest = warp_arrays(outputs, (None, wp.vec3))
+    return partial(kernels.launch_blend_adjoint, sparse_matrix(weights), maps, rest, adjoint, (grad_maps, grad_rest))
 
 
 class _Carried(OperationWithTwin):

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 import warp as wp
 
-from ..interop.arrays import contiguous, warp_array
+from ..interop.arrays import contiguous, warp_array, warp_arrays
 from ..interop.layouts import Tensors
 from ..interop.loss_graph import Buffers
 from ..interop.streams import launch_bodies_on, on_torch_stream
@@ -247,8 +247,7 @@ def _on_device(labels: tuple[int, ...], device: torch.device) -> torch.Tensor:
 
 def _arrays(tensors: Iterable[torch.Tensor]) -> list[wp.array]:
     """Centres, axes, semi-axes and camera, or their gradients, as Warp arrays over the same memory."""
-    types = (wp.vec3, wp.mat33, wp.vec3, wp.vec4)
-    return [warp_array(tensor, kind) for tensor, kind in zip(tensors, types, strict=True)]
+    return warp_arrays(tensors, (wp.vec3, wp.mat33, wp.vec3, wp.vec4))
 
 
 @cache  # an allocation takes 10 us

@@ -12,7 +12,7 @@ from warp import vec2, vec3, vec4
 
 from ...cameras import Camera
 from ...inputs.observation import REFERENCE_SIZE
-from ...interop.arrays import warp_array
+from ...interop.arrays import warp_array, warp_arrays
 from ...interop.captured_function import Fixed, call_captured
 from ...interop.graph_cache import Launch
 from ...interop.layouts import Tensors
@@ -93,7 +93,7 @@ def _prepare(inputs: Tensors, outputs: Tensors, ends: Fixed, perspective: bool) 
 def _prepare_adjoint(inputs: Tensors, outputs: Tensors, ends: Fixed, perspective: bool) -> Launch:
     """Launch that fills gradients of landmarks, and shares of those of cameras, from these and the costs' adjoint."""
     *own, adjoint = inputs
-    gradients = [warp_array(each, kind) for each, kind in zip(outputs, (vec3, vec4), strict=True)]
+    gradients = warp_arrays(outputs, (vec3, vec4))
     arrays = _arrays(own, ends, perspective)
     return partial(kernels.launch_landmark_costs_adjoint, arrays, warp_array(adjoint, vec2), gradients)
 

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from warp import mat33, vec2, vec2i, vec3
 
-from ...interop.arrays import dense_rows, warp_array
+from ...interop.arrays import dense_rows, warp_array, warp_arrays
 from ...interop.captured_function import Fixed, Prepare, call_captured
 from ...interop.graph_cache import Launch
 from ...interop.layouts import Tensors
@@ -94,7 +94,7 @@ def _prepare_place_adjoint(inputs: Tensors, outputs: Tensors, size: int, *views:
 
 def _gathered(views: Sequence[Fixed], size: int) -> Any:
     kinds = mat33, vec3, vec3, None, None, vec2i
-    arrays = [warp_array(each.tensor, kind) for each, kind in zip(views, kinds, strict=True)]
+    arrays = warp_arrays([each.tensor for each in views], kinds)
     return kernels.gather_views(arrays, size / 2)
 
 
@@ -135,5 +135,5 @@ def _prepare_pelvises_adjoint(inputs: Tensors, outputs: Tensors) -> Launch:
 def _of_pelvises(given: Sequence[torch.Tensor]) -> tuple[list[Any], list[Any]]:
     """Numbers and views."""
     kinds = None, vec2, vec3, mat33, vec3
-    arrays = [warp_array(each, kind) for each, kind in zip(given, kinds, strict=True)]
+    arrays = warp_arrays(given, kinds)
     return arrays[:2], arrays[2:]
