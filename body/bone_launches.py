@@ -8,7 +8,7 @@ from typing import Any
 import torch
 import warp as wp
 
-from ..interop.arrays import warp_array
+from ..interop.arrays import warp_array, warp_arrays
 from ..interop.graph_cache import Launch
 from ..kernels import kinematics
 from ..kernels.turns import Numbers, TurnRule, Turns, launch_turn, launch_turn_adjoint
@@ -24,7 +24,7 @@ DTYPES = {
 def kinematic_arrays(tensors: Sequence[torch.Tensor], kinds: str) -> list[wp.array]:
     """Warp arrays over tensors of one dtype: of scalars ("s"), vectors ("v") or matrices ("m")."""
     types = DTYPES[tensors[0].dtype]
-    return [warp_array(tensor, types[kind]) for tensor, kind in zip(tensors, kinds, strict=True)]
+    return warp_arrays(tensors, [types[kind] for kind in kinds])
 
 
 def camera_array(cameras: torch.Tensor) -> wp.array:

@@ -110,8 +110,7 @@ class BodyParameters(Movable):
     def posed(self) -> Posed:
         """Posed bodies in the camera frame, pelvis at the origin [m]."""
         origin = self.lengths.new_zeros(self.batch_size, 3)
-        numbers = self.orientation, origin, self.rotations, self.lengths, self.thicknesses
-        return pose_parts(*numbers, locked=LOCKED_BITS)
+        return pose_parts(self.orientation, origin, self.rotations, self.lengths, self.thicknesses, locked=LOCKED_BITS)
 
     def camera(self, size: int) -> WeakPerspective:
         """Cameras for a crop of ``size`` pixels a side."""

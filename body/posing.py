@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 import torch
@@ -13,10 +12,10 @@ import warp as wp
 
 from ..interop.captured_function import call_captured
 from ..interop.checks import check_numbers, check_tensor
-from ..interop.derivatives import is_transformed
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Shapes, Tensors
 from ..interop.movable import Movable
+from ..interop.operation import Gradients, OperationWithTwin, must_be_plain, split_missing
 from ..kernels import kinematics
 from . import plain_posing
 from .bone_launches import DTYPES, BoneLaunches, kinematic_arrays
@@ -51,9 +50,8 @@ class Posed(Movable):
 
     def vertices(self, subdivisions: int = DEFAULT_SUBDIVISIONS) -> torch.Tensor:
         """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]; NaN where a size is 0 or less."""
-        ellipsoids = self.centres, self.axes, self.semi_axes
-        place = plain_posing.place_vertices_by_torch if _in_torch(*ellipsoids) else _Vertices.apply
-        return place(*ellipsoids, subdivisions).flatten(1, 2)
+        (vertices,) = _Vertices(subdivisions)(self.centres, self.axes, self.semi_axes)
+        return vertices.flatten(1, 2)
 
 
 class LandmarkGather:
@@ -105,21 +103,34 @@ def pose(
         ValueError: If a shape, dtype or device does not fit the others, something is NaN, infinite or no rotation, or a
             length or thickness is 0 or less.
     """
-    parameters = (global_orient, translation, rotations, lengths, thicknesses)
-    check_parameters(parameters, dtypes=tuple(DTYPES))
-    if validate and not _in_torch(*parameters):
-        named = dict(zip(BODY_SHAPES, parameters, strict=True))
-        check_numbers(named, rotations=matrices_of(parameters), positive=BODY_SIZES)
-    return pose_parts(*parameters)
+    parameters = {
+        "global_orient": global_orient,
+        "translation": translation,
+        "rotations": rotations,
+        "lengths": lengths,
+        "thicknesses": thicknesses,
+    }
+    tensors = tuple(parameters.values())
+    check_parameters(tensors, dtypes=tuple(DTYPES))
+    if validate and not must_be_plain(*tensors):
+        check_numbers(parameters, rotations=matrices_of(tensors), positive=BODY_SIZES)
+    return pose_parts(global_orient, translation, rotations, lengths, thicknesses)
 
 
-def pose_parts(*parameters: torch.Tensor, locked: int = 0) -> Posed:
+def pose_parts(
+    global_orient: torch.Tensor,
+    translation: torch.Tensor,
+    rotations: torch.Tensor,
+    lengths: torch.Tensor,
+    thicknesses: torch.Tensor,
+    *,
+    locked: int = 0,
+) -> Posed:
     """Pose what was checked before; parts of ``locked``, a set of bits, keep their rest rotation."""
-    if _in_torch(*parameters):
-        return Posed(*_pose_in_torch(*parameters, locked=locked))
-    if parameters[0].dtype == torch.float64:  # kernels make matrices of float32 alone
-        return Posed(*_Bones.apply(0, *_as_matrices(parameters, locked)))
-    return Posed(*_Bones.apply(locked, *parameters))
+    if global_orient.dtype == torch.float64:  # kernels make matrices of float32 alone
+        global_orient, rotations = _as_matrices(global_orient, rotations, locked)
+        locked = 0
+    return Posed(*_Bones(locked)(global_orient, translation, rotations, lengths, thicknesses))
 
 
 def check_parameters(parameters: Sequence[torch.Tensor], *, dtypes: Sequence[torch.dtype]) -> None:
@@ -141,78 +152,63 @@ def matrices_of(parameters: Sequence[torch.Tensor]) -> list[str]:
     return [name for name, tensor, dim in rotations if tensor.dim() == dim]
 
 
-def _as_matrices(parameters: Sequence[torch.Tensor], locked: int) -> list[torch.Tensor]:
-    """The arguments of ``pose`` with rotations as matrices, by torch."""
-    matrices = list(parameters)
-    for index, dim in ((0, 3), (2, 4)):
-        rotation = parameters[index]
-        if rotation.dim() != dim:
-            make = rotation_from_6d if rotation.shape[-1] == 6 else rotation_from_axis_angle
-            matrices[index] = make(rotation)
+def _as_matrices(
+    global_orient: torch.Tensor, rotations: torch.Tensor, locked: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Both rotations among the arguments of ``pose`` as matrices, by torch, and at rest where they are locked."""
+    if global_orient.dim() != 3:
+        global_orient = _rotation_matrices(global_orient)
+    if rotations.dim() != 4:
+        rotations = _rotation_matrices(rotations)
     if locked:
-        keeps = torch.tensor([[[bool(locked >> part & 1)]] for part in range(NUM_PARTS)], device=matrices[2].device)
-        rest = torch.eye(3).to(matrices[2]) + 0 * matrices[2].detach()  # NaN of a locked part shows, too
-        matrices[2] = torch.where(keeps, rest, matrices[2])
-    return matrices
+        keeps = torch.tensor([[[bool(locked >> part & 1)]] for part in range(NUM_PARTS)], device=rotations.device)
+        rest = torch.eye(3).to(rotations) + 0 * rotations.detach()  # NaN of a locked part shows, too
+        rotations = torch.where(keeps, rest, rotations)
+    return global_orient, rotations
 
 
-def _pose_in_torch(*parameters: torch.Tensor, locked: int) -> tuple[torch.Tensor, ...]:
-    return plain_posing.pose_bones_by_torch(*_as_matrices(parameters, locked))
+def _rotation_matrices(rotation: torch.Tensor) -> torch.Tensor:
+    return rotation_from_6d(rotation) if rotation.shape[-1] == 6 else rotation_from_axis_angle(rotation)
 
 
-def _in_torch(*tensors: torch.Tensor) -> bool:
-    """True if plain torch must do it: kernels can't be traced, and can't read what ``torch.func`` has wrapped."""
-    return torch.compiler.is_compiling() or is_transformed(*tensors)
+@dataclass(frozen=True)
+class _Bones(OperationWithTwin):
+    """Fields of ``Posed`` from the arguments of ``pose``."""
+
+    locked: int
+
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        return call_captured(_prepare_bones, inputs, _posed_shapes(len(inputs[0])), self.locked), ()
+
+    def adjoint(self, saved: Tensors, adjoints: Gradients) -> Gradients:
+        shapes = tuple([each.shape for each in saved])
+        given, missing = split_missing(adjoints)
+        return call_captured(_prepare_bones_adjoint, (*saved, *given), shapes, self.locked, missing)
+
+    def plain(self, inputs: Tensors) -> Tensors:
+        global_orient, translation, rotations, lengths, thicknesses = inputs
+        global_orient, rotations = _as_matrices(global_orient, rotations, self.locked)
+        return plain_posing.pose_bones_by_torch(global_orient, translation, rotations, lengths, thicknesses)
 
 
-def _differentiable(*adjoints: torch.Tensor) -> bool:
-    """True if a backward pass has to be differentiable itself, under ``create_graph``, or is one of many under vmap."""
-    return torch.is_grad_enabled() or is_transformed(*adjoints)
+@dataclass(frozen=True)
+class _Vertices(OperationWithTwin):
+    """Vertices (B, P, N, 3) of ellipsoids, from their centres, axes and semi-axes."""
 
+    subdivisions: int
 
-class _Bones(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, locked: int, *parameters: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        ctx.save_for_backward(*parameters)
-        ctx.set_materialize_grads(False)  # zeros are made once, in the graph's buffers
-        ctx.locked = locked
-        return call_captured(_prepare_bones, parameters, _posed_shapes(len(parameters[0])), locked)
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        shape = torch.Size((*inputs[0].shape[:2], len(icosphere(self.subdivisions)[0]), 3))
+        return call_captured(_prepare_vertices, inputs, (shape,), self.subdivisions), ()
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor | None) -> tuple[torch.Tensor | None, ...]:
-        parameters, locked = ctx.saved_tensors, ctx.locked
-        given = tuple([adjoint for adjoint in adjoints if adjoint is not None])
-        if not given:
-            return (None,) * (1 + len(parameters))
-        if _differentiable(*given):
-            shapes = _posed_shapes(len(parameters[0]))
-            full = zip(adjoints, shapes, strict=True)
-            sent = tuple(parameters[0].new_zeros(shape) if each is None else each for each, shape in full)
-            return None, *torch.func.vjp(partial(_pose_in_torch, locked=locked), *parameters)[1](sent)
-        gradients = tuple([tensor.shape for tensor in parameters])
-        missing = tuple([adjoint is None for adjoint in adjoints])
-        return None, *call_captured(_prepare_bones_adjoint, (*parameters, *given), gradients, locked, missing)
+    def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
+        centres, axes, semi_axes = saved
+        shapes = centres.shape, axes.shape, semi_axes.shape
+        return call_captured(_prepare_vertices_adjoint, (axes, semi_axes, *adjoints), shapes, self.subdivisions)
 
-
-class _Vertices(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any, centres: torch.Tensor, axes: torch.Tensor, semi_axes: torch.Tensor, subdivisions: int
-    ) -> torch.Tensor:
-        ctx.save_for_backward(centres, axes, semi_axes)
-        ctx.subdivisions = subdivisions
-        shape = torch.Size((*centres.shape[:2], len(icosphere(subdivisions)[0]), 3))
-        return call_captured(_prepare_vertices, (centres, axes, semi_axes), (shape,), subdivisions)[0]
-
-    @staticmethod
-    def backward(ctx: Any, adj_vertices: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        ellipsoids = ctx.saved_tensors
-        if _differentiable(adj_vertices):
-            place = partial(plain_posing.place_vertices_by_torch, subdivisions=ctx.subdivisions)
-            return *torch.func.vjp(place, *ellipsoids)[1](adj_vertices), None
-        gradients = tuple([tensor.shape for tensor in ellipsoids])
-        inputs = *ellipsoids[1:], adj_vertices
-        return *call_captured(_prepare_vertices_adjoint, inputs, gradients, ctx.subdivisions), None
+    def plain(self, inputs: Tensors) -> Tensors:
+        centres, axes, semi_axes = inputs
+        return (plain_posing.place_vertices_by_torch(centres, axes, semi_axes, self.subdivisions),)
 
 
 @lru_cache(maxsize=32)

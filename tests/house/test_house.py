@@ -92,19 +92,15 @@ RIGHT_CARRIERS = {
 # Those still to be mended, by a typed dataclass or by names: this list may only shrink.
 CARRIERS_TO_MEND = {
     "_window: person_windows(*one)",
-    "body_maps: self.draw(**options)",
-    "crop_loss: _as_floats(*parameters)",
-    "draw: self.prepare_picture(**images)",
-    "landmark_costs: _LandmarkCosts.apply(*own)",
     "measure_parameters: BodyParameters(*sizes)",
-    "pose: _in_torch(*parameters)",
-    "pose: pose_parts(*parameters)",
-    "posed: pose_parts(*numbers)",
-    "prepare: self._prepare_gradient(**scratch)",
-    "prepare_labels: self.prepare_picture(**images)",
     "try_refine: Refinement(**rule)",
     "try_refine: refine(**rule)",
-    "work: self._prepare_gradient(**scratch)",
+}
+# Functions of autograd outside of ``interop``, whose ``Operation`` binds kernels.
+OTHER_FUNCTIONS = {
+    "warp_partdr/lab/bench/kernels/calls.py: _Nothing": "is autograd alone, whose own time it tells",
+    "warp_partdr/lab/bench/kernels/peers.py: _MitsubaMaps": "binds another renderer, not a kernel",
+    "warp_partdr/lab/training/joint_norm.py: _Normalise": "launches no kernel; its gradient is a sum over processes",
 }
 QUESTIONS = r"(What|Which|How|Whether|Where|Whose)\b"
 # Openings that only a reader of the neighbour understands, or that leave the noun out; a letter alone is no noun. Tests
@@ -367,6 +363,37 @@ def test_arguments_do_not_travel_in_tuples_and_dicts():
 )
 def test_carriers_are_found(code: str, found: list[str]):
     assert list(find_carriers(ast.parse(code))) == found
+
+
+def autograd_functions(module: ast.Module) -> Iterator[str]:
+    """Names of classes that are functions of autograd."""
+    for node in ast.walk(module):
+        if isinstance(node, ast.ClassDef) and any(ast.unparse(base).endswith("Function") for base in node.bases):
+            yield node.name
+
+
+def test_kernels_are_bound_to_torch_by_operations():
+    """A new binding is a subclass of ``Operation``, so that all have the same errors and second derivatives."""
+    found = {
+        f"{short(path)}: {name}"
+        for path in product_files()
+        if not short(path).startswith("warp_partdr/interop/")
+        for name in autograd_functions(tree(path))
+    }
+    assert sorted(found - set(OTHER_FUNCTIONS)) == []
+    assert sorted(set(OTHER_FUNCTIONS) - found) == [], "gone: take them out of the list"
+
+
+@pytest.mark.parametrize(
+    ("code", "found"),
+    [
+        ("class A(torch.autograd.Function): ...", ["A"]),
+        ("def f():\n    class A(Function): ...", ["A"]),
+        ("class A(Operation): ...", []),
+    ],
+)
+def test_functions_of_autograd_are_found(code: str, found: list[str]):
+    assert list(autograd_functions(ast.parse(code))) == found
 
 
 def test_the_readme_says_where_each_wing_is():

@@ -7,9 +7,11 @@ import warnings
 import weakref
 
 import numpy as np
+import pytest
 import torch
+import warp as wp
 
-from warp_partdr.interop.arrays import tensor_over
+from warp_partdr.interop.arrays import tensor_over, warp_arrays
 
 
 class Owner(np.ndarray):
@@ -37,3 +39,12 @@ def test_a_tensor_over_an_array_keeps_it_and_lets_it_go():
 def test_an_array_of_other_strides_is_copied():
     array = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)[:, ::-1]
     np.testing.assert_array_equal(tensor_over(array).numpy(), array)
+
+
+def test_tensors_become_arrays_of_their_own_types():
+    numbers, points = torch.arange(2.0), torch.arange(6.0).view(2, 3)
+    scalars, vectors = warp_arrays([numbers, points], [None, wp.vec3])
+    assert (scalars.dtype, vectors.dtype) == (wp.float32, wp.vec3)
+    np.testing.assert_array_equal(vectors.numpy(), points)
+    with pytest.raises(ValueError, match="zip"):
+        warp_arrays([numbers, points], [None])

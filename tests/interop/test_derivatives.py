@@ -17,7 +17,7 @@ from warp_partdr.cameras import Perspective, WeakPerspective
 from warp_partdr.metrics import mpjpe, pa_mpjpe
 from warp_partdr.models.anny import anny
 from warp_partdr.models.pose import pose_from_ellipbody
-from warp_partdr.models.surfaces import _VertexCosts, vertex_parts
+from warp_partdr.models.surfaces import registration_costs, vertex_parts
 from warp_partdr.render.ellipsoids import ellipsoid_label_loss
 
 NAMES = ("global_orient", "translation", "rotations", "lengths", "thicknesses")
@@ -225,7 +225,7 @@ def test_a_second_derivative_of_a_registration_is_an_error(device):
     posed = ellipbodies(device)
     parts, areas = vertex_parts(model)
     vertices = (model.rest_vertices.expand(2, -1, -1) + posed.joints[:, :1]).requires_grad_()
-    fit, inside = _VertexCosts.apply(vertices, parts, areas, posed, 0.03)
+    fit, inside = registration_costs(vertices, parts, areas, posed, 0.03)
     (first,) = torch.autograd.grad(fit.sum() + inside.sum(), vertices, create_graph=True)
     with pytest.raises(NotImplementedError, match=r"^register: differentiated twice"):
         first.sum().backward()

@@ -25,7 +25,7 @@ from warp_partdr.models.registration import (
     register,
     shape_from_lengths,
 )
-from warp_partdr.models.surfaces import BAND, _VertexCosts, skin_vertices, surface_samples, vertex_parts
+from warp_partdr.models.surfaces import BAND, registration_costs, skin_vertices, surface_samples, vertex_parts
 
 registered = helpers.bodies.registered  # a fixture
 
@@ -86,7 +86,7 @@ def test_vertex_costs_and_gradients_agree_with_torch(device: str) -> None:
     vertices = (posed.centres[:, torch.arange(60) % 20] + 0.06 * torch.randn(2, 60, 3).to(device)).requires_grad_()
     parts = (torch.arange(60, device=device) % 20).int()
     areas = torch.rand(60).to(device)
-    fit, inside = _VertexCosts.apply(vertices, parts, areas, posed, 0.03)
+    fit, inside = registration_costs(vertices, parts, areas, posed, 0.03)
 
     local = (vertices[:, :, None] - posed.centres[:, None])[..., None, :] @ posed.axes[:, None]
     unit = local[..., 0, :] / posed.semi_axes[:, None]

@@ -127,7 +127,7 @@ def group_rows(
     Rows are the same whatever is worked on beside them.
 
     Args:
-        work: Names of the steps that are done.
+        work: Object that finds, cuts out and fits the people.
         pool: Threads of ``people_pool``.
         groups: Names, and pictures, or why they can't be read; or people cut out of some.
         tell: Called with each picture's name.

@@ -58,7 +58,7 @@ class PeoplePredictor:
 
     Attributes:
         network: Label network on the device, in evaluation mode.
-        device: "cpu" or a CUDA device.
+        device: Device, "cpu" or a CUDA device.
         batch: Number of people whom the network is asked about at a time.
         rule: Rule by which people are found.
         cutter: Cuts people out of pictures.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,11 @@ def warp_array(tensor: torch.Tensor, dtype: Any = None) -> wp.array:
         dtype: Warp's type; by default the tensor's scalars.
     """
     return wp.from_torch(tensor.detach(), dtype=dtype, requires_grad=False)
+
+
+def warp_arrays(tensors: Iterable[torch.Tensor], kinds: Iterable[Any]) -> list[Any]:
+    """Warp arrays over tensors' memory, each of its own of Warp's types; None takes a tensor's scalars."""
+    return [warp_array(tensor, kind) for tensor, kind in zip(tensors, kinds, strict=True)]
 
 
 def tensor_over(array: np.ndarray) -> torch.Tensor:

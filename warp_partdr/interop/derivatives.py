@@ -7,10 +7,15 @@ from typing import Any
 
 import torch
 
+_is_wrapped = torch._C._functorch.is_functorch_wrapped_tensor
+
 
 def is_transformed(*tensors: torch.Tensor | None) -> bool:
     """True if ``torch.func`` has wrapped one of them, as ``vmap`` and ``grad`` do: no kernel can read it."""
-    return any(isinstance(t, torch.Tensor) and torch._C._functorch.is_functorch_wrapped_tensor(t) for t in tensors)
+    for tensor in tensors:  # noqa: SIM110  any() takes twice as long
+        if isinstance(tensor, torch.Tensor) and _is_wrapped(tensor):
+            return True
+    return False
 
 
 def refuse_transforms(name: str, *tensors: torch.Tensor | None) -> None:
@@ -59,18 +64,26 @@ class _Once(torch.autograd.Function):
 
 
 def differentiate_again(
-    function: Callable[..., torch.Tensor], inputs: tuple[torch.Tensor, ...], adjoint: torch.Tensor
+    function: Callable[[tuple[torch.Tensor, ...]], tuple[torch.Tensor, ...]],
+    inputs: tuple[torch.Tensor, ...],
+    adjoints: tuple[torch.Tensor | None, ...],
 ) -> tuple[torch.Tensor | None, ...]:
     """Gradients by torch, which have derivatives themselves: for a kernel's ``backward`` under ``create_graph=True``.
 
     Args:
-        function: Says by torch what the kernel says.
-        inputs: Its arguments; those without gradient get None.
-        adjoint: Incoming gradient.
+        function: Computes by torch what the kernel computes.
+        inputs: Its argument; those without gradient get None.
+        adjoints: Gradients with respect to the results; None for those on which nothing depends.
     """
-    wanted = [each for each in inputs if each.requires_grad]
-    found = iter(torch.autograd.grad(function(*inputs), wanted, adjoint, create_graph=True))
-    return tuple(next(found) if each.requires_grad else None for each in inputs)
+
+    def used_results(*moved: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        own = iter(moved)
+        results = function(tuple([next(own) if each.requires_grad else each for each in inputs]))
+        return tuple([result for result, each in zip(results, adjoints, strict=True) if each is not None])
+
+    pull = torch.func.vjp(used_results, *[each for each in inputs if each.requires_grad])[1]
+    found = iter(pull(tuple([each for each in adjoints if each is not None])))
+    return tuple([next(found) if each.requires_grad else None for each in inputs])
 
 
 def raise_second_derivative(name: str) -> None:

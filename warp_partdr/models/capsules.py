@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
-from typing import Any
 
 import torch
 import warp as wp
@@ -16,13 +15,13 @@ import warp as wp
 from ..body.landmarks import without_side
 from ..body.template import PARENTS, PART_NAMES
 from ..errors import check_whole
-from ..interop.arrays import warp_array
+from ..interop.arrays import warp_array, warp_arrays
 from ..interop.captured_function import Fixed, call_captured
 from ..interop.checks import check_tensor
-from ..interop.derivatives import once
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
 from ..interop.movable import Movable
+from ..interop.operation import Gradients, Operation
 from ..interop.streams import on_torch_stream
 from ..kernels import capsules as kernels
 from ..kernels.launch import launch_shared
@@ -65,8 +64,7 @@ class Capsules(Movable):
         at_rest, by_shape = self._rows
         rest = torch.nn.functional.linear(shape, by_shape, at_rest).unflatten(1, (-1, _NUMBERS))
         moves = shape.new_zeros(len(shape), 3) if by is None else by
-        placed: torch.Tensor = _Placed.apply(rest, body.transforms, moves, self.joints)
-        return placed
+        return _Placed()(rest, body.transforms, moves, self.joints)[0]
 
     @cached_property
     def _rows(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -96,65 +94,63 @@ def find_overlap(placed: torch.Tensor, allowed: torch.Tensor, people: int = 1) -
     people = check_whole("people", people, 1)
     if len(placed) % people:
         raise ValueError(f"people: {people}; expected a divisor of the {len(placed)} bodies")
-    found: torch.Tensor = _OverlapCost.apply(placed, allowed, people)
-    return found
+    return _OverlapCost(people)(placed, allowed)[0]
 
 
-class _Placed(torch.autograd.Function):
+class _Placed(Operation):
     """Capsules that joints carry."""
 
-    @staticmethod
-    def forward(
-        ctx: Any, rest: torch.Tensor, frames: torch.Tensor, moves: torch.Tensor, joints: torch.Tensor
-    ) -> torch.Tensor:
-        ctx.save_for_backward(rest, frames, moves, joints)
-        return call_captured(_prepare_placed, (rest, frames, moves), (rest.shape,), Fixed(joints))[0]
+    name = "Capsules.of"
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        rest, frames, moves, joints = ctx.saved_tensors
-        given, shapes = (rest, frames, adjoints[0]), (rest.shape, frames.shape)
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        *moving, joints = inputs
+        return call_captured(_prepare_placed, tuple(moving), (moving[0].shape,), Fixed(joints)), ()
+
+    def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
+        rest, frames, moves, joints = saved
+        given, shapes = (rest, frames, *adjoints), (rest.shape, frames.shape)
         by_rest, by_frames = call_captured(_prepare_placed_adjoint, given, shapes, Fixed(joints))
-        by_moves = by_frames[..., :3, 3].sum(1) if ctx.needs_input_grad[2] else None
-        return *once("Capsules.of", (by_rest, by_frames, by_moves), *adjoints, rest, frames, moves), None
+        by_moves = by_frames[..., :3, 3].sum(1) if moves.requires_grad else None
+        return by_rest, by_frames, by_moves
 
 
 def _prepare_placed(inputs: Tensors, outputs: Tensors, joints: Fixed) -> Launch:
     """Launch that places capsules, from those at rest, joints' frames and moves."""
-    rest, frames, moves = (warp_array(t, kind) for t, kind in zip(inputs, (None, wp.mat44, wp.vec3), strict=True))
+    rest, frames, moves = warp_arrays(inputs, (None, wp.mat44, wp.vec3))
     carried, placed = warp_array(joints.tensor), warp_array(outputs[0])
     return partial(kernels.launch_place_capsules, rest, frames, moves, carried, placed)
 
 
 def _prepare_placed_adjoint(inputs: Tensors, outputs: Tensors, joints: Fixed) -> Launch:
     """Launch that fills gradients of capsules at rest and frames from these and the adjoint of placed ones."""
-    rest, frames, adjoint = (warp_array(t, kind) for t, kind in zip(inputs, (None, wp.mat44, None), strict=True))
-    found = warp_array(outputs[0]), warp_array(outputs[1], wp.mat44)
-    return partial(kernels.launch_place_capsules_adjoint, rest, frames, warp_array(joints.tensor), adjoint, found)
+    rest, frames, adjoint = warp_arrays(inputs, (None, wp.mat44, None))
+    carried, (by_rest, by_frames) = warp_array(joints.tensor), warp_arrays(outputs, (None, wp.mat44))
+    return partial(kernels.launch_place_capsules_adjoint, rest, frames, carried, adjoint, (by_rest, by_frames))
 
 
-class _OverlapCost(torch.autograd.Function):
+@dataclass(frozen=True)
+class _OverlapCost(Operation):
     """Cost and gradient at once: both need the nearest points."""
 
-    @staticmethod
-    def forward(ctx: Any, placed: torch.Tensor, allowed: torch.Tensor, people: int) -> torch.Tensor:
+    people: int
+    name = "overlap"
+
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        placed, allowed = inputs
         rows = placed.contiguous()
         # Of each person that they meet; people are added in their order.
-        costs, gradients = (rows.new_empty(*rows.shape[:2], people, *own) for own in ((), (_NUMBERS,)))
+        costs, gradients = (rows.new_empty(*rows.shape[:2], self.people, *own) for own in ((), (_NUMBERS,)))
         if costs.numel():
             with on_torch_stream(rows.device):
-                inputs = [warp_array(rows.view(-1)), warp_array(allowed.view(-1)), FLESH, rows.shape[1], people]
+                arrays = [warp_array(rows.view(-1)), warp_array(allowed.view(-1)), FLESH, rows.shape[1], self.people]
                 outputs = [warp_array(costs.view(-1)), warp_array(gradients.view(-1))]
-                launch_shared(kernels.overlap_costs, (costs.numel(),), inputs, outputs, work=rows.shape[1])
-        ctx.save_for_backward(placed, gradients)
-        return costs.flatten(1).sum(1)
+                launch_shared(kernels.overlap_costs, (costs.numel(),), arrays, outputs, work=rows.shape[1])
+        return (costs.flatten(1).sum(1),), (gradients,)
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        placed, gradients = ctx.saved_tensors
-        factors = _pair_factors(adjoints[0], gradients.shape[2])
-        found = (gradients * factors[:, None, :, None]).sum(2)
-        return *once("overlap", (found,), *adjoints, placed), None, None
+    def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
+        _, _, gradients = saved
+        factors = _pair_factors(adjoints[0], self.people)
+        return ((gradients * factors[:, None, :, None]).sum(2),)
 
 
 def _pair_factors(adjoint: torch.Tensor, people: int) -> torch.Tensor:

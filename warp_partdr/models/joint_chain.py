@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
 
 import torch
 import warp as wp
 
-from ..interop.arrays import warp_array
+from ..interop.arrays import warp_arrays
 from ..interop.captured_function import call_captured
-from ..interop.derivatives import differentiate_again, is_transformed
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
+from ..interop.operation import Gradients, OperationWithTwin
 from ..kernels import joint_chain as kernels
 
 
@@ -26,10 +26,7 @@ def chain_joints(parents: tuple[int, ...], rotations: torch.Tensor, bones: torch
         bones: Vector from the parent to each joint, in the parent's axes, shape (B, J, 3). For the root, it is the
             root's position.
     """
-    if torch.compiler.is_compiling() or is_transformed(rotations, bones):
-        return multiply_joints(parents, rotations, bones)
-    found: torch.Tensor = _Chain.apply(parents, rotations, bones)
-    return found
+    return _Chain(parents)(rotations, bones)[0]
 
 
 def multiply_joints(parents: tuple[int, ...], rotations: torch.Tensor, bones: torch.Tensor) -> torch.Tensor:
@@ -69,29 +66,28 @@ def _tree(parents: tuple[int, ...], device: str) -> Any:
     return kernels.make_joint_tree(parents, device)
 
 
-class _Chain(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, parents: tuple[int, ...], rotations: torch.Tensor, bones: torch.Tensor) -> torch.Tensor:
-        shape = torch.Size((*rotations.shape[:2], 4, 4))
-        (transforms,) = call_captured(_prepare, (rotations, bones), (shape,), parents)
-        ctx.parents = parents
-        ctx.save_for_backward(rotations, bones, transforms)
-        return transforms
+@dataclass(frozen=True)
+class _Chain(OperationWithTwin):
+    parents: tuple[int, ...]
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        rotations, bones, transforms = ctx.saved_tensors
-        if torch.is_grad_enabled():
-            products = partial(multiply_joints, ctx.parents)
-            return None, *differentiate_again(products, (rotations, bones), adjoints[0])
-        saved = rotations, bones, transforms, adjoints[0]
-        return None, *call_captured(_prepare_adjoint, saved, (rotations.shape, bones.shape), ctx.parents)
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        shape = torch.Size((*inputs[0].shape[:2], 4, 4))
+        transforms = call_captured(_prepare, inputs, (shape,), self.parents)
+        return transforms, transforms
+
+    def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
+        rotations, bones, _ = saved
+        return call_captured(_prepare_adjoint, (*saved, *adjoints), (rotations.shape, bones.shape), self.parents)
+
+    def plain(self, inputs: Tensors) -> Tensors:
+        rotations, bones = inputs
+        return (multiply_joints(self.parents, rotations, bones),)
 
 
 def _prepare(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]) -> Launch:
     """Launch that fills the joints' frames from their rotations and bones."""
     types = joint_types(inputs[0])
-    *local, transforms = _arrays((*inputs, *outputs), (types.mat, types.vec, types.frame))
+    *local, transforms = warp_arrays((*inputs, *outputs), (types.mat, types.vec, types.frame))
     return partial(kernels.launch_chain, tree_on(parents, inputs[0]), types.scalar(1.0), local, transforms)
 
 
@@ -100,13 +96,9 @@ def _prepare_adjoint(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]
     types = joint_types(inputs[0])
     scratch = [torch.empty_like(each) for each in outputs]
     kinds = types.mat, types.vec
-    *saved, adjoint = _arrays(inputs, (*kinds, types.frame, types.frame))
-    found = _arrays((*scratch, *outputs), kinds * 2)
+    *saved, adjoint = warp_arrays(inputs, (*kinds, types.frame, types.frame))
+    found = warp_arrays((*scratch, *outputs), kinds * 2)
     return partial(kernels.launch_chain_adjoint, tree_on(parents, inputs[0]), saved, adjoint, found)
-
-
-def _arrays(tensors: Tensors, kinds: Sequence[type]) -> list[Any]:
-    return [warp_array(each, kind) for each, kind in zip(tensors, kinds, strict=True)]
 
 
 def joint_types(like: torch.Tensor) -> kernels.JointTypes:

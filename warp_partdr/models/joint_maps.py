@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 
-from ..interop.arrays import warp_array
+from ..interop.arrays import warp_array, warp_arrays
 from ..interop.captured_function import call_captured
-from ..interop.derivatives import differentiate_again, is_transformed
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
+from ..interop.operation import Gradients, OperationWithTwin, split_missing
 from ..kernels import joint_chain as chain
 from ..kernels import joint_maps as kernels
 from .joint_chain import joint_types, multiply_joints, tree_on
@@ -30,59 +29,39 @@ def map_joints(
         translation: Position of the root, shape (B, 3).
         rest: Positions of joints at rest, where their axes are those of the body, shape (B, J, 3).
     """
-    if torch.compiler.is_compiling() or is_transformed(rotations, translation, rest):
-        return _map(parents, rotations, translation, rest)
-    found: Tensors = _Mapped.apply(parents, rotations, translation, rest)
-    return found
+    return _Mapped(parents)(rotations, translation, rest)
 
 
-def _map(parents: tuple[int, ...], rotations: torch.Tensor, translation: torch.Tensor, rest: torch.Tensor) -> Tensors:
-    bones = torch.cat([translation[:, None], rest[:, 1:] - rest[:, list(parents[1:])]], dim=1)
-    transforms = multiply_joints(parents, rotations, bones)
-    places = transforms[..., :3, 3]
-    return transforms, places, map_rows(transforms[..., :3, :3], places, rest)
+@dataclass(frozen=True)
+class _Mapped(OperationWithTwin):
+    parents: tuple[int, ...]
 
-
-class _Mapped(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any, parents: tuple[int, ...], rotations: torch.Tensor, translation: torch.Tensor, rest: torch.Tensor
-    ) -> Tensors:
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        rest = inputs[2]
         batch, joints = rest.shape[:2]
         shapes = torch.Size((batch, joints, 4, 4)), rest.shape, torch.Size((batch, 12, joints))
-        found = call_captured(_prepare, (rotations, translation, rest), shapes, parents)
-        ctx.parents = parents
-        ctx.set_materialize_grads(False)  # zeros are made once, in the graph's buffers
-        ctx.save_for_backward(rotations, translation, rest, found[0])
-        return found
+        found = call_captured(_prepare, inputs, shapes, self.parents)
+        return found, found[:1]
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor | None) -> tuple[torch.Tensor | None, ...]:
-        rotations, translation, rest, transforms = ctx.saved_tensors
-        given = tuple([adjoint for adjoint in adjoints if adjoint is not None])
-        if not given:
-            return None, None, None, None
-        missing = tuple([adjoint is None for adjoint in adjoints])
-        inputs = rotations, translation, rest
-        if torch.is_grad_enabled():
-            own = partial(_some, ctx.parents, missing)
-            return None, *differentiate_again(own, inputs, torch.cat([each.flatten() for each in given]))
+    def adjoint(self, saved: Tensors, adjoints: Gradients) -> Gradients:
+        rotations, translation, rest, _ = saved
         shapes = rotations.shape, translation.shape, rest.shape
-        saved = rotations, translation, rest, transforms, *given
-        return None, *call_captured(_prepare_adjoint, saved, shapes, ctx.parents, missing)
+        given, missing = split_missing(adjoints)
+        return call_captured(_prepare_adjoint, (*saved, *given), shapes, self.parents, missing)
 
-
-def _some(parents: tuple[int, ...], missing: Sequence[bool], *inputs: torch.Tensor) -> torch.Tensor:
-    """All results that are not missing, flattened into one vector."""
-    found = zip(_map(parents, *inputs), missing, strict=True)
-    return torch.cat([each.flatten() for each, none in found if not none])
+    def plain(self, inputs: Tensors) -> Tensors:
+        rotations, translation, rest = inputs
+        bones = torch.cat([translation[:, None], rest[:, 1:] - rest[:, list(self.parents[1:])]], dim=1)
+        transforms = multiply_joints(self.parents, rotations, bones)
+        places = transforms[..., :3, 3]
+        return transforms, places, map_rows(transforms[..., :3, :3], places, rest)
 
 
 def _prepare(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]) -> Launch:
     """Launches that fill frames, places and maps from rotations, translation and rest."""
     types, tree = joint_types(inputs[0]), tree_on(parents, inputs[0])
-    rotations, translation, rest = _arrays(inputs, (types.mat, types.vec, types.vec))
-    transforms, places, maps = _arrays(outputs, (types.frame, types.vec, types.scalar))
+    rotations, translation, rest = warp_arrays(inputs, (types.mat, types.vec, types.vec))
+    transforms, places, maps = warp_arrays(outputs, (types.frame, types.vec, types.scalar))
     bones = warp_array(torch.empty_like(inputs[2]), types.vec)
 
     def launch() -> None:
@@ -107,16 +86,12 @@ def _prepare_adjoint(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]
     batch, joints = at_rest.shape[:2]
     shapes = frames.shape, at_rest.shape, (batch, 12, joints)
     sent = [at_rest.new_zeros(s) if none else next(given) for none, s in zip(missing, shapes, strict=True)]
-    adjoints = _arrays(tuple(sent), (types.frame, types.vec, types.scalar))
-    rotations, translation, rest, transforms = _arrays(inputs[:4], (types.mat, types.vec, types.vec, types.frame))
-    grad_rotations, grad_translation, grad_rest = _arrays(outputs, (types.mat, types.vec, types.vec))
-    bones, turn_sums, place_sums, grad_bones, sums = (
-        warp_array(torch.empty_like(like), kind)
-        for like, kind in zip(
-            (at_rest, outputs[0], at_rest, at_rest, frames),
-            (types.vec, types.mat, types.vec, types.vec, types.frame),
-            strict=True,
-        )
+    adjoints = warp_arrays(tuple(sent), (types.frame, types.vec, types.scalar))
+    rotations, translation, rest, transforms = warp_arrays(inputs[:4], (types.mat, types.vec, types.vec, types.frame))
+    grad_rotations, grad_translation, grad_rest = warp_arrays(outputs, (types.mat, types.vec, types.vec))
+    scratch = [torch.empty_like(each) for each in (at_rest, at_rest, outputs[0], at_rest, frames)]
+    bones, grad_bones, turn_sums, place_sums, sums = warp_arrays(
+        scratch, (types.vec, types.vec, types.mat, types.vec, types.frame)
     )
 
     def launch() -> None:
@@ -127,7 +102,3 @@ def _prepare_adjoint(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]
         kernels.launch_bones_adjoint(tree, grad_bones, grad_translation, grad_rest)
 
     return launch
-
-
-def _arrays(tensors: Tensors, kinds: Sequence[type]) -> list[Any]:
-    return [warp_array(each, kind) for each, kind in zip(tensors, kinds, strict=True)]

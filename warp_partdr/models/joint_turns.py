@@ -11,19 +11,17 @@ from warp import mat33, vec3
 from ..body.rotations import rotation_from_axis_angle
 from ..interop.arrays import warp_array
 from ..interop.captured_function import Fixed, call_captured
-from ..interop.derivatives import differentiate_again, is_transformed
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
+from ..interop.operation import Gradients, OperationWithTwin
 from ..kernels import joint_turns as kernels
 
 
 def turn_joints(rotations: torch.Tensor, joints: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
     """Local rotations (B, J, 3, 3), where those of ``joints``, (N,), are turned by rotation vectors (B, N, 3)."""
-    fixed = rotations.dtype == turns.dtype == torch.float32 and not rotations.requires_grad
-    if not fixed or torch.compiler.is_compiling() or is_transformed(rotations, turns):
+    if not rotations.dtype == turns.dtype == torch.float32 or rotations.requires_grad:
         return _turn(rotations, joints, turns)
-    found: torch.Tensor = _Turned.apply(rotations, joints, turns)
-    return found
+    return _Turned()(turns, rotations, joints)[0]
 
 
 def _turn(rotations: torch.Tensor, joints: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
@@ -32,22 +30,20 @@ def _turn(rotations: torch.Tensor, joints: torch.Tensor, turns: torch.Tensor) ->
     return turned
 
 
-class _Turned(torch.autograd.Function):
+class _Turned(OperationWithTwin):
     """Operation of ``turn_joints`` for fixed rotations, float32."""
 
-    @staticmethod
-    def forward(ctx: Any, rotations: torch.Tensor, joints: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
-        ctx.save_for_backward(rotations, joints, turns)
-        return call_captured(_prepare, (rotations, turns), (rotations.shape,), Fixed(joints))[0]
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        turns, rotations, joints = inputs
+        return call_captured(_prepare, (rotations, turns), (rotations.shape,), Fixed(joints)), ()
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        rotations, joints, turns = ctx.saved_tensors
-        if torch.is_grad_enabled():
-            again = differentiate_again(lambda moved: _turn(rotations, joints, moved), (turns,), adjoints[0])
-            return None, None, *again
-        inputs = rotations, turns, adjoints[0]
-        return None, None, *call_captured(_prepare_adjoint, inputs, (turns.shape,), Fixed(joints))
+    def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
+        turns, rotations, joints = saved
+        return call_captured(_prepare_adjoint, (rotations, turns, *adjoints), (turns.shape,), Fixed(joints))
+
+    def plain(self, inputs: Tensors) -> Tensors:
+        turns, rotations, joints = inputs
+        return (_turn(rotations, joints, turns),)
 
 
 def _prepare(inputs: Tensors, outputs: Tensors, joints: Fixed) -> Launch:

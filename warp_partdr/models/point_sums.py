@@ -3,38 +3,35 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import torch
 from warp import vec3
 
 from ..interop.arrays import warp_array
 from ..interop.captured_function import Fixed, call_captured
-from ..interop.derivatives import once
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
+from ..interop.operation import Gradients, Operation
 from ..interop.sparse import sparse_matrix
 from ..kernels import sparse as kernels
 
 
 def sum_points(weights: torch.Tensor, vertices: torch.Tensor, joints: torch.Tensor) -> torch.Tensor:
     """Sums (B, L, 3) of vertices (B, V, 3) and then joints (B, J, 3) by fixed weights (L, V + J); float32."""
-    found: torch.Tensor = _Summed.apply(weights, vertices, joints)
-    return found
+    return _Summed()(vertices, joints, weights)[0]
 
 
-class _Summed(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, weights: torch.Tensor, vertices: torch.Tensor, joints: torch.Tensor) -> torch.Tensor:
-        ctx.save_for_backward(weights, vertices, joints)
+class _Summed(Operation):
+    name = "sum_points"
+
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        vertices, joints, weights = inputs
         shape = torch.Size((len(vertices), len(weights), 3))
-        return call_captured(_prepare, (vertices, joints), (shape,), Fixed(weights))[0]
+        return call_captured(_prepare, (vertices, joints), (shape,), Fixed(weights)), ()
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        weights, vertices, joints = ctx.saved_tensors
-        found = call_captured(_prepare_adjoint, adjoints, (vertices.shape, joints.shape), Fixed(weights))
-        return None, *once("sum_points", found, *adjoints, vertices, joints)
+    def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
+        vertices, joints, weights = saved
+        return call_captured(_prepare_adjoint, adjoints, (vertices.shape, joints.shape), Fixed(weights))
 
 
 def _prepare(inputs: Tensors, outputs: Tensors, weights: Fixed) -> Launch:

@@ -26,7 +26,7 @@ from .growth import MEASURES, UNGROWN, Growth
 from .joint_turns import turn_joints
 from .model import Detailed, DetailedModel
 from .pose import free_joints, pose_from_ellipbody
-from .surfaces import PartCells, surface_samples, vertex_costs, vertex_parts
+from .surfaces import PartCells, registration_costs, surface_samples, vertex_parts
 
 # Where joints are compared: not at the neck, which in a detailed model is the middle of the shoulders and moves along.
 MATCHED_JOINTS: tuple[str, ...] = tuple(name for name in JOINT_NAMES if name != "neck")
@@ -319,7 +319,7 @@ class _Loss:
         squares = ((nearest - self.samples) * self.normals).sum(-1).square()
         to_mesh = (self.icp_weights * squares).sum(-1)
         icp = _CENTIMETRES * weights.icp
-        to_ellipsoids, penetration = vertex_costs(detailed.vertices, self.parts, self.areas, self.posed, SCALE)
+        to_ellipsoids, penetration = registration_costs(detailed.vertices, self.parts, self.areas, self.posed, SCALE)
         return {
             "joints": _CENTIMETRES * weights.joints * joints,
             "icp_to_mesh": icp * to_mesh,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import torch
 import warp as wp
@@ -12,7 +12,8 @@ from ..body.icosphere import icosphere
 from ..body.posing import Posed
 from ..body.template import NUM_PARTS
 from ..interop.arrays import warp_array
-from ..interop.derivatives import once
+from ..interop.layouts import Tensors
+from ..interop.operation import Gradients, Operation
 from ..interop.streams import on_torch_stream
 from ..kernels import registration as kernels
 from .model import DetailedModel
@@ -133,27 +134,44 @@ class PartCells:
         return self.corners[found.clamp(min=0).long()], places, (found >= 0).to(samples.dtype)
 
 
-class _VertexCosts(torch.autograd.Function):
-    """Distance of vertices from their own ellipsoids [m²] and eq. 18 over all, means over the area, shape (B,) each."""
+def registration_costs(
+    vertices: torch.Tensor, parts: torch.Tensor, areas: torch.Tensor, posed: Posed, scale: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Distance of vertices from their own ellipsoids [m²] and eq. 18 over all, means over the area, shape (B,) each.
 
-    @staticmethod
-    def forward(
-        ctx: Any, vertices: torch.Tensor, parts: torch.Tensor, areas: torch.Tensor, posed: Posed, scale: float
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    Args:
+        vertices: Vertices of a detailed model [m], shape (B, V, 3), float32.
+        parts: Part of each vertex, shape (V,), int32.
+        areas: Share of each vertex, shape (V,).
+        posed: Ellipsoids, which have no gradient.
+        scale: Distance at which a vertex begins to count less [m].
+    """
+    fit, penetration = _VertexCosts(posed, scale)(vertices, parts, areas)[0].unbind(0)
+    return fit, penetration
+
+
+@dataclass(frozen=True)
+class _VertexCosts(Operation):
+    """Both costs, shape (2, B), and their gradients at once."""
+
+    posed: Posed
+    scale: float
+    name = "register"
+
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        vertices, parts, areas = inputs
         fit, penetration = vertices.new_empty(2, *vertices.shape[:2])
         gradients = vertices.new_empty(2, *vertices.shape)
         with on_torch_stream(vertices.device) as device:
-            inputs = [_vectors(vertices), warp_array(parts), warp_array(areas), _part_arrays(posed), BAND, scale]
+            of_vertices = [_vectors(vertices), warp_array(parts), warp_array(areas)]
+            arrays = [*of_vertices, _part_arrays(self.posed), BAND, self.scale]
             outputs = [_flat(fit), _flat(penetration), _vectors(gradients[0]), _vectors(gradients[1])]
-            wp.launch(kernels.vertex_costs, dim=fit.numel(), inputs=inputs, outputs=outputs, device=device)
-        ctx.save_for_backward(vertices, gradients)
-        return fit.sum(-1), penetration.sum(-1)
+            wp.launch(kernels.vertex_costs, dim=fit.numel(), inputs=arrays, outputs=outputs, device=device)
+        return (torch.stack([fit.sum(-1), penetration.sum(-1)]),), (gradients,)
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        vertices, gradients = ctx.saved_tensors
-        found = (torch.stack(adjoints)[..., None, None] * gradients).sum(0)
-        return *once("register", (found,), *adjoints, vertices), None, None, None, None
+    def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
+        *_, gradients = saved
+        return ((adjoints[0][..., None, None] * gradients).sum(0),)
 
 
 def _vectors(tensor: torch.Tensor) -> wp.array:
@@ -169,6 +187,3 @@ def _part_arrays(posed: Posed) -> kernels.PartArrays:
     arrays.centres, arrays.semi_axes = _vectors(posed.centres), _vectors(posed.semi_axes)
     arrays.axes, arrays.count = warp_array(posed.axes.view(-1, 3, 3), wp.mat33), NUM_PARTS
     return arrays
-
-
-vertex_costs = _VertexCosts.apply

@@ -170,8 +170,8 @@ class BodyLoss:
         size, labels = check_image_size(image_size, len(parameters[3])), tuple(part_labels)
         num_maps = check_whole("num_maps", num_maps, 1, MAX_LABEL)
         if torch.compiler.is_compiling():
-            options = {"part_labels": labels, "num_maps": num_maps, "validate": False}
-            return self.draw(pose_parts(*parameters), camera, size, **options).maps
+            posed = pose_parts(*parameters)
+            return self.draw(posed, camera, size, part_labels=labels, num_maps=num_maps, validate=False).maps
         passes, inputs = self._prepare_bodies(numbers, camera, labels, validate)
         return draw_maps(passes, inputs, size, num_maps)
 
@@ -217,8 +217,10 @@ class BodyLoss:
         locked = LOCKED_BITS if bodies.rotations.dim() == 3 else 0
         passes = self.body_passes(Seeing(False, WeakPerspective.near, labels, locked, size / 2), lengths.device)
         pelvis = _origin(len(lengths), lengths.device)
-        parameters = bodies.orientation, pelvis, bodies.rotations, lengths, bodies.thicknesses
-        return find_label_loss(passes, _as_floats(bodies.log_scale, bodies.shift, *parameters), target)[0]
+        inputs = _as_floats(
+            bodies.log_scale, bodies.shift, bodies.orientation, pelvis, bodies.rotations, lengths, bodies.thicknesses
+        )
+        return find_label_loss(passes, inputs, target)[0]
 
 
 def _check(name: str, parameters: Sequence[torch.Tensor], camera: Camera) -> dict[str, torch.Tensor]:

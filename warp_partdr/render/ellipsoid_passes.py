@@ -12,7 +12,7 @@ from typing import Any
 import torch
 import warp as wp
 
-from ..interop.arrays import contiguous, warp_array
+from ..interop.arrays import contiguous, warp_array, warp_arrays
 from ..interop.layouts import Tensors
 from ..interop.loss_graph import Buffers
 from ..interop.streams import launch_bodies_on, on_torch_stream
@@ -83,19 +83,25 @@ class EllipsoidPasses:
         depth, faults = torch.empty(shape, device=device), torch.empty(shape[0], device=device)
         with on_torch_stream(device):
             posed = _arrays(map(contiguous, inputs))
-            images = {"parts": warp_array(parts), "labels": warp_array(labels), "depth": warp_array(depth)}
-            launch, seen, _ = self.prepare_picture(posed, faults=warp_array(faults), **images)
+            launch, seen, _ = self.prepare_picture(
+                posed,
+                parts=warp_array(parts),
+                labels=warp_array(labels),
+                depth=warp_array(depth),
+                faults=warp_array(faults),
+            )
         launch_bodies_on(device, launch, shape[0], (silhouette, ellipsoid_picture))
         return Picture(labels, depth, parts, faults, seen)
 
     def prepare_labels(self, inputs: Tensors, labels: torch.Tensor, faults: torch.Tensor) -> Callable[[], None]:
         """Launch that fills ``labels`` and ``faults``."""
         posed, shown = _arrays(inputs), warp_array(labels)
-        if self.labels == tuple(range(1, len(self.labels) + 1)):
-            images = {"parts": shown}
+        if self.labels == tuple(range(1, len(self.labels) + 1)):  # a part's label is its index + 1
+            launch, _, _ = self.prepare_picture(posed, parts=shown, faults=warp_array(faults))
         else:
-            images = {"parts": wp.empty(labels.shape, dtype=wp.uint8, device=shown.device), "labels": shown}
-        return partial(self.prepare_picture(posed, faults=warp_array(faults), **images)[0], slice(0, len(labels)))
+            parts = wp.empty(labels.shape, dtype=wp.uint8, device=shown.device)
+            launch, _, _ = self.prepare_picture(posed, parts=parts, labels=shown, faults=warp_array(faults))
+        return partial(launch, slice(0, len(labels)))
 
     def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
         """Gradients with respect to the inputs, from that with respect to part maps (B, K, H, W)."""
@@ -144,28 +150,36 @@ class EllipsoidPasses:
         self,
         posed: Sequence[wp.array],
         target: LabelTarget | None = None,
+        *,
+        parts: wp.array,
+        labels: wp.array | None = None,
+        depth: wp.array | None = None,
         faults: wp.array | None = None,
-        **images: wp.array,
     ) -> tuple[Launch, Seen, wp.array]:
         """Launch that fills images, and what else it fills: silhouettes, and sums of L_seg.
 
         Args:
             posed: Centres, axes, semi-axes and camera.
             target: Label images, if L_seg is asked for.
+            parts: Index + 1 of the nearest, shape (B, H, W).
+            labels: Array as in ``Picture``, if labels are asked for.
+            depth: Array as in ``Picture``, if depth is asked for.
             faults: Array as in ``Picture``, if faults are asked for.
-            images: ``parts``, and if they are asked for ``labels`` and ``depth``, each of shape (B, H, W).
         """
-        device, shape = posed[0].device, images["parts"].shape
+        device, shape = posed[0].device, parts.shape
         seen, losses, nearest = _empty_seen(posed), _nothing(2, float, device.alias), _nothing(3, float, device.alias)
         if target is not None:
             num_losses = ellipsoid_picture.num_partial_losses(device, *shape)
             losses = wp.empty((shape[0], num_losses), dtype=float, device=device)
         if device.is_cpu:
             nearest = wp.empty(shape, dtype=float, device=device)
-        labels = images.get("labels", _nothing(3, wp.uint8, device.alias))
+        if labels is None:
+            labels = _nothing(3, wp.uint8, device.alias)
+        if depth is None:
+            depth = _nothing(3, float, device.alias)
         if faults is None:
             faults = wp.empty(shape[0], dtype=float, device=device)
-        outputs = images["parts"], labels, images.get("depth", _nothing(3, float, device.alias)), losses, faults
+        outputs = parts, labels, depth, losses, faults
         see, compared = self._prepare_see(wp.device_to_torch(device)), LabelTarget() if target is None else target
 
         def launch(part: slice) -> None:
@@ -233,8 +247,7 @@ def _on_device(labels: tuple[int, ...], device: torch.device) -> torch.Tensor:
 
 def _arrays(tensors: Iterable[torch.Tensor]) -> list[wp.array]:
     """Centres, axes, semi-axes and camera, or their gradients, as Warp arrays over the same memory."""
-    types = (wp.vec3, wp.mat33, wp.vec3, wp.vec4)
-    return [warp_array(tensor, kind) for tensor, kind in zip(tensors, types, strict=True)]
+    return warp_arrays(tensors, (wp.vec3, wp.mat33, wp.vec3, wp.vec4))
 
 
 @cache  # an allocation takes 10 us

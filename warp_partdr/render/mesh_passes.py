@@ -90,9 +90,9 @@ class MeshPasses:
         def work(part: slice) -> None:
             images = [image[part] for image in picture[:4]]
             shape, device = tuple(images[0].shape), wp.device_from_torch(vertices.device)
-            scratch = {"keys": rasterize.empty_keys(shape, device), "hidden": resolve.hidden_blocks(shape, device)}
+            keys, hidden = rasterize.empty_keys(shape, device), resolve.hidden_blocks(shape, device)
             of_each = partial(_of_each_map, warp_array(grad_maps[part]))
-            self._prepare_gradient(vertices[part], images, of_each, grad_vertices[part], **scratch)()
+            self._prepare_gradient(vertices[part], images, of_each, grad_vertices[part], keys, hidden)()
 
         launch_bodies_on(vertices.device, work, vertices.shape[0], self.modules)
         return (grad_vertices,)
@@ -109,10 +109,10 @@ class MeshPasses:
         if not buffers.grads:
             images = _labels_alone(images[0], images[3])
         draw, zbuffer = self.prepare_raster(vertices, images, background=False)
-        scratch = {"keys": zbuffer.keys, "hidden": resolve.hidden_blocks(shape, wp.device_from_torch(device))}
+        keys, hidden = zbuffer.keys, resolve.hidden_blocks(shape, wp.device_from_torch(device))
         if buffers.of_maps:
             of_each = partial(_of_each_map, warp_array(buffers.target))
-            return _in_turn(draw, self._prepare_gradient(vertices, images, of_each, buffers.grads[0], **scratch))
+            return _in_turn(draw, self._prepare_gradient(vertices, images, of_each, buffers.grads[0], keys, hidden))
         target = buffers.target.expand(shape[0], -1, -1)  # a view: what is written there later is seen
         extents = torch.empty((shape[0], NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
         of_target = LabelTarget()
@@ -122,13 +122,13 @@ class MeshPasses:
         compare = partial(
             resolve.launch_compare_labels,
             *(warp_array(images[0]), of_target),
-            hidden=scratch["hidden"],
+            hidden=hidden,
             losses=warp_array(buffers.losses),
             faults=warp_array(images[3]),
         )
         if not buffers.grads:
             return _in_turn(draw, compare)
-        push = self._prepare_gradient(vertices, images, lambda: [of_target], buffers.grads[0], **scratch)
+        push = self._prepare_gradient(vertices, images, lambda: [of_target], buffers.grads[0], keys, hidden)
         return _in_turn(draw, compare, push)
 
     def prepare_raster(

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeVar
 
 import torch
 
 from ..interop.arrays import contiguous
-from ..interop.derivatives import once
 from ..interop.graph_cache import BYTES_PER_PIXEL, CapturedBodies, graphs
 from ..interop.layouts import Shapes, Tensors, row_length, split_blocks
 from ..interop.loss_graph import Recipe, find_label_loss
+from ..interop.operation import Gradients, Operation
 from ..interop.streams import launch_bodies_on
 from .options import label_maps
 
@@ -100,12 +101,12 @@ def draw_picture(image: Callable[..., _Image], passes: Passes, inputs: Tensors, 
     if num_maps == 0:
         found: _Image = _draw_labels(image, passes, inputs, size)
         return found
-    return image(*_Maps.apply(passes, size, num_maps, *inputs))
+    return image(*_Maps(passes, size, num_maps)(*inputs))
 
 
 def draw_maps(passes: MapPasses, inputs: Tensors, size: Size, num_maps: int) -> torch.Tensor:
     """Draw maps of labels 1 to ``num_maps``, shape (B, K, H, W), that carry gradients back to the inputs."""
-    return _Maps.apply(passes, size, num_maps, *inputs)[-1]
+    return _Maps(passes, size, num_maps)(*inputs)[-1]
 
 
 @torch.no_grad()
@@ -204,22 +205,25 @@ class _LabelsGraph:
         return self._labels.clone(), self._faults.clone(), self._numbers.clone()
 
 
-class _Maps(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, passes: MapPasses, size: Size, num_maps: int, *inputs: torch.Tensor) -> Tensors:
-        *images, faults, scratch = passes.draw(inputs, size)
-        ctx.save_for_backward(*inputs, *images, faults)
-        ctx.passes, ctx.scratch = passes, scratch
-        ctx.mark_non_differentiable(*images)
-        ctx.set_materialize_grads(False)  # or autograd would fill three images with zeros in every backward pass
-        return *images, label_maps(images[0], num_maps, faults)
+@dataclass
+class _Maps(Operation):
+    """Three images, which have no gradient, and part maps."""
 
-    @staticmethod
-    def backward(ctx: Any, *incoming: torch.Tensor | None) -> Any:
-        inputs, grad_maps = ctx.saved_tensors[:-4], incoming[3]
-        grads: tuple[torch.Tensor | None, ...] = (None,) * len(inputs)
-        if grad_maps is not None:
-            labels, depth, nearest, faults = ctx.saved_tensors[-4:]
-            grads = ctx.passes.gradients(inputs, Picture(labels, depth, nearest, faults, ctx.scratch), grad_maps)
-            grads = once(ctx.passes.drawing, grads, grad_maps, *inputs)
-        return None, None, None, *grads
+    passes: MapPasses
+    size: Size
+    num_maps: int
+    scratch: Any = None  # of the launches that drew, for the gradient
+    num_fixed = 3
+
+    @property
+    def name(self) -> str:
+        return self.passes.drawing
+
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        *images, faults, self.scratch = self.passes.draw(inputs, self.size)
+        return (*images, label_maps(images[0], self.num_maps, faults)), (*images, faults)
+
+    def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
+        *inputs, labels, depth, nearest, faults = saved
+        picture = Picture(labels, depth, nearest, faults, self.scratch)
+        return self.passes.gradients(tuple(inputs), picture, adjoints[-1])

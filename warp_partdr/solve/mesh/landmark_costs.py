@@ -12,11 +12,11 @@ from warp import vec2, vec3, vec4
 
 from ...cameras import Camera
 from ...inputs.observation import REFERENCE_SIZE
-from ...interop.arrays import warp_array
+from ...interop.arrays import warp_array, warp_arrays
 from ...interop.captured_function import Fixed, call_captured
-from ...interop.derivatives import once
 from ...interop.graph_cache import Launch
 from ...interop.layouts import Tensors
+from ...interop.operation import Gradients, Operation
 from ...kernels import landmark_costs as kernels
 
 
@@ -49,35 +49,40 @@ def landmark_costs(landmarks: torch.Tensor, camera: Camera, aims: LandmarkAims) 
         camera: M cameras of crops of ``REFERENCE_SIZE``.
         aims: Of them.
     """
-    own = aims.places, aims.points, aims.votes, aims.depths, aims.depth_weights
-    costs: torch.Tensor = _LandmarkCosts.apply(landmarks, camera.intrinsics, camera.perspective, aims.ends, *own)
+    (costs,) = _LandmarkCosts(camera.perspective)(
+        landmarks,
+        camera.intrinsics,
+        aims.places,
+        aims.points,
+        aims.votes,
+        aims.depths,
+        aims.depth_weights,
+        aims.ends,
+    )
     seen, deep = costs.unbind(1)
     return seen, deep
 
 
-class _LandmarkCosts(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any,
-        landmarks: torch.Tensor,
-        cameras: torch.Tensor,
-        perspective: bool,
-        ends: torch.Tensor,
-        *aims: torch.Tensor,
-    ) -> torch.Tensor:
-        ctx.options = Fixed(ends), perspective
-        ctx.save_for_backward(landmarks, cameras, *aims)
-        shape = torch.Size((*landmarks.shape[:2], 2))
-        return call_captured(_prepare, (landmarks, cameras, *aims), (shape,), *ctx.options)[0].sum(1)
+@dataclass(frozen=True)
+class _LandmarkCosts(Operation):
+    """Both costs of each view, shape (M, 2)."""
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        saved = landmarks, cameras, *aims = ctx.saved_tensors
+    perspective: bool
+    name = "landmark_costs"
+
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        rows, ends = inputs[:-1], inputs[-1]
+        shape = torch.Size((*inputs[0].shape[:2], 2))
+        (costs,) = call_captured(_prepare, rows, (shape,), Fixed(ends), self.perspective)
+        return (costs.sum(1),), ()
+
+    def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
+        rows, ends = saved[:-1], saved[-1]
+        landmarks, cameras = rows[:2]
         shapes = landmarks.shape, torch.Size((*landmarks.shape[:2], 4))
-        found, by_camera = call_captured(_prepare_adjoint, (*saved, adjoints[0]), shapes, *ctx.options)
-        of_cameras = by_camera.sum(1) if ctx.needs_input_grad[1] else None
-        gradients = once("landmark_costs", (found, of_cameras), *adjoints, landmarks, cameras)
-        return *gradients, *[None] * (2 + len(aims))
+        given = *rows, *adjoints
+        by_landmark, by_camera = call_captured(_prepare_adjoint, given, shapes, Fixed(ends), self.perspective)
+        return by_landmark, by_camera.sum(1) if cameras.requires_grad else None
 
 
 def _prepare(inputs: Tensors, outputs: Tensors, ends: Fixed, perspective: bool) -> Launch:
@@ -88,7 +93,7 @@ def _prepare(inputs: Tensors, outputs: Tensors, ends: Fixed, perspective: bool) 
 def _prepare_adjoint(inputs: Tensors, outputs: Tensors, ends: Fixed, perspective: bool) -> Launch:
     """Launch that fills gradients of landmarks, and shares of those of cameras, from these and the costs' adjoint."""
     *own, adjoint = inputs
-    gradients = [warp_array(each, kind) for each, kind in zip(outputs, (vec3, vec4), strict=True)]
+    gradients = warp_arrays(outputs, (vec3, vec4))
     arrays = _arrays(own, ends, perspective)
     return partial(kernels.launch_landmark_costs_adjoint, arrays, warp_array(adjoint, vec2), gradients)
 

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Any
 
 import torch
 from warp import vec2, vec3
 
 from ...interop.arrays import warp_array
 from ...interop.captured_function import call_captured
-from ...interop.derivatives import once
 from ...interop.graph_cache import Launch
 from ...interop.layouts import Tensors
+from ...interop.operation import Gradients, Operation
 from ...kernels import feet as kernels
 
 FEET = ("left_heel", "left_big_toe", "left_small_toe", "right_heel", "right_big_toe", "right_small_toe")
@@ -45,25 +44,23 @@ def slides(seen: torch.Tensor, shown: torch.Tensor, rates: torch.Tensor) -> torc
     Returns:
         Shape (P, T - 1, F).
     """
-    found: torch.Tensor = _Slides.apply(seen, shown, rates)
-    return found
+    return _Slides()(seen, shown, rates)[0]
 
 
-class _Slides(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, seen: torch.Tensor, shown: torch.Tensor, rates: torch.Tensor) -> torch.Tensor:
+class _Slides(Operation):
+    name = "slides"
+
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        seen, shown, rates = inputs
         people, frames, _, points, _ = seen.shape
         shape = torch.Size((people, frames - 1, points))
         tensors = seen, shown, rates.expand(people, -1)
         costs, forces = call_captured(_prepare, tensors, (shape, torch.Size((*shape, 3))))
-        ctx.save_for_backward(seen, forces)
-        return costs
+        return (costs,), (forces,)
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        seen, forces = ctx.saved_tensors
-        found = call_captured(_prepare_adjoint, (forces, *adjoints), (seen.shape,))
-        return *once("slides", found, *adjoints, seen), None, None
+    def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
+        seen, _, _, forces = saved
+        return call_captured(_prepare_adjoint, (forces, *adjoints), (seen.shape,))
 
 
 def _prepare(inputs: Tensors, outputs: Tensors) -> Launch:

@@ -10,11 +10,11 @@ from typing import Any
 import torch
 from warp import mat33, vec2, vec2i, vec3
 
-from ...interop.arrays import dense_rows, warp_array
+from ...interop.arrays import dense_rows, warp_array, warp_arrays
 from ...interop.captured_function import Fixed, Prepare, call_captured
-from ...interop.derivatives import once
 from ...interop.graph_cache import Launch
 from ...interop.layouts import Tensors
+from ...interop.operation import Gradients, Operation
 from ...kernels import scene_pictures as kernels
 
 
@@ -50,27 +50,24 @@ def place_people(vertices: torch.Tensor, pelvises: torch.Tensor, views: PictureV
         views: Of them.
         size: Of the pictures [px].
     """
-    found: torch.Tensor = _Placed.apply(vertices, pelvises, size, *vars(views).values())
-    return found
+    return _Placed(size)(vertices, pelvises, *vars(views).values())[0]
 
 
-class _Placed(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any, vertices: torch.Tensor, pelvises: torch.Tensor, size: int, *views: torch.Tensor
-    ) -> torch.Tensor:
-        ctx.size = size
-        ctx.save_for_backward(vertices, pelvises, *views)
-        shape = torch.Size((len(views[2]), views[4].shape[1] * vertices.shape[1], 3))
-        return _call(_prepare_place, (vertices, pelvises), shape, size, views)
+@dataclass(frozen=True)
+class _Placed(Operation):
+    size: int
+    name = "place_people"
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        vertices, pelvises, *views = ctx.saved_tensors
-        given = vertices, pelvises, *adjoints
-        gradient = _call(_prepare_place_adjoint, given, vertices.shape, ctx.size, views)
-        found = once("place_people", (gradient, gradient.sum(1)), *adjoints, vertices, pelvises)
-        return *found, *[None] * (1 + len(views))
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        moving, views = inputs[:2], inputs[2:]
+        shape = torch.Size((len(views[2]), views[4].shape[1] * moving[0].shape[1], 3))
+        return (_call(_prepare_place, moving, shape, self.size, views),), ()
+
+    def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
+        moving, views = saved[:2], saved[2:]
+        given = *moving, *adjoints
+        gradient = _call(_prepare_place_adjoint, given, moving[0].shape, self.size, views)
+        return gradient, gradient.sum(1)
 
 
 def _call(
@@ -97,7 +94,7 @@ def _prepare_place_adjoint(inputs: Tensors, outputs: Tensors, size: int, *views:
 
 def _gathered(views: Sequence[Fixed], size: int) -> Any:
     kinds = mat33, vec3, vec3, None, None, vec2i
-    arrays = [warp_array(each.tensor, kind) for each, kind in zip(views, kinds, strict=True)]
+    arrays = warp_arrays([each.tensor for each in views], kinds)
     return kernels.gather_views(arrays, size / 2)
 
 
@@ -109,22 +106,18 @@ def pelvises_in_world(
     translations: torch.Tensor,
 ) -> torch.Tensor:
     """Pelvises in the world [m], shape (N, 3), of bodies in crops of cameras that stand so, (N, 3, 3) and (N, 3)."""
-    found: torch.Tensor = _Pelvises.apply(log_scale, shift, lens, rotations, translations)
-    return found
+    return _Pelvises()(log_scale, shift, lens, rotations, translations)[0]
 
 
-class _Pelvises(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, *given: torch.Tensor) -> torch.Tensor:
-        ctx.save_for_backward(*given)
-        return call_captured(_prepare_pelvises, given, (given[2].shape,))[0]
+class _Pelvises(Operation):
+    name = "pelvises_in_world"
 
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        given = ctx.saved_tensors
-        shapes = given[0].shape, given[1].shape
-        found = call_captured(_prepare_pelvises_adjoint, (*given, *adjoints), shapes)
-        return *once("pelvises_in_world", found, *adjoints, *given[:2]), None, None, None
+    def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
+        return call_captured(_prepare_pelvises, inputs, (inputs[2].shape,)), ()
+
+    def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
+        log_scale, shift = saved[:2]
+        return call_captured(_prepare_pelvises_adjoint, (*saved, *adjoints), (log_scale.shape, shift.shape))
 
 
 def _prepare_pelvises(inputs: Tensors, outputs: Tensors) -> Launch:
@@ -142,5 +135,5 @@ def _prepare_pelvises_adjoint(inputs: Tensors, outputs: Tensors) -> Launch:
 def _of_pelvises(given: Sequence[torch.Tensor]) -> tuple[list[Any], list[Any]]:
     """Numbers and views."""
     kinds = None, vec2, vec3, mat33, vec3
-    arrays = [warp_array(each, kind) for each, kind in zip(given, kinds, strict=True)]
+    arrays = warp_arrays(given, kinds)
     return arrays[:2], arrays[2:]
