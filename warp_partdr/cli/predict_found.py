@@ -274,7 +274,9 @@ class _Run:
         at: float,
     ) -> None:
         """Cut people out of a picture, who then wait for the network."""
-        from ..inputs.masked_people import MaskedPerson, cut_masks
+        from ..inputs.cut_out import cut_out
+        from ..inputs.evidence import PicturePerson
+        from ..inputs.own_pixels import Mask
         from ..networks.detection.film_people import SEEN, seen_values
         from ..networks.detection.masks import instance_maps
         from ..results.predictions import ROW
@@ -285,16 +287,17 @@ class _Run:
         camera = self.view.read(size, None if source.film else source.path)
         (owners,) = instance_maps([list(found.values())], [size])
         masked = {
-            number: MaskedPerson(person.keypoints, owners, place, camera)
+            number: PicturePerson(person.keypoints, Mask(owners, place), camera=camera)
             for place, (number, person) in enumerate(found.items(), start=1)
             if number in chosen
         }
-        cuts = cut_masks(list(masked.values()), self.device)
-        for number, (_, observation, crop) in zip(masked, cuts, strict=True):
+        for number, cut in zip(masked, cut_out(list(masked.values()), self.device), strict=True):
+            if isinstance(cut, InputError):
+                raise cut
             row = np.zeros(1, ROW)
             for name, value in zip(SEEN, seen_values(found[number], frame, at), strict=True):
                 row[name] = value
-            self._waiting.append(_Seen(source, number, row, size, (observation, crop)))
+            self._waiting.append(_Seen(source, number, row, size, (cut.observation, cut.crop)))
             if len(self._waiting) >= people_at_a_time(self.choice.batch, self.device):
                 self._predict()
 
