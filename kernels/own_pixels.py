@@ -269,7 +269,13 @@ def find_near(
     y, off = wp.float64(window_row) + half, MIDDLE + wp.float64(1e-6)
     start, last, count = int(-1), int(0), int(0)
     seeded, told = bool(False), bool(False)  # the run has a seed; the row has a labelled pixel along a bone
-    judged, certain, possible, seeds_certain, seeds_possible = int(-1), bool(False), bool(False), bool(False), bool(False)
+    judged, certain, possible, seeds_certain, seeds_possible = (
+        int(-1),
+        bool(False),
+        bool(False),
+        bool(False),
+        bool(False),
+    )
     for column in range(row.width):
         x = wp.float64(area_left + column) + half
         picture_column = floor_index(left + x * step)

@@ -172,7 +172,7 @@ def _bone_joints_of(form: str | Skeleton, sure: np.ndarray) -> tuple[np.ndarray,
 
 @lru_cache
 def _edges(form: str | Skeleton) -> tuple[np.ndarray, np.ndarray]:
-    """Joints at both ends of a skeleton's edges, and each joint twice, (S, 2); true where joints are neighbours, (J, J)."""
+    """Joints at both ends of a skeleton's edges, and each joint twice, (S, 2); true for neighbours, (J, J)."""
     joints = np.arange(len(skeleton(form)))
     edges = np.array(skeleton(form).edges, dtype=np.int64).reshape(-1, 2)
     neighbours = np.zeros((len(joints), len(joints)), dtype=bool)

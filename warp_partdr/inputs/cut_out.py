@@ -79,7 +79,7 @@ def cut_out(
 
 
 def _unusable(people: Sequence[PicturePerson]) -> Found:
-    """Errors of people whose keypoints can't be used; all are looked at at once, and those who may be at fault alone."""
+    """Errors of people whose keypoints can't be used: of those whom a look at all of them finds."""
     found: Found = {}
     forms: dict[str | Skeleton, list[int]] = {}
     for place, person in enumerate(people):

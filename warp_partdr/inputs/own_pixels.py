@@ -285,7 +285,7 @@ class OwnPixels:
         return Measures(low, high, self._complete, *np.moveaxis(numbers, 2, 0))
 
     def sides(self) -> np.ndarray:
-        """Numbers of places along the bones of each person's ``LIMBS``: on own, mirrored and other labels, (N, 2, 3)."""
+        """Numbers of places along bones of each person's ``LIMBS`` on own, mirrored and other labels, (N, 2, 3)."""
         count, limbs = self._limbs_there.shape
         sums = np.zeros((count, len(LIMBS), own_targets.NUM_SIDES), dtype=np.int64)
         assert self.labels is not None
@@ -420,7 +420,8 @@ def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[K
     windows = _whole_picture(groups, keypoints)
     with on_torch_stream(CPU):
         pixels = OwnPixels([groups], windows, CPU)
-        if not pixels.select()[0]:
+        pixels.select([others])
+        if not pixels.along[0]:
             raise no_label_along_bones()
         return pixels.window_groups()
 

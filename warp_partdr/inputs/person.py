@@ -114,9 +114,7 @@ def person_labels(parts: PartLabels, keypoints: Keypoints2D) -> PartLabels:
     return PartLabels(parts.label_set, groups.astype(np.uint8))
 
 
-def reach_boxes(
-    form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, heights: np.ndarray
-) -> np.ndarray:
+def reach_boxes(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, heights: np.ndarray) -> np.ndarray:
     """Boxes [px] around all that ``select_person`` may keep, which may reach beyond the picture, shape (N, 4).
 
     Of N people with one skeleton: points (N, J, 2), confidence (N, J), and heights (N,).
