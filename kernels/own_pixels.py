@@ -95,7 +95,7 @@ def row_of(people: PeopleArrays, index: int) -> Row:
 
 
 @wp.func
-def is_labelled(group: wp.uint8) -> bool:
+def shows_part(group: wp.uint8) -> bool:
     return group != NOBODYS and group != OTHERS
 
 
@@ -283,7 +283,7 @@ def find_near(
         if picture_column >= 0 and picture_column < width:
             group = group_of(people, number, begin + picture_column)
         pixels.groups[row.begin + column] = group
-        if is_labelled(group):
+        if shows_part(group):
             if column // STEP != judged:
                 judged = column // STEP
                 middle = wp.float64(area_left + judged * STEP) + MIDDLE
@@ -454,7 +454,7 @@ def settle(
             k += 1
             start, stop = int(pixels.starts[k]), int(pixels.stops[k])
             seeded = pixels.seeded[root_of(pixels.parents, k)] != wp.uint8(0)
-        if is_labelled(group):
+        if shows_part(group):
             if (seeded and column >= start and column < stop) != kept:
                 pixels.groups[row.begin + column] = OTHERS
             else:

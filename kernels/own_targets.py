@@ -17,7 +17,7 @@ from .own_pixels import (
     floor_index,
     group_at,
     group_of,
-    is_labelled,
+    shows_part,
     picture_index,
     squared_distance,
 )
@@ -103,7 +103,7 @@ def count_sides(
                     own += 1
                 elif int(group) == sides[k, 1]:
                     mirrored += 1
-                elif is_labelled(group):
+                elif shows_part(group):
                     other += 1
     counts[n, k, 0] = own
     counts[n, k, 1] = mirrored
@@ -144,7 +144,7 @@ def row_begin(people: PeopleArrays, n: int, row: int) -> int:
 
 
 @wp.kernel
-def find_columns(
+def find_crop_columns(
     people: PeopleArrays,
     crops: wp.array2d[wp.float64],  # (N, 4) top and left in the picture, height and width of a crop's pixel
     zooms: wp.array[wp.float64],  # (N,) pixels of the window a pixel of the picture
@@ -177,7 +177,7 @@ def draw_targets(
     people: PeopleArrays,
     pixels: PixelArrays,
     limbs: LimbArrays,
-    crops: wp.array2d[wp.float64],  # as of ``find_columns``
+    crops: wp.array2d[wp.float64],  # as of ``find_crop_columns``
     zooms: wp.array[wp.float64],
     every: int,
     columns: wp.array2d[wp.vec4i],
@@ -233,15 +233,15 @@ def launch_targets(
     targets: wp.array,
     part: slice,
 ) -> None:
-    """Fill targets of some of the people, whose columns ``launch_columns`` found."""
+    """Fill targets of some of the people, whose columns ``launch_crop_columns`` found."""
     lanes = num_lanes(targets.device)
     inputs = [people, pixels, limbs, *crops, every, columns, part.start, lanes, targets]
     wp.launch(draw_targets, (part.stop - part.start, *targets.shape[1:2], lanes), inputs, device=targets.device)
 
 
-def launch_columns(people: Any, crops: Sequence[wp.array], every: int, columns: wp.array) -> None:
+def launch_crop_columns(people: Any, crops: Sequence[wp.array], every: int, columns: wp.array) -> None:
     """Find the columns under those of crops."""
-    wp.launch(find_columns, columns.shape, [people, *crops, every, columns], device=columns.device)
+    wp.launch(find_crop_columns, columns.shape, [people, *crops, every, columns], device=columns.device)
 
 
 def launch_limbs(people: Any, pixels: Any, limbs: Any, shares: wp.array, least: float) -> None:

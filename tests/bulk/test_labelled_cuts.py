@@ -57,7 +57,7 @@ def told(cut: Cut) -> dict[int, str]:
 def test_those_cut_out_together_are_as_alone(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     cutter, held = Cutter(label_size=size), pictures()
     cut = cutter.cut(held, {})
-    together = cutting.cut_out
+    together = cutting.cut_out_people
 
     def failing(people: Sequence[PicturePerson], *given: object) -> list[CutPerson | InputError]:
         """As if memory held one person."""
@@ -65,7 +65,7 @@ def test_those_cut_out_together_are_as_alone(size: int, monkeypatch: pytest.Monk
             raise MemoryError("no memory")
         return together(people, *given)
 
-    monkeypatch.setattr(cutting, "cut_out", failing)
+    monkeypatch.setattr(cutting, "cut_out_people", failing)
     same = cutter.cut(held, {})
     assert told(cut) == told(same)
     kinds = [(people.skeleton, people.seen.labels is None) for _, people in cut.people]

@@ -141,7 +141,7 @@ class Twin:
     points: np.ndarray
 
 
-def seen_body(keypoints: Keypoints2D, labels: LabelSet, others: list[Keypoints2D]) -> book.SeenBody:
+def seen_body(keypoints: Keypoints2D, labels: LabelSet, others: list[Keypoints2D]) -> book.KeypointBody:
     """The body that keypoints in pixels of the label image tell."""
     sure = {keypoints.format.landmarks[row]: keypoints.points[row].astype(float) for row in _sure(keypoints)}
     flesh, segments = {}, segments_of_parts(sure)
@@ -161,7 +161,7 @@ def seen_body(keypoints: Keypoints2D, labels: LabelSet, others: list[Keypoints2D
                 half, further = map(float, limb_extent(name))
                 limbs.append(book.Limb(np.array([sure[start], sure[end]]), half, further, int(own), int(other), pair))
     theirs = [bone for other in others for bone in _bones(other)]
-    return book.SeenBody(
+    return book.KeypointBody(
         height=person_height(keypoints),
         bones=np.array(_bones(keypoints)).reshape(-1, 2, 2),
         loose=np.array(_loose(keypoints)).reshape(-1, 2, 2),

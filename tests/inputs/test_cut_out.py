@@ -15,7 +15,7 @@ from warp_partdr.body.skeletons import SKELETONS, Skeleton, skeleton
 from warp_partdr.cameras import Perspective
 from warp_partdr.errors import InputError
 from warp_partdr.inputs import cut_out as cutting
-from warp_partdr.inputs.cut_out import cut_out
+from warp_partdr.inputs.cut_out import cut_out_people
 from warp_partdr.inputs.cut_people import CutPerson
 from warp_partdr.inputs.evidence import Evidence, PicturePerson, weigh_evidence
 from warp_partdr.inputs.keypoints import Keypoints2D, person_height
@@ -50,7 +50,7 @@ def assert_as_alone(
     people: Sequence[PicturePerson], device: str = "cpu", size: int = LABEL_SIZE
 ) -> list[CutPerson | InputError]:
     """Cut all at once; each is what ``weigh_evidence`` and ``crop_evidence`` make of them, with the same error."""
-    found = cut_out(people, device, size)
+    found = cut_out_people(people, device, size)
     for person, cut in zip(people, found, strict=True):
         if isinstance(cut, InputError):
             with pytest.raises(InputError, match=re.escape(str(cut))):
@@ -63,7 +63,7 @@ def assert_as_alone(
 def test_people_are_cut_out_as_the_book_says(device: str, rng: np.random.Generator) -> None:
     people = people_of_all_kinds(rng, 60)
     told = []
-    for person, cut in zip(people, cut_out(people, device, 128), strict=True):
+    for person, cut in zip(people, cut_out_people(people, device, 128), strict=True):
         if isinstance(cut, CutPerson) and cut.observation.labels is not None:
             assert_twin(cut, person)
             told += cut.evidence.warnings
@@ -84,7 +84,7 @@ def test_large_people_are_cut_out_of_a_window_as_the_book_says(with_mask: bool) 
     if with_mask:
         assert isinstance(large.pixels, PartLabels)
         large = masked(large.keypoints, large.pixels.groups > 0)
-    (cut,) = cut_out([large], "cpu", 128)
+    (cut,) = cut_out_people([large], "cpu", 128)
     assert isinstance(cut, CutPerson)
     assert cut.evidence.window.zoom < 1
     assert max(cut.evidence.window.size) <= WINDOW_SIDE
@@ -100,7 +100,7 @@ def test_a_small_person_is_cut_out_of_part_of_a_large_picture() -> None:
     groups[980:, 880:] = 1  # somebody else
     moved = Keypoints2D("coco17", person.keypoints.points + np.float32([500, 700]), person.keypoints.confidence)
     there = PicturePerson(moved, PartLabels(person.pixels.label_set, groups))
-    (cut,) = cut_out([there], "cpu", 128)
+    (cut,) = cut_out_people([there], "cpu", 128)
     assert isinstance(cut, CutPerson)
     assert cut.evidence.window.zoom == 1
     assert cut.evidence.window.left > 0
@@ -125,9 +125,9 @@ def test_many_people_are_cut_out_as_each_alone(size: int, device: str, rng: np.r
 def test_people_in_parts_of_the_batch_are_the_same(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory holds a few at a time."""
     people = people_of_all_kinds(rng, 12)
-    whole = cut_out(people, "cpu", 128)
+    whole = cut_out_people(people, "cpu", 128)
     monkeypatch.setattr(cutting, "_PIXELS", {"cpu": 2**15})
-    for one, other in zip(whole, cut_out(people, "cpu", 128), strict=True):
+    for one, other in zip(whole, cut_out_people(people, "cpu", 128), strict=True):
         assert isinstance(one, CutPerson)
         assert isinstance(other, CutPerson)
         assert (one.crop, one.evidence.warnings) == (other.crop, other.evidence.warnings)
@@ -181,7 +181,7 @@ def test_people_of_one_picture_share_it_and_its_camera(device: str) -> None:
 def test_each_who_cannot_be_used_has_an_error_and_nobody_else() -> None:
     keypoints, parts = example()
     there = PicturePerson(keypoints, parts)
-    assert cut_out([], "cpu") == []
+    assert cut_out_people([], "cpu") == []
     points, sure = keypoints.points, keypoints.confidence
     unusable = [
         (points, 0 * sure, "none is visible"),

@@ -15,9 +15,10 @@ from PIL import Image
 
 from warp_partdr.body.labels import BACKGROUND, IGNORE, label_set
 from warp_partdr.body.landmarks import mirror_name
+from warp_partdr.body.skeletons import Skeleton
 from warp_partdr.cameras import Crop
-from warp_partdr.inputs.body_lines import find_flesh, segments_of_parts
-from warp_partdr.inputs.cut_out import cut_out
+from warp_partdr.inputs.body_lines import flesh_of, segments_of_parts
+from warp_partdr.inputs.cut_out import cut_out_people
 from warp_partdr.inputs.cut_people import CutPerson
 from warp_partdr.inputs.evidence import (
     Evidence,
@@ -31,7 +32,7 @@ from warp_partdr.inputs.evidence import (
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, choose_person, person_height
 from warp_partdr.inputs.observation import crop_evidence, resize_nearest
-from warp_partdr.inputs.own_pixels import CPU, WINDOW_SIDE, Mask, select_person
+from warp_partdr.inputs.own_pixels import CPU, WINDOW_SIDE, Mask, OwnPixels, Windows, select_person
 from warp_partdr.inputs.part_labels import PartLabels, read_parts
 from warp_partdr.interop.streams import on_torch_stream
 from warp_partdr.lab.evaluation.partbench.samples import make_sample
@@ -150,7 +151,7 @@ def test_flesh_is_about_all_segments_of_a_group() -> None:
     keypoints, _ = example()
     names = keypoints.format.landmarks
     confidence = np.where(np.arange(len(names)) == names.index("left_knee"), 0, keypoints.confidence)
-    flesh = find_flesh(keypoints.skeleton, keypoints.points[None], confidence[None], CDCL)
+    flesh = flesh_of(keypoints.skeleton, keypoints.points[None], confidence[None], CDCL)
     found = segments_of_parts({name: name for name in names})
     for number, own in enumerate(CDCL.groups.values(), start=1):
         every = {each for part in own for side in (part, mirror_name(part)) for each in found[side]}
@@ -189,6 +190,24 @@ def test_agreement_along_the_bones() -> None:
     assert not sides[:, 1].any()
     assert not are_swapped(sides).any()
     assert are_swapped(weighed((keypoints, mirrored_labels(parts))).pixels.sides()).all()
+
+
+def test_samples_along_a_bone_are_those_of_the_pixels_that_it_runs_over() -> None:
+    """48 along the middle 80 % of an upper arm; neither background nor ignored pixels nor those beyond count."""
+    names = ("left_shoulder", "left_elbow")
+    form = Skeleton("arm", names, names, ((0, 1),), (0, 1), 2)
+    groups = np.full((12, 50), group("left_upper_arm"), dtype=np.uint8)
+    groups[:, 20:26], groups[:, 26:30], groups[:, 30:34] = group("right_upper_arm"), group("torso"), IGNORE
+    groups[:, 34:37] = BACKGROUND
+    points, confidence = np.float32([[[10, 5.5], [58, 5.5]]]), np.ones((1, 2), np.float32)
+    windows = Windows.of(form, points, confidence, np.array([groups.shape]))
+    with on_torch_stream(CPU):
+        sides = OwnPixels([groups], windows, CPU, labels=CDCL, known=groups).sides()
+    columns = np.floor(10 + 48 * np.linspace(0.1, 0.9, 48)).astype(int)
+    shown = groups[5, columns[columns < 50]]
+    expected = [np.count_nonzero(shown == group(each)) for each in ("left_upper_arm", "right_upper_arm", "torso")]
+    assert min(expected) > 2
+    assert sides.tolist() == [[expected, [0, 0, 0]]]
 
 
 def test_disagreement_is_of_many_samples_and_of_pixels_far_away() -> None:
@@ -346,7 +365,7 @@ def test_keypoints_that_tell_no_pose(points: list[list[float]], told: str | None
     mask = Mask(torch.ones(parts.groups.shape, dtype=torch.int32), 1)
     odd = PicturePerson(replace(known, warnings=("keypoints: odd",)), parts)
     many = [PicturePerson(keypoints), PicturePerson(keypoints, mask), PicturePerson(keypoints, everywhere), odd]
-    cut = cut_out(many, "cpu")
+    cut = cut_out_people(many, "cpu")
     for person, expected in zip(cut, (*[warnings] * 3, ("keypoints: odd",)), strict=True):
         assert isinstance(person, CutPerson)
         assert person.evidence.warnings[: len(expected)] == expected

@@ -11,7 +11,7 @@ import numpy as np
 from ..body.skeletons import Skeleton, skeleton
 from ..cameras import Perspective, UsualLens
 from ..errors import InputError
-from ..inputs.cut_out import cut_out
+from ..inputs.cut_out import cut_out_people
 from ..inputs.cut_people import CutPeople, CutPerson, stack_alike
 from ..inputs.evidence import PicturePerson
 from ..inputs.observation import LABEL_SIZE
@@ -99,7 +99,7 @@ class Cutter:
                 try:
                     if place not in found:
                         check_inside(person.keypoints, (row["height"], row["width"]))
-                    people.append((len(rows) - 1, _in_picture(known, number, camera)))
+                    people.append((len(rows) - 1, _picture_person(known, number, camera)))
                 except FAULTS as error:
                     rows[-1] |= _fault(error)
             for number, fault in enumerate(known.faults, start=len(known.people)):
@@ -127,13 +127,13 @@ class Cutter:
         rest = sorted(set(range(len(people))) - set(masks))
         devices = [each.pixels.owners.device for each in people if isinstance(each.pixels, Mask)]
         if masks:
-            found |= zip(masks, cut_out([people[place] for place in masks], devices[0]), strict=True)
+            found |= zip(masks, cut_out_people([people[place] for place in masks], devices[0]), strict=True)
         if rest:
-            found |= zip(rest, cut_out([people[place] for place in rest], "cpu", self.label_size), strict=True)
+            found |= zip(rest, cut_out_people([people[place] for place in rest], "cpu", self.label_size), strict=True)
         return [found[place] for place in range(len(people))]
 
 
-def _in_picture(known: SourcePicture, number: int, camera: Perspective | None) -> PicturePerson:
+def _picture_person(known: SourcePicture, number: int, camera: Perspective | None) -> PicturePerson:
     """One of the people of a picture, with its labels or masks."""
     assert known.people is not None
     keypoints = [each.keypoints for each in known.people]

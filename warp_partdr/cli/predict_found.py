@@ -274,7 +274,7 @@ class _Run:
         at: float,
     ) -> None:
         """Cut people out of a picture, who then wait for the network."""
-        from ..inputs.cut_out import cut_out
+        from ..inputs.cut_out import cut_out_people
         from ..inputs.evidence import PicturePerson
         from ..inputs.own_pixels import Mask
         from ..networks.detection.film_people import SEEN, seen_values
@@ -291,7 +291,7 @@ class _Run:
             for place, (number, person) in enumerate(found.items(), start=1)
             if number in chosen
         }
-        for number, cut in zip(masked, cut_out(list(masked.values()), self.device), strict=True):
+        for number, cut in zip(masked, cut_out_people(list(masked.values()), self.device), strict=True):
             if isinstance(cut, InputError):
                 raise cut
             row = np.zeros(1, ROW)

@@ -103,7 +103,7 @@ class Points(NamedTuple):
     whose: np.ndarray  # (M,) which of N people they are beside
 
 
-def find_limbs(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, heights: np.ndarray) -> Limbs:
+def limbs_of(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, heights: np.ndarray) -> Limbs:
     """Limbs of N people: points (N, J, 2) [px], float32, confidence (N, J), and heights (N,)."""
     joints, extents = limb_table(form)
     ends = points[:, joints]
@@ -134,10 +134,10 @@ def _first(lines: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return np.take_along_axis(lines, order[..., None], axis=1), there.sum(axis=1, dtype=np.int32)
 
 
-def find_bones(
+def bones_of(
     form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, heights: np.ndarray, others: Sequence[Points]
 ) -> Bones:
-    """Bones of N people, as of ``find_limbs``, and of others: edges of the skeleton, lone joints, and loose ends."""
+    """Bones of N people, as of ``limbs_of``, and of others: edges of the skeleton, lone joints, and loose ends."""
     sure = confident(confidence)
     pairs, there = _bone_joints_of(form, sure)
     loose, joints = loose_ends(form, sure), np.arange(points.shape[1])
@@ -205,7 +205,7 @@ def _others_bones(
     return np.concatenate(found)[np.argsort(of, kind="stable")], first
 
 
-def find_flesh(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, labels: LabelSet | None) -> Flesh:
+def flesh_of(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, labels: LabelSet | None) -> Flesh:
     """Flesh of N people's groups: points (N, J, 2) [px], float32, and confidence (N, J); none without labels."""
     table = _flesh_table(form, () if labels is None else tuple(labels.groups.items()))
     there = _both(confident(confidence), table.joints)

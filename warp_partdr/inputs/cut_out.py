@@ -36,7 +36,7 @@ Found = dict[int, CutPerson | InputError]
 
 
 @one_torch_thread()
-def cut_out(
+def cut_out_people(
     people: Sequence[PicturePerson], device: torch.device | str, label_size: int = LABEL_SIZE
 ) -> list[CutPerson | InputError]:
     """Cut people out of pictures, those of part labels and of masks; or tell what is wrong with them.
@@ -99,7 +99,7 @@ def _unusable(people: Sequence[PicturePerson]) -> Found:
 
 
 def _label_set(person: PicturePerson) -> LabelSet | None:
-    """What the groups of a person's picture mean; None without any."""
+    """Label set of a person's picture; None without labels and masks."""
     if person.pixels is None:
         return None
     return MASK_LABELS if isinstance(person.pixels, Mask) else person.pixels.label_set

@@ -220,7 +220,7 @@ def are_stray(looked: np.ndarray, within: np.ndarray, far: np.ndarray) -> np.nda
 
 
 def are_swapped(sides: np.ndarray) -> np.ndarray:
-    """True for limbs whose sides differ between labels and keypoints, by the numbers of ``OwnPixels.sides`` (..., 3)."""
+    """True for limbs whose sides differ between labels and keypoints, by numbers of ``OwnPixels.sides`` (..., 3)."""
     own, mirrored, _ = np.moveaxis(sides, -1, 0)
     found: np.ndarray = (own + mirrored >= _FEWEST) & (mirrored >= _SWAPPED * (own + mirrored))
     return found

@@ -1,4 +1,4 @@
-"""Whose pixels a picture shows: many people's own pixels, found, measured and drawn in crops on a device.
+"""Own pixels of many people in pictures: found, measured, and drawn in crops on a device.
 
 One person is a batch of one. Part labels and masks take the same way: a mask is a label of one group.
 """
@@ -24,7 +24,7 @@ from ..interop.arrays import tensor_over, warp_array
 from ..interop.streams import on_torch_stream
 from ..kernels import own_pixels, own_targets
 from ..kernels.launch import run_slices, split_batch
-from .body_lines import LIMBS, Points, find_bones, find_flesh, find_limbs, limb_of, limb_sides
+from .body_lines import LIMBS, Points, bones_of, flesh_of, limb_of, limb_sides, limbs_of
 from .keypoints import Keypoints2D, confident, person_heights
 from .person import label_bounds, reach_boxes
 
@@ -231,8 +231,8 @@ class OwnPixels:
         inside = [
             each._replace(points=windows.moved(each.points, each.confidence, each.whose)) for each in _stacked(others)
         ]
-        bones = find_bones(windows.form, windows.points, windows.confidence, windows.heights, inside)
-        flesh = find_flesh(windows.form, windows.points, windows.confidence, self.labels)
+        bones = bones_of(windows.form, windows.points, windows.confidence, windows.heights, inside)
+        flesh = flesh_of(windows.form, windows.points, windows.confidence, self.labels)
         strides = np.maximum(np.ceil(windows.sizes.max(axis=1) / COARSE), 1).astype(np.int32)
         self._complete = flesh.complete.astype(bool)
         self._bodies = own_pixels.gather(
@@ -302,7 +302,7 @@ class OwnPixels:
 
     def _find_limbs(self) -> Any:
         windows = self.windows
-        limbs = find_limbs(windows.form, windows.points, windows.confidence, windows.heights)
+        limbs = limbs_of(windows.form, windows.points, windows.confidence, windows.heights)
         self._limbs_there = limbs.there
         missing = torch.zeros(limbs.there.shape, dtype=torch.uint8, device=self._device)
         return own_pixels.gather(
@@ -339,10 +339,14 @@ class OwnPixels:
         quads = -(-width // 4)
         columns = torch.empty(len(low), 4 * quads, 4, dtype=torch.int32, device=self._device)
         under = warp_array(columns, wp.vec4i)
-        own_targets.launch_columns(self._people, crops, every, under)
+        own_targets.launch_crop_columns(self._people, crops, every, under)
         drawn = torch.empty(len(low), height, quads, dtype=torch.int32, device=self._device)
-        arrays = self._people, self._pixels, self._limbs, crops, every, under, warp_array(drawn, wp.uint32)
-        run_slices(partial(own_targets.launch_targets, *arrays), self._parts)
+        out = warp_array(drawn, wp.uint32)
+
+        def launch(part: slice) -> None:
+            own_targets.launch_targets(self._people, self._pixels, self._limbs, crops, every, under, out, part)
+
+        run_slices(launch, self._parts)
         return drawn.view(torch.uint8)[..., :width].contiguous()
 
     def window_groups(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Whose pixels a part label image shows, and a person's crop, for one person, with distances of every pixel.
+"""Own pixels of one person in a part label image, and the person's crop, by the distances of every pixel.
 
 A mask is a label image of one group: 1 where the person is, 255 where others are. Lengths are shares of the person's
 height in the picture, h, unless they are in pixels. A pixel is where its centre is.
@@ -47,7 +47,7 @@ class Limb:
 
 
 @dataclass(frozen=True)
-class SeenBody:
+class KeypointBody:
     """Body as keypoints tell it, in pixels of the label image.
 
     Attributes:
@@ -78,14 +78,14 @@ def distances(x: np.ndarray, y: np.ndarray, segments: np.ndarray) -> np.ndarray:
     return np.sqrt((x - x0 - share * along_x) ** 2 + (y - y0 - share * along_y) ** 2)
 
 
-def is_labelled(groups: np.ndarray) -> np.ndarray:
+def _is_labelled(groups: np.ndarray) -> np.ndarray:
     """True where a part is labelled."""
     return (groups != BACKGROUND) & (groups != IGNORE)
 
 
-def own_pixels(groups: np.ndarray, body: SeenBody) -> tuple[np.ndarray, bool]:
+def own_pixels(groups: np.ndarray, body: KeypointBody) -> tuple[np.ndarray, bool]:
     """The image without others' labels (rules 1 to 3), and if a labelled pixel lies along a bone."""
-    rows, columns = np.nonzero(is_labelled(groups))
+    rows, columns = np.nonzero(_is_labelled(groups))
     x, y = columns + 0.5, rows + 0.5
     own, loose, other = (
         distances(x, y, each).min(axis=0, initial=np.inf) for each in (body.bones, body.loose, body.theirs)
@@ -95,7 +95,7 @@ def own_pixels(groups: np.ndarray, body: SeenBody) -> tuple[np.ndarray, bool]:
     near = (np.isfinite(own) | (loose <= 0.6 * body.height)) & ~(own > other)
     along = own <= max(0.03 * body.height, 1.5)
     kept = _spread(_mask(groups, rows, columns, near), _mask(groups, rows, columns, near & along))
-    return np.where(is_labelled(groups) & ~kept, IGNORE, groups).astype(np.uint8), bool(along.any())
+    return np.where(_is_labelled(groups) & ~kept, IGNORE, groups).astype(np.uint8), bool(along.any())
 
 
 def _mask(groups: np.ndarray, rows: np.ndarray, columns: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -120,7 +120,7 @@ def _spread(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     return reached[1:-1, 1:-1]
 
 
-def beyond_flesh(groups: np.ndarray, body: SeenBody, group: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def flesh_distances(groups: np.ndarray, body: KeypointBody, group: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows and columns of a group's pixels, and their distances beyond its flesh, at most 0 within, as shares of h."""
     segments, radii = body.flesh[group]
     rows, columns = np.nonzero(groups == group)
@@ -128,14 +128,14 @@ def beyond_flesh(groups: np.ndarray, body: SeenBody, group: int) -> tuple[np.nda
     return rows, columns, away.min(axis=0)
 
 
-def stray_groups(own: np.ndarray, body: SeenBody) -> list[int]:
+def stray_groups(own: np.ndarray, body: KeypointBody) -> list[int]:
     """Groups that have stray labels (rule 4), by every so many-th pixel of a person's own, at most 192 a side."""
     thin = _thin(own)
     found = []
     for group in sorted(body.flesh):
-        away = beyond_flesh(thin, body, group)[2]
+        away = flesh_distances(thin, body, group)[2]
         far = np.count_nonzero(away > 0.1)
-        if far >= max(0.01 * is_labelled(thin).sum(), 1.0) and np.count_nonzero(away <= 0.0) >= 0.25 * far:
+        if far >= max(0.01 * _is_labelled(thin).sum(), 1.0) and np.count_nonzero(away <= 0.0) >= 0.25 * far:
             found.append(group)
     return found
 
@@ -148,24 +148,24 @@ def _thin(own: np.ndarray) -> np.ndarray:
     return thin
 
 
-def without_stray(own: np.ndarray, body: SeenBody, groups: list[int]) -> np.ndarray:
+def without_stray(own: np.ndarray, body: KeypointBody, groups: list[int]) -> np.ndarray:
     """The image without the stray labels of some groups (rule 4)."""
     found = own.copy()
     for group in groups:
-        rows, columns, away = beyond_flesh(own, body, group)
+        rows, columns, away = flesh_distances(own, body, group)
         mask, seeds = _mask(own, rows, columns, away > 0.0), _mask(own, rows, columns, away > 0.1)
         found[_spread(mask, seeds)] = IGNORE
     return found
 
 
-def side_counts(own: np.ndarray, body: SeenBody) -> np.ndarray:
+def side_counts(own: np.ndarray, body: KeypointBody) -> np.ndarray:
     """Places along arms' and legs' bones that show their own groups, the mirror images', and others: (2, 3), rule 5."""
     counts = np.zeros((2, 3), dtype=np.int64)
     for limb in body.limbs:
         if limb.own != limb.mirrored and limb.own:
             shown = _shown_along(own, limb, np.linspace(0.1, 0.9, 48))
             on_own, mirrored = shown == limb.own, shown == limb.mirrored
-            other = is_labelled(shown) & ~on_own & ~mirrored
+            other = _is_labelled(shown) & ~on_own & ~mirrored
             counts[limb.pair] += [np.count_nonzero(each) for each in (on_own, mirrored, other)]
     return counts
 
@@ -184,18 +184,18 @@ def exchanged(counts: np.ndarray) -> np.ndarray:
     return (own + mirrored >= 24) & (mirrored >= 0.75 * (own + mirrored))
 
 
-def disagreement(own: np.ndarray, body: SeenBody) -> float:
+def disagreement(own: np.ndarray, body: KeypointBody) -> float:
     """Share of other labels along limbs, plus four times that of pixels more than 0.05 h beyond flesh.
 
     Above 1, the ids mean something else.
     """
     counts, thin = side_counts(own, body), _thin(own)
-    away = np.concatenate([np.zeros(0), *(beyond_flesh(thin, body, group)[2] for group in body.flesh)])
+    away = np.concatenate([np.zeros(0), *(flesh_distances(thin, body, group)[2] for group in body.flesh)])
     other = counts[:, 2].sum() / counts.sum() if counts.sum() >= 48 else 0.0
     return float(other + 4 * np.count_nonzero(away > 0.05) / max(len(away), 1))
 
 
-def without_missing_limbs(own: np.ndarray, body: SeenBody) -> np.ndarray:
+def without_missing_limbs(own: np.ndarray, body: KeypointBody) -> np.ndarray:
     """The image with background ignored along limbs that it misses (rule 6)."""
     rows, columns = np.nonzero(own == BACKGROUND)
     found = own.copy()
@@ -208,10 +208,10 @@ def without_missing_limbs(own: np.ndarray, body: SeenBody) -> np.ndarray:
     return found
 
 
-def crop_square(own: np.ndarray, body: SeenBody) -> tuple[np.ndarray, float]:
+def crop_square(own: np.ndarray, body: KeypointBody) -> tuple[np.ndarray, float]:
     """Middle (x, y) of the crop, and half its side [px] (rule 7)."""
     low, high = body.points.min(axis=0), body.points.max(axis=0)
-    rows, columns = np.nonzero(is_labelled(own))
+    rows, columns = np.nonzero(_is_labelled(own))
     if len(rows):
         low = np.minimum(low, [columns.min(), rows.min()])
         high = np.maximum(high, [columns.max() + 1, rows.max() + 1])

@@ -19,7 +19,7 @@ import torch
 import warp as wp
 from PIL import Image
 
-from ...inputs.cut_out import cut_out
+from ...inputs.cut_out import cut_out_people
 from ...inputs.cut_people import CutPeople, CutPerson
 from ...inputs.evidence import PicturePerson
 from ...inputs.own_pixels import Mask
@@ -116,7 +116,7 @@ def _timed(pictures: list[np.ndarray], device: str, half: bool) -> dict[str, np.
     stage("all of these: find_people_in", lambda: find_people_in(pictures, device=device, half=half))
     owners = stage("whom each pixel shows", lambda: instance_maps([[each] for each in people], sizes))
     masked = [PicturePerson(each.keypoints, Mask(shown, 1)) for each, shown in zip(people, owners, strict=True)]
-    cut = stage("evidence and crops", lambda: cut_out(masked, device))
+    cut = stage("evidence and crops", lambda: cut_out_people(masked, device))
     together = stage("people as arrays", lambda: CutPeople.of([each for each in cut if isinstance(each, CutPerson)]))
     stage("label network", lambda: ask_network(together.seen, network, half=half).parameters())
     names = ["all of these: find_people_in", "whom each pixel shows", "evidence and crops", "people as arrays"]
@@ -141,7 +141,7 @@ def _kernels(pictures: list[np.ndarray], device: str) -> FigureTable:
         seconds[kernel.key] = seconds.get(kernel.key, 0.0) + time.perf_counter() - started
 
     with patch.object(wp, "launch", clocked):
-        cut_out(masked, device)
+        cut_out_people(masked, device)
     table = _empty_table("Kernels of the evidence")
     for name, each in seconds.items():
         table.add(name, 1000 * each, len(pictures) / each, None)
