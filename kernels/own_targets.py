@@ -17,8 +17,8 @@ from .own_pixels import (
     floor_index,
     group_at,
     group_of,
-    shows_part,
     picture_index,
+    shows_part,
     squared_distance,
 )
 

@@ -93,7 +93,6 @@ RIGHT_CARRIERS = {
 CARRIERS_TO_MEND = {
     "_find: find_people(**how)",
     "_find_captured: CapturedRefinement(**rule)",
-    "_window: person_windows(*one)",
     "body_maps: self.draw(**options)",
     "crop_loss: _as_floats(*parameters)",
     "draw: self.prepare_picture(**images)",

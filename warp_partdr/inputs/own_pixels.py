@@ -108,7 +108,7 @@ class Windows:
 
     @cached_property
     def heights(self) -> np.ndarray:
-        """Of the people [px], shape (N,)."""
+        """Heights of the people [px], shape (N,)."""
         return person_heights(self.form, self.points, self.confidence)
 
     def moved(self, points: np.ndarray, confidence: np.ndarray, rows: slice | np.ndarray) -> np.ndarray:
