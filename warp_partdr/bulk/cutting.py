@@ -121,15 +121,14 @@ class Cutter:
         )
 
     def _cut_out(self, people: Sequence[PicturePerson]) -> list[CutPerson | InputError]:
-        """Cut people out, those of masks on the device of these and at their full size, the others on the CPU."""
+        """Cut people out: those of masks at full size on the device that holds these, the others on the CPU."""
         found: dict[int, CutPerson | InputError] = {}
-        masks = [place for place, person in enumerate(people) if isinstance(person.pixels, Mask)]
-        rest = sorted(set(range(len(people))) - set(masks))
-        devices = [each.pixels.owners.device for each in people if isinstance(each.pixels, Mask)]
+        masks = {place: each.pixels for place, each in enumerate(people) if isinstance(each.pixels, Mask)}
         if masks:
-            found |= zip(masks, cut_out_people([people[place] for place in masks], devices[0]), strict=True)
-        if rest:
-            found |= zip(rest, cut_out_people([people[place] for place in rest], "cpu", self.label_size), strict=True)
+            device = next(iter(masks.values())).owners.device
+            found |= zip(masks, cut_out_people([people[place] for place in masks], device), strict=True)
+        rest = [place for place in range(len(people)) if place not in masks]
+        found |= zip(rest, cut_out_people([people[place] for place in rest], "cpu", self.label_size), strict=True)
         return [found[place] for place in range(len(people))]
 
 

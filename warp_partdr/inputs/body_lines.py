@@ -149,7 +149,7 @@ def bones_of(
         ends, np.where(are_loose, reaches[:, 1:2], reaches[:, :1]), np.where(are_loose, -1.0, reaches[:, 2:])
     )
     lines, counts = _first(lines, np.concatenate([there, loose], axis=1))
-    theirs, first_theirs = _others_bones(others, points, sure, reaches, loose.any(axis=1))
+    theirs, first_theirs = _others_bones(others, points, sure, reaches, np.any(loose, axis=1))
     return Bones(reaches, lines, counts, theirs, first_theirs)
 
 

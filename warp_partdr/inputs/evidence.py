@@ -174,7 +174,7 @@ def weigh_people(people: Sequence[PicturePerson], device: torch.device) -> Weigh
 
     Launches, so it belongs inside ``on_torch_stream``; the device has its number.
     """
-    labels, images = MASK_LABELS, []
+    labels, images = MASK_LABELS, list[np.ndarray | Mask]()
     for person in people:
         assert person.pixels is not None
         if isinstance(person.pixels, Mask):

@@ -171,8 +171,9 @@ class OwnPixels:
         pictures: Group ids of each person's picture, shape (H, W), or the person's mask; people may share them.
         windows: Of the people.
         device: Torch's, with its number.
-        labels: What the group ids mean.
-        known: Group ids of one person alone, of all of the window, shape (H, W), uint8: ``select`` found them before.
+        labels: Label set of the group ids; None: nothing is measured of groups.
+        known: Group ids of one person alone in all of the window, shape (H, W), uint8, where they are known already; on
+            the CPU.
 
     Raises:
         ValueError: If ``known`` are not of the window.
@@ -297,7 +298,8 @@ class OwnPixels:
         own_targets.launch_sides(
             self._people, self._pixels, self._limbs, shares, self._array(sides), warp_array(counts)
         )
-        np.add.at(sums, (slice(None), limb_of(self.windows.form)), counts.cpu().numpy())
+        for limb, found in zip(limb_of(self.windows.form), np.moveaxis(counts.cpu().numpy(), 1, 0), strict=True):
+            sums[:, limb] += found
         return sums
 
     def _find_limbs(self) -> Any:
