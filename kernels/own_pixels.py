@@ -1,8 +1,8 @@
-"""Pixels of people's masks that are theirs: those along their bones, and all that hangs together with them.
+"""Pixels of pictures that are a person's own: those along their bones, and all that hangs together with them.
 
-For many people of many pictures the same, to the bit, as ``inputs.person``, ``inputs.agreement`` and
-``inputs.ignored_labels`` say of one person's labels. Only an area about each person is looked at; areas, and their
-rows, lie one after another in memory, of whatever sizes, and a thread has a row.
+Of many people in many pictures; a picture has part labels, or tells whom each pixel shows. Only an area about each
+person is looked at. Areas, and their rows, lie one after another in memory, of whatever sizes, and a thread has a row.
+``reference.own_pixels`` says the same of one person.
 """
 
 from collections.abc import Sequence
@@ -14,23 +14,25 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 NOBODYS = wp.constant(wp.uint8(0))
-OWN = wp.constant(wp.uint8(1))
-OTHERS = wp.constant(wp.uint8(255))
-NEAR = wp.constant(wp.uint8(1))  # a mark: may be kept
-SEED = wp.constant(wp.uint8(2))  # is kept, with all that hangs together with it
-NUM_COUNTS = 8  # first and last row, first and last column; then pixels: looked at, within flesh, far and farther
+OWN = wp.constant(wp.uint8(1))  # group of a person of whom a mask is known
+OTHERS = wp.constant(wp.uint8(255))  # or ignored
+STEP = wp.constant(16)  # [px] of a row, of which the middle may tell that all are near, or none is
+MIDDLE = wp.constant(wp.float64(8.0))  # of a step
+NUM_COUNTS = 4  # of a group's pixels: looked at, within flesh, far and farther
 
-# Start (x, y), way to the end and its square; then squared distance that is near, and distance that is a seed.
-Bone: Any = wp.types.vector(length=7, dtype=wp.float32)
-Flesh: Any = wp.types.vector(length=6, dtype=wp.float64)  # the same, then the radius as a share of the height
+# Start (x, y), way to the end and its square; squared distance up to which pixels are near, and distance up to which
+# they are seeds, -1 for none; box of the line: left, top, right, bottom; and distance beyond which nothing is near.
+Bone: Any = wp.types.vector(length=12, dtype=wp.float64)
+Flesh: Any = wp.types.vector(length=6, dtype=wp.float64)  # a bone's first five, then the radius as a share of height
 
 
 @wp.struct
 class PeopleArrays:
     """N people, and the pictures that show them, one after another."""
 
-    owners: wp.array[int]  # (Q,) whom each pixel of the pictures shows; 0: nobody
-    pictures: wp.array2d[int]  # (N, 4) first pixel of the picture, its height and width, and the person's number there
+    labels: wp.array[wp.uint8]  # (Q,) group ids of the pictures with part labels
+    owners: wp.array[int]  # (R,) whom each pixel of the others shows; 0: nobody
+    pictures: wp.array2d[int]  # (N, 4) first pixel, height and width, and the person's number there; 0: part labels
     windows: wp.array2d[int]  # (N, 2) height and width of the part of the picture that is looked at, made smaller
     boxes: wp.array2d[wp.float64]  # (N, 4) the window's top and left in the picture, height and width of its pixels
     areas: wp.array2d[int]  # (N, 4) of the window: top, left, height and width
@@ -44,20 +46,29 @@ class BodyArrays:
 
     bones: wp.array2d[Bone]  # (N, S)
     num_bones: wp.array[int]  # (N,) that are there
-    flesh: wp.array2d[Flesh]  # (N, F)
-    num_flesh: wp.array[int]  # (N,) that are there; 0: not known of all parts
+    theirs: wp.array[Bone]  # (T,) of others who are near, one person's after another's
+    first_theirs: wp.array[int]  # (N + 1,)
+    reaches: wp.array2d[wp.float64]  # (N, 3) distances from bones and loose ends that are near, and that of seeds
+    flesh: wp.array2d[Flesh]  # (N, F) of the groups, one after another; a radius below 0: not there
+    first_flesh: wp.array[int]  # (G + 2,) of each group from 0 on
+    complete: wp.array2d[wp.uint8]  # (N, G + 1) 1 where a group's keypoints are all known
     heights: wp.array[wp.float64]  # (N,)
     strides: wp.array[int]  # (N,) every so many-th row and column is counted
 
 
 @wp.struct
 class PixelArrays:
-    """Pixels of the areas."""
+    """Pixels of the areas, and runs: pixels of a row, one after another, that may be kept or ignored together.
 
-    groups: wp.array[wp.uint8]  # (R,) ``OWN``, ``NOBODYS`` or ``OTHERS``
-    marks: wp.array[wp.uint8]  # (R,) ``NEAR``, ``SEED`` or 0
-    parents: wp.array[int]  # (R,) of marked ones: a pixel that hangs together with this one, or itself
-    reached: wp.array[wp.uint8]  # (R,) 1 at pixels without another parent that hang together with a seed
+    Runs of a row stand from its first pixel's place on.
+    """
+
+    groups: wp.array[wp.uint8]  # (P,) of the person; ``NOBODYS`` and ``OTHERS``
+    num_runs: wp.array[int]  # (R,) of each row
+    starts: wp.array[int]  # (P,) first column of each run
+    stops: wp.array[int]  # (P,) and that beyond the last
+    parents: wp.array[int]  # (P,) a run that hangs together with this one, or itself
+    seeded: wp.array[wp.uint8]  # (P,) 1 for runs without another parent that hang together with a seed
 
 
 @wp.struct
@@ -65,6 +76,7 @@ class Row:
     """A row of an area."""
 
     person: int
+    number: int  # among all
     index: int  # in the area
     begin: int  # first pixel
     width: int
@@ -75,6 +87,7 @@ def row_of(people: PeopleArrays, index: int) -> Row:
     found = Row()
     n = wp.lower_bound(people.first_rows, index + 1) - 1
     found.person = n
+    found.number = index
     found.index = index - people.first_rows[n]
     found.width = people.areas[n, 3]
     found.begin = people.first_pixels[n] + found.index * found.width
@@ -82,14 +95,28 @@ def row_of(people: PeopleArrays, index: int) -> Row:
 
 
 @wp.func
-def group_at(people: PeopleArrays, n: int, row: int, column: int) -> wp.uint8:
-    """Group of a pixel of a picture, as the mask tells it."""
-    if row < 0 or row >= people.pictures[n, 1] or column < 0 or column >= people.pictures[n, 2]:
-        return OTHERS
-    owner = people.owners[people.pictures[n, 0] + row * people.pictures[n, 2] + column]
+def shows_part(group: wp.uint8) -> bool:
+    return group != NOBODYS and group != OTHERS
+
+
+@wp.func
+def group_of(people: PeopleArrays, number: int, pixel: int) -> wp.uint8:
+    """Group of a pixel among all pictures'."""
+    if number == 0:
+        return people.labels[pixel]
+    owner = people.owners[pixel]
     if owner == 0:
         return NOBODYS
-    return wp.where(owner == people.pictures[n, 3], OWN, OTHERS)
+    return wp.where(owner == number, OWN, OTHERS)
+
+
+@wp.func
+def group_at(people: PeopleArrays, n: int, row: int, column: int) -> wp.uint8:
+    """Group of a pixel of a person's picture, as this tells it."""
+    width = people.pictures[n, 2]
+    if row < 0 or row >= people.pictures[n, 1] or column < 0 or column >= width:
+        return OTHERS
+    return group_of(people, people.pictures[n, 3], people.pictures[n, 0] + row * width + column)
 
 
 @wp.func
@@ -115,49 +142,117 @@ def squared_distance(u: Any, v: Any, along_x: Any, along_y: Any, squared_length:
 
 
 @wp.func
-def mark_of(bodies: BodyArrays, n: int, row: int, column: int) -> wp.uint8:
-    """Mark of a pixel by its distance from the bones."""
-    mark = wp.uint8(0)
-    x, y = float(column) + 0.5, float(row) + 0.5
-    for s in range(bodies.num_bones[n]):
-        bone = bodies.bones[n, s]
-        squared = squared_distance(x - bone[0], y - bone[1], bone[2], bone[3], bone[4])
-        if squared <= bone[5]:
-            mark = NEAR
-            if wp.sqrt(squared) <= bone[6]:
-                return SEED
-    return mark
+def square_from(bone: Bone, x: wp.float64, y: wp.float64) -> wp.float64:
+    return squared_distance(x - bone[0], y - bone[1], bone[2], bone[3], bone[4])
 
 
 @wp.func
-def beyond_flesh(bodies: BodyArrays, n: int, row: int, column: int) -> wp.float64:
-    """Distance of a pixel from the flesh about the bones, as a share of the height; at most 0 within."""
+def may_be_within(bone: Bone, distance: wp.float64, x: wp.float64, y: wp.float64) -> bool:
+    across = x >= bone[7] - distance and x <= bone[9] + distance
+    return across and y >= bone[8] - distance and y <= bone[10] + distance
+
+
+@wp.func
+def near_bone(bodies: BodyArrays, n: int, last: int, x: wp.float64, y: wp.float64) -> int:
+    """A bone that a place is near, of several the one that the ``last`` place was; -1 without."""
+    bone = bodies.bones[n, last]
+    if square_from(bone, x, y) <= bone[5]:
+        return last
+    for s in range(bodies.num_bones[n]):
+        bone = bodies.bones[n, s]
+        if may_be_within(bone, bone[11], x, y) and square_from(bone, x, y) <= bone[5]:
+            return s
+    return -1
+
+
+@wp.func
+def lies_along(bodies: BodyArrays, n: int, x: wp.float64, y: wp.float64) -> bool:
+    """True for a place so near to a bone that it is a seed."""
+    for s in range(bodies.num_bones[n]):
+        bone = bodies.bones[n, s]
+        if may_be_within(bone, bone[6] + wp.float64(1.0), x, y) and wp.sqrt(square_from(bone, x, y)) <= bone[6]:
+            return True
+    return False
+
+
+@wp.func
+def is_others(bodies: BodyArrays, n: int, x: wp.float64, y: wp.float64) -> bool:
+    """True for a place within reach of others' bones, and nearer to them than to the person's."""
+    reach = bodies.reaches[n, 0] * bodies.reaches[n, 0]
+    other, own = wp.float64(wp.inf), wp.float64(wp.inf)
+    for s in range(bodies.first_theirs[n], bodies.first_theirs[n + 1]):
+        bone = bodies.theirs[s]
+        if may_be_within(bone, bone[11], x, y):
+            other = wp.min(other, square_from(bone, x, y))
+    if other > reach:
+        return False
+    for s in range(bodies.num_bones[n]):
+        bone = bodies.bones[n, s]
+        if bone[6] >= wp.float64(0.0) and may_be_within(bone, bone[11], x, y):
+            own = wp.min(own, square_from(bone, x, y))
+    if own > reach:
+        return True
+    return wp.sqrt(own) > wp.sqrt(other)
+
+
+@wp.struct
+class Distances:
+    """Distances of a place from the nearest of some lines."""
+
+    own: wp.float64
+    loose: wp.float64
+    other: wp.float64
+
+
+@wp.func
+def distances_from(bodies: BodyArrays, n: int, x: wp.float64, y: wp.float64) -> Distances:
+    found = Distances()
+    own, loose, other = wp.float64(wp.inf), wp.float64(wp.inf), wp.float64(wp.inf)
+    for s in range(bodies.num_bones[n]):
+        bone = bodies.bones[n, s]
+        squared = square_from(bone, x, y)
+        if bone[6] >= wp.float64(0.0):
+            own = wp.min(own, squared)
+        else:
+            loose = wp.min(loose, squared)
+    for s in range(bodies.first_theirs[n], bodies.first_theirs[n + 1]):
+        other = wp.min(other, square_from(bodies.theirs[s], x, y))
+    found.own = wp.sqrt(own)
+    found.loose = wp.sqrt(loose)
+    found.other = wp.sqrt(other)
+    return found
+
+
+@wp.func
+def beyond_flesh(bodies: BodyArrays, n: int, group: int, row: int, column: int) -> wp.float64:
+    """Distance of a pixel from the flesh of a group, as a share of the height; at most 0 within."""
     x, y = wp.float64(column) + wp.float64(0.5), wp.float64(row) + wp.float64(0.5)
     nearest = wp.float64(wp.inf)
-    for s in range(bodies.num_flesh[n]):
-        if nearest > wp.float64(0.0):
-            flesh = bodies.flesh[n, s]
+    for s in range(bodies.first_flesh[group], bodies.first_flesh[group + 1]):
+        flesh = bodies.flesh[n, s]
+        if nearest > wp.float64(0.0) and flesh[5] >= wp.float64(0.0):
             squared = squared_distance(x - flesh[0], y - flesh[1], flesh[2], flesh[3], flesh[4])
             nearest = wp.min(nearest, wp.sqrt(squared) / bodies.heights[n] - flesh[5])
     return nearest
 
 
 @wp.func
-def set_mark(pixels: PixelArrays, row: Row, column: int, mark: wp.uint8, start: int) -> int:
-    """Mark a pixel; gives the first of the marked ones on end that it belongs to, or -1, as ``start`` of the last."""
-    i = row.begin + column
-    pixels.marks[i] = mark
-    pixels.reached[i] = wp.uint8(0)
-    if mark == wp.uint8(0):
-        return -1
-    first = wp.where(start < 0, i, start)
-    pixels.parents[i] = first
-    return first
+def add_run(pixels: PixelArrays, i: int, start: int, stop: int, seeded: bool):
+    pixels.starts[i] = start
+    pixels.stops[i] = stop
+    pixels.parents[i] = i
+    pixels.seeded[i] = wp.uint8(wp.where(seeded, 1, 0))
 
 
 @wp.kernel
-def mark_near(people: PeopleArrays, bodies: BodyArrays, first: int, pixels: PixelArrays):
-    """Fill groups, all of the mask still ignored, and marks of the person's pixels by their distance from the bones."""
+def find_near(
+    people: PeopleArrays,
+    bodies: BodyArrays,
+    along: wp.array[int],  # (N,) 1 for people of whose bones a labelled pixel lies along one  MODIFIED
+    first: int,
+    pixels: PixelArrays,
+):
+    """Fill groups, as the pictures tell them, and find runs of what is labelled near the bones."""
     row = row_of(people, first + wp.tid())
     n = row.person
     window_row = people.areas[n, 0] + row.index
@@ -168,40 +263,99 @@ def mark_near(people: PeopleArrays, bodies: BodyArrays, first: int, pixels: Pixe
     begin = people.pictures[n, 0] + picture_row * width
     if picture_row < 0 or picture_row >= people.pictures[n, 1]:
         width = 0
-    start = int(-1)
+    reach, loose_reach = wp.float64(bodies.reaches[n, 0]), wp.float64(bodies.reaches[n, 1])
+    seed_reach = wp.float64(bodies.reaches[n, 2])
+    crowded = bodies.first_theirs[n + 1] > bodies.first_theirs[n]
+    y, off = wp.float64(window_row) + half, MIDDLE + wp.float64(1e-6)
+    start, last, count = int(-1), int(0), int(0)
+    seeded, told = bool(False), bool(False)  # the run has a seed; the row has a labelled pixel along a bone
+    judged, certain, possible, seeds_certain, seeds_possible = (
+        int(-1),
+        bool(False),
+        bool(False),
+        bool(False),
+        bool(False),
+    )
     for column in range(row.width):
-        picture_column = floor_index(left + (wp.float64(area_left + column) + half) * step)
-        group, mark = OTHERS, wp.uint8(0)
+        x = wp.float64(area_left + column) + half
+        picture_column = floor_index(left + x * step)
+        group, near = OTHERS, bool(False)
         if picture_column >= 0 and picture_column < width:
-            owner = people.owners[begin + picture_column]
-            if owner == 0:
-                group = NOBODYS
-            elif owner == number:
-                mark = mark_of(bodies, n, window_row, area_left + column)
+            group = group_of(people, number, begin + picture_column)
         pixels.groups[row.begin + column] = group
-        start = set_mark(pixels, row, column, mark, start)
+        if shows_part(group):
+            if column // STEP != judged:
+                judged = column // STEP
+                middle = wp.float64(area_left + judged * STEP) + MIDDLE
+                far = distances_from(bodies, n, middle, y)
+                certain = far.own + off <= reach or far.loose + off <= loose_reach
+                certain = certain and (far.other - off > reach or far.own + off < far.other - off)
+                possible = far.own - off <= reach or far.loose - off <= loose_reach
+                possible = possible and not (far.other + off <= reach and far.other + off < far.own - off)
+                seeds_certain = far.own + off <= seed_reach
+                seeds_possible = far.own - off <= seed_reach
+            near = certain
+            if possible and not certain:
+                found = near_bone(bodies, n, last, x, y)
+                near = found >= 0
+                if near:
+                    last = found
+                    if crowded:
+                        near = not is_others(bodies, n, x, y)
+            if seeds_possible and (not told or (near and (start < 0 or not seeded))):
+                along_bone = seeds_certain or lies_along(bodies, n, x, y)
+                told = told or along_bone
+                if near:
+                    seeded = (seeded and start >= 0) or along_bone
+            elif near and start < 0:
+                seeded = False
+        if near:
+            if start < 0:
+                start = column
+        elif start >= 0:
+            add_run(pixels, row.begin + count, start, column, seeded)
+            count += 1
+            start = -1
+    if start >= 0:
+        add_run(pixels, row.begin + count, start, row.width, seeded)
+        count += 1
+    pixels.num_runs[row.number] = count
+    if told:
+        along[n] = 1
 
 
 @wp.kernel
-def mark_stray(
+def find_stray(
     people: PeopleArrays,
     bodies: BodyArrays,
     far: wp.float64,
-    chosen: wp.array[wp.uint8],
+    chosen: wp.array[int],  # (N,) a group of each person; 0: none
     first: int,
     pixels: PixelArrays,
 ):
-    """Mark pixels of chosen people that lie beyond the flesh; those ``far`` are seeds."""
+    """Find runs of chosen groups that lie beyond the flesh; pixels ``far`` are seeds."""
     row = row_of(people, first + wp.tid())
     n = row.person
-    start = int(-1)
+    group, start, count = int(chosen[n]), int(-1), int(0)
+    seeded = bool(False)
     for column in range(row.width):
-        mark = wp.uint8(0)
-        if chosen[n] != wp.uint8(0) and pixels.groups[row.begin + column] == OWN:
-            distance = beyond_flesh(bodies, n, people.areas[n, 0] + row.index, people.areas[n, 1] + column)
-            if distance > wp.float64(0.0):
-                mark = wp.where(distance > far, SEED, NEAR)
-        start = set_mark(pixels, row, column, mark, start)
+        beyond = bool(False)
+        if group != 0 and int(pixels.groups[row.begin + column]) == group:
+            distance = beyond_flesh(bodies, n, group, people.areas[n, 0] + row.index, people.areas[n, 1] + column)
+            beyond = distance > wp.float64(0.0)
+            if beyond:
+                seeded = (seeded and start >= 0) or distance > far
+        if beyond:
+            if start < 0:
+                start = column
+        elif start >= 0:
+            add_run(pixels, row.begin + count, start, column, seeded)
+            count += 1
+            start = -1
+    if start >= 0:
+        add_run(pixels, row.begin + count, start, row.width, seeded)
+        count += 1
+    pixels.num_runs[row.number] = count
 
 
 @wp.func
@@ -213,7 +367,7 @@ def root_of(parents: wp.array[int], index: int) -> int:
 
 @wp.func
 def join(parents: wp.array[int], one: int, other: int):
-    """Let two pixels have one root, the lower; also while other threads join others."""
+    """Let two runs have one root, the lower; also while other threads join others."""
     a, b = root_of(parents, one), root_of(parents, other)
     while a != b:
         low, high = wp.min(a, b), wp.max(a, b)
@@ -224,94 +378,106 @@ def join(parents: wp.array[int], one: int, other: int):
 
 
 @wp.kernel
-def join_rows(people: PeopleArrays, first: int, pixels: PixelArrays):
-    """Join marked pixels that touch those of the row above (8 neighbours); within a row they are joined."""
+def join_runs(people: PeopleArrays, first: int, pixels: PixelArrays):
+    """Join runs that touch those of the row above, at a corner at least."""
     row = row_of(people, first + wp.tid())
     if row.index == 0:
         return
-    left = bool(False)  # whether the pixel on the left is marked
-    for column in range(row.width):
-        i = row.begin + column
-        here = pixels.marks[i] != wp.uint8(0)
-        if here:
-            above = i - row.width
-            before = column > 0 and pixels.marks[above - 1] != wp.uint8(0)
-            # The pixel on the left has joined what touches both.
-            if pixels.marks[above] != wp.uint8(0):
-                if not (left and before):
-                    join(pixels.parents, above, i)
-            else:
-                if before and not left:
-                    join(pixels.parents, above - 1, i)
-                if column + 1 < row.width and pixels.marks[above + 1] != wp.uint8(0):
-                    join(pixels.parents, above + 1, i)
-        left = here
+    above = row.begin - row.width
+    k, stop = int(above), above + pixels.num_runs[row.number - 1]
+    for i in range(row.begin, row.begin + pixels.num_runs[row.number]):
+        while k < stop and pixels.stops[k] < pixels.starts[i]:
+            k += 1
+        other = int(k)
+        while other < stop and pixels.starts[other] <= pixels.stops[i]:
+            join(pixels.parents, other, i)
+            other += 1
 
 
 @wp.kernel
-def reach_seeds(people: PeopleArrays, first: int, pixels: PixelArrays):
+def reach_roots(people: PeopleArrays, first: int, pixels: PixelArrays):
     """Tell roots that a seed hangs together with them."""
     row = row_of(people, first + wp.tid())
-    told = bool(False)  # of the marked ones on end
-    for i in range(row.begin, row.begin + row.width):
-        mark = pixels.marks[i]
-        if mark == SEED and not told:
-            pixels.reached[root_of(pixels.parents, i)] = wp.uint8(1)
-        told = mark != wp.uint8(0) and (told or mark == SEED)
+    for i in range(row.begin, row.begin + pixels.num_runs[row.number]):
+        if pixels.seeded[i] != wp.uint8(0):
+            root = root_of(pixels.parents, i)
+            if root != i:
+                pixels.seeded[root] = wp.uint8(1)
+
+
+@wp.struct
+class Counts:
+    """Numbers of a group's pixels, as ``NUM_COUNTS`` has them."""
+
+    looked: int
+    within: int
+    far: int
+    farther: int
+
+
+@wp.func
+def add_counts(counts: wp.array3d[int], n: int, group: wp.uint8, found: Counts):
+    g = int(group)
+    if found.looked > 0 and g < counts.shape[1]:
+        wp.atomic_add(counts, n, g, 0, found.looked)
+        wp.atomic_add(counts, n, g, 1, found.within)
+        wp.atomic_add(counts, n, g, 2, found.far)
+        wp.atomic_add(counts, n, g, 3, found.farther)
 
 
 @wp.kernel
-def set_reached(people: PeopleArrays, group: wp.uint8, first: int, pixels: PixelArrays):
-    """Set the group of pixels that hang together with a seed."""
-    row = row_of(people, first + wp.tid())
-    root = int(-1)  # of the marked ones on end
-    for i in range(row.begin, row.begin + row.width):
-        if pixels.marks[i] == wp.uint8(0):
-            root = -1
-        else:
-            if root < 0:
-                root = root_of(pixels.parents, i)
-            if pixels.reached[root] != wp.uint8(0):
-                pixels.groups[i] = group
-
-
-@wp.kernel
-def count_own(
+def settle(
     people: PeopleArrays,
     bodies: BodyArrays,
-    pixels: PixelArrays,
+    kept: bool,
     far: wp.float64,
     farther: wp.float64,
     first: int,
-    counts: wp.array2d[int],  # (N, NUM_COUNTS)  MODIFIED
+    pixels: PixelArrays,
+    limits: wp.array2d[int],  # (N, 4) first and last row, first and last column  MODIFIED
+    counts: wp.array3d[int],  # (N, G + 1, NUM_COUNTS)  MODIFIED
 ):
-    """Measure the person's pixels."""
+    """Ignore all that is labelled but what hangs together with a seed (``kept``), or that; and measure the rest."""
     row = row_of(people, first + wp.tid())
     n = row.person
-    window_row = people.areas[n, 0] + row.index
+    window_row, area_left = people.areas[n, 0] + row.index, int(people.areas[n, 1])
+    stride = int(bodies.strides[n])
     left, right = int(-1), int(-1)
-    known, within, beyond, away = int(0), int(0), int(0), int(0)
-    counted = window_row % bodies.strides[n] == 0
+    counted = window_row % stride == 0
+    next_column = ((area_left + stride - 1) // stride) * stride - area_left  # to be counted
+    current, found = wp.uint8(255), Counts()  # group of the pixels counted last, and their numbers
+    k, last_run = row.begin - 1, row.begin + pixels.num_runs[row.number] - 1
+    start, stop, seeded = int(0), int(0), bool(False)  # of the run that is the next to end
     for column in range(row.width):
-        if pixels.groups[row.begin + column] == OWN:
-            window_column = people.areas[n, 1] + column
-            left = wp.where(left < 0, window_column, left)
-            right = window_column
-            if counted and window_column % bodies.strides[n] == 0:
-                distance = beyond_flesh(bodies, n, window_row, window_column)
-                known += 1
-                within += wp.where(distance <= wp.float64(0.0), 1, 0)
-                beyond += wp.where(distance > far, 1, 0)
-                away += wp.where(distance > farther, 1, 0)
+        group = pixels.groups[row.begin + column]
+        while column >= stop and k < last_run:
+            k += 1
+            start, stop = int(pixels.starts[k]), int(pixels.stops[k])
+            seeded = pixels.seeded[root_of(pixels.parents, k)] != wp.uint8(0)
+        if shows_part(group):
+            if (seeded and column >= start and column < stop) != kept:
+                pixels.groups[row.begin + column] = OTHERS
+            else:
+                left = wp.where(left < 0, column, left)
+                right = column
+                if counted and column == next_column:
+                    if group != current:
+                        add_counts(counts, n, current, found)
+                        current, found = group, Counts()
+                    found.looked += 1
+                    if int(group) < counts.shape[1] and bodies.complete[n, int(group)] != wp.uint8(0):
+                        distance = beyond_flesh(bodies, n, int(group), window_row, area_left + column)
+                        found.within += wp.where(distance <= wp.float64(0.0), 1, 0)
+                        found.far += wp.where(distance > far, 1, 0)
+                        found.farther += wp.where(distance > farther, 1, 0)
+        if column == next_column:
+            next_column += stride
+    add_counts(counts, n, current, found)
     if left >= 0:
-        wp.atomic_min(counts, n, 0, window_row)
-        wp.atomic_max(counts, n, 1, window_row)
-        wp.atomic_min(counts, n, 2, left)
-        wp.atomic_max(counts, n, 3, right)
-        wp.atomic_add(counts, n, 4, known)
-        wp.atomic_add(counts, n, 5, within)
-        wp.atomic_add(counts, n, 6, beyond)
-        wp.atomic_add(counts, n, 7, away)
+        wp.atomic_min(limits, n, 0, window_row)
+        wp.atomic_max(limits, n, 1, window_row)
+        wp.atomic_min(limits, n, 2, area_left + left)
+        wp.atomic_max(limits, n, 3, area_left + right)
 
 
 def gather(struct: Any, arrays: Sequence[wp.array]) -> Any:
@@ -322,30 +488,38 @@ def gather(struct: Any, arrays: Sequence[wp.array]) -> Any:
     return found
 
 
-def launch_own(people: Any, bodies: Any, pixels: Any, rows: slice) -> None:
-    """Fill groups in some of the rows of areas, those of whole people, here and below."""
-    _launch(mark_near, [people, bodies], rows, pixels)
-    _launch_reached(people, OWN, rows, pixels)
+def launch_near(people: Any, bodies: Any, pixels: Any, along: wp.array, rows: slice) -> None:
+    """Fill groups, and find runs near bones, in some of the rows of areas, those of whole people, here and below."""
+    _launch(find_near, [people, bodies, along], rows, pixels)
+    _launch_joined(people, rows, pixels)
 
 
 def launch_stray(people: Any, bodies: Any, pixels: Any, far: float, chosen: wp.array, rows: slice) -> None:
-    """Ignore what hangs together with pixels ``far`` beyond the flesh, of chosen people."""
-    _launch(mark_stray, [people, bodies, wp.float64(far), chosen], rows, pixels)
-    _launch_reached(people, OTHERS, rows, pixels)
+    """Find runs beyond the flesh of chosen groups, with seeds so ``far`` from it."""
+    _launch(find_stray, [people, bodies, wp.float64(far), chosen], rows, pixels)
+    _launch_joined(people, rows, pixels)
 
 
-def launch_counts(
-    people: Any, bodies: Any, pixels: Any, far: tuple[float, float], counts: wp.array, rows: slice
+def launch_settled(
+    people: Any,
+    bodies: Any,
+    pixels: Any,
+    kept: bool,
+    far: tuple[float, float],
+    measures: Sequence[wp.array],
+    rows: slice,
 ) -> None:
-    """Measure what is the people's own; ``counts`` begin as the largest and smallest row and column, and 0."""
-    inputs = [people, bodies, pixels, *map(wp.float64, far), rows.start, counts]
-    wp.launch(count_own, rows.stop - rows.start, inputs, device=counts.device)
+    """Keep what hangs together with seeds, or ignore it, and measure what is left in ``settle``'s limits and counts.
+
+    These begin as the largest and smallest row and column, and 0.
+    """
+    inputs = [people, bodies, kept, *map(wp.float64, far), rows.start, pixels, *measures]
+    wp.launch(settle, rows.stop - rows.start, inputs, device=pixels.groups.device)
 
 
-def _launch_reached(people: Any, group: Any, rows: slice, pixels: Any) -> None:
-    _launch(join_rows, [people], rows, pixels)
-    _launch(reach_seeds, [people], rows, pixels)
-    _launch(set_reached, [people, group], rows, pixels)
+def _launch_joined(people: Any, rows: slice, pixels: Any) -> None:
+    _launch(join_runs, [people], rows, pixels)
+    _launch(reach_roots, [people], rows, pixels)
 
 
 def _launch(kernel: wp.Kernel, inputs: list[Any], rows: slice, pixels: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,8 @@ from warp_partdr.bulk import cutting
 from warp_partdr.bulk.cutting import Cut, Cutter, one_line
 from warp_partdr.bulk.sources import KnownPerson, SourcePicture
 from warp_partdr.errors import InputError
+from warp_partdr.inputs.cut_people import CutPerson
+from warp_partdr.inputs.evidence import PicturePerson
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.lab.evaluation.partbench.samples import make_sample
@@ -53,14 +56,16 @@ def told(cut: Cut) -> dict[int, str]:
 @pytest.mark.parametrize("size", [640, 128])
 def test_people_cut_out_together_are_as_alone(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     cutter, held = Cutter(label_size=size), pictures()
-    alone: list[object] = []
-    weigh = cutting.weigh_evidence
-    monkeypatch.setattr(cutting, "weigh_evidence", lambda *given: (alone.append(given), weigh(*given))[1])
     cut = cutter.cut(held, {})
-    count = sum(len(people) for _, people in cut.people)
-    assert 2 < len(alone) < 0.6 * count  # the others together
-    # One at a time, and where nobody can be cut out with others.
-    monkeypatch.setattr(cutting, "cut_labels", lambda *_: (_ for _ in ()).throw(MemoryError("no memory")))
+    together = cutting.cut_out_people
+
+    def failing(people: Sequence[PicturePerson], *given: object) -> list[CutPerson | InputError]:
+        """As if memory held one person."""
+        if len(people) > 1:
+            raise MemoryError("no memory")
+        return together(people, *given)
+
+    monkeypatch.setattr(cutting, "cut_out_people", failing)
     same = cutter.cut(held, {})
     assert told(cut) == told(same)
     kinds = [(people.skeleton, people.observations.labels is None) for _, people in cut.people]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,29 +13,28 @@ import torch
 from helpers.example import example_keypoints, example_parts
 from PIL import Image
 
-from warp_partdr.body.labels import BACKGROUND, IGNORE, LabelSet, label_set
+from warp_partdr.body.labels import BACKGROUND, IGNORE, label_set
 from warp_partdr.body.landmarks import mirror_name
+from warp_partdr.body.skeletons import Skeleton
 from warp_partdr.cameras import Crop
-from warp_partdr.inputs.agreement import (
-    Agreement,
-    Flesh,
-    compare_sides,
-    count_sides,
-    disagreement,
-    disagreement_of,
-    glance,
-    places_along,
-    segments_of_parts,
+from warp_partdr.inputs.body_lines import flesh_of, segments_of_parts
+from warp_partdr.inputs.cut_out import cut_out_people
+from warp_partdr.inputs.cut_people import CutPerson
+from warp_partdr.inputs.evidence import (
+    Evidence,
+    PicturePerson,
+    WeighedPeople,
+    are_swapped,
+    disagreements,
+    weigh_evidence,
+    weigh_people,
 )
-from warp_partdr.inputs.evidence import WINDOW_SIDE, Evidence, weigh_evidence
-from warp_partdr.inputs.ignored_labels import ignore_stray_labels
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, choose_person, person_height
-from warp_partdr.inputs.labelled_people import LabelledPerson, cut_labels
-from warp_partdr.inputs.masked_people import MaskedPerson, cut_masks
 from warp_partdr.inputs.observation import crop_evidence, resize_nearest
+from warp_partdr.inputs.own_pixels import CPU, WINDOW_SIDE, Mask, OwnPixels, Windows, select_person
 from warp_partdr.inputs.part_labels import PartLabels, read_parts
-from warp_partdr.inputs.selection import select_person
+from warp_partdr.interop.streams import on_torch_stream
 from warp_partdr.lab.evaluation.partbench.samples import make_sample
 from warp_partdr.results.overlays import draw_overlay
 from warp_partdr.results.save import save_fit, score_labels
@@ -102,12 +102,22 @@ def with_blob() -> tuple[np.ndarray, np.ndarray]:
     return painted(example()[1], mask, group("torso")).groups, mask
 
 
-def ignored(groups: np.ndarray, keypoints: Keypoints2D) -> tuple[np.ndarray, set[str]]:
-    return ignore_stray_labels(groups, keypoints, CDCL, glance(groups, keypoints, CDCL))
+def ignored(groups: np.ndarray, keypoints: Keypoints2D) -> tuple[np.ndarray, bool]:
+    """Group ids without stray ones, and if there are any."""
+    evidence = weigh_evidence(keypoints, PartLabels(CDCL, groups))[0]
+    return evidence.groups, any("far from any such bone" in text for text in evidence.warnings)
 
 
-def measured(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> float:
-    return disagreement(compare_sides(groups, keypoints, labels), glance(groups, keypoints, labels))
+def weighed(person: Person, others: Sequence[Keypoints2D] = ()) -> WeighedPeople:
+    with on_torch_stream(CPU):
+        return weigh_people([PicturePerson(*person, others)], CPU)
+
+
+def measured(person: Person, others: Sequence[Keypoints2D] = ()) -> float:
+    """Disagreement of labels and keypoints."""
+    found = weighed(person, others)
+    known = np.where(found.measures.complete, found.measures.looked, 0).sum(axis=1)
+    return float(disagreements(found.pixels.sides(), known, found.measures.far.sum(axis=1))[0])
 
 
 def part_f1(result: FitResult, person: Person) -> float:
@@ -138,28 +148,27 @@ def test_people_with_contradictions_end_where_they_do_without(name: str, request
 
 
 def test_flesh_is_about_all_segments_of_a_group() -> None:
-    """It is around its own parts and their mirror images. Where less is asked, no less is told."""
-    keypoints, parts = example()
-    seen = glance(parts.groups, keypoints, CDCL)
-    sure = np.flatnonzero(keypoints.confident).tolist()
-    found = segments_of_parts({keypoints.format.landmarks[joint]: keypoints.points[joint] for joint in sure})
-    groups = seen.groups.repeat(seen.sizes)
-    expected = np.full(len(groups), np.inf)
-    for name, own in CDCL.groups.items():
-        mine = groups == CDCL.group_names.index(name) + 1
-        places = np.stack([seen.columns[mine], seen.rows[mine]], axis=1) + 0.5
-        for start, end, radius in (each for part in own for side in (part, mirror_name(part)) for each in found[side]):
-            way = (end - start).astype(np.float64)
-            share = np.clip(((places - start) @ way) / max(way @ way, 1e-12), 0.0, 1.0)[:, None]
-            beyond = np.linalg.norm(places - start - share * way, axis=1) / person_height(keypoints) - radius
-            expected[mine] = np.minimum(expected[mine], beyond)
-    assert seen.sizes.sum() == seen.labelled == len(seen.distances)
-    np.testing.assert_allclose(seen.distances, expected, atol=1e-6)
-    heights = np.full(len(groups), person_height(keypoints))
-    enough = float(np.median(seen.distances))
-    told = Flesh.of([keypoints], [CDCL]).distances(groups, seen.columns + 0.5, seen.rows + 0.5, heights, enough=enough)
-    np.testing.assert_array_equal(told[told > enough], seen.distances[seen.distances > enough])
-    assert (told > seen.distances).any()
+    """Of its own parts and of their mirror images; of a group whose keypoints are not all known, nothing is."""
+    keypoints, _ = example()
+    names = keypoints.format.landmarks
+    confidence = np.where(np.arange(len(names)) == names.index("left_knee"), 0, keypoints.confidence)
+    flesh = flesh_of(keypoints.skeleton, keypoints.points[None], confidence[None], CDCL)
+    found = segments_of_parts({name: name for name in names})
+    for number, own in enumerate(CDCL.groups.values(), start=1):
+        every = {each for part in own for side in (part, mirror_name(part)) for each in found[side]}
+        rows = flesh.lines[0, flesh.firsts[number] : flesh.firsts[number + 1]]
+        assert len(rows) == len(every)
+        missing = any("left_knee" in each for each in every)
+        assert flesh.complete[0, number] == (not missing)
+        expected = sorted(
+            (*keypoints.points[names.index(start)].tolist(), *keypoints.points[names.index(end)].tolist(), radius)
+            for start, end, radius in every
+            if "left_knee" not in (start, end)
+        )
+        there = rows[rows[:, 5] >= 0]
+        ends = np.concatenate([there[:, :2], there[:, :2] + there[:, 2:4], there[:, 5:]], axis=1)
+        np.testing.assert_allclose(sorted(map(tuple, ends.tolist())), expected, atol=1e-4)
+        np.testing.assert_allclose(there[:, 4], np.maximum((there[:, 2:4] ** 2).sum(axis=1), 1e-12), rtol=1e-6)
 
 
 def test_limbs_are_as_thick_as_people_s() -> None:
@@ -177,40 +186,50 @@ def test_limbs_are_as_thick_as_people_s() -> None:
 
 def test_sides_are_compared_along_the_bones() -> None:
     keypoints, parts = example()
-    for limb, found in compare_sides(parts.groups, keypoints, CDCL).items():
-        assert found.own > 150, limb
-        assert found.mirrored == 0
-        assert not found.swapped
-    assert all(found.swapped for found in compare_sides(mirrored_labels(parts).groups, keypoints, CDCL).values())
+    sides = weighed((keypoints, parts)).pixels.sides()[0]
+    assert (sides[:, 0] > 150).all()
+    assert not sides[:, 1].any()
+    assert not are_swapped(sides).any()
+    assert are_swapped(weighed((keypoints, mirrored_labels(parts))).pixels.sides()).all()
 
 
 def test_samples_along_a_bone_are_those_of_the_pixels_that_it_runs_over() -> None:
-    rows, columns = places_along(np.array([[0.9, 1.9]]), np.array([[2.9, 1.9]]), samples=3)
-    assert rows.tolist() == [[1, 1, 1]]
-    assert columns.tolist() == [[0, 1, 2]]
-    shown, inside = np.array([[1, 1, 2, BACKGROUND, IGNORE, 3, 3]]), np.array([[1, 1, 1, 1, 1, 1, 0]], dtype=bool)
-    assert count_sides(shown, inside, np.array([1]), np.array([2])).tolist() == [[2, 1, 1]]
+    """48 along the middle 80 % of an upper arm; neither background nor ignored pixels nor those beyond count."""
+    names = ("left_shoulder", "left_elbow")
+    form = Skeleton("arm", names, names, ((0, 1),), (0, 1), 2)
+    groups = np.full((12, 50), group("left_upper_arm"), dtype=np.uint8)
+    groups[:, 20:26], groups[:, 26:30], groups[:, 30:34] = group("right_upper_arm"), group("torso"), IGNORE
+    groups[:, 34:37] = BACKGROUND
+    points, confidence = np.float32([[[10, 5.5], [58, 5.5]]]), np.ones((1, 2), np.float32)
+    windows = Windows.of(form, points, confidence, np.array([groups.shape]))
+    with on_torch_stream(CPU):
+        sides = OwnPixels([groups], windows, CPU, labels=CDCL, known=groups).sides()
+    columns = np.floor(10 + 48 * np.linspace(0.1, 0.9, 48)).astype(int)
+    shown = groups[5, columns[columns < 50]]
+    expected = [np.count_nonzero(shown == group(each)) for each in ("left_upper_arm", "right_upper_arm", "torso")]
+    assert min(expected) > 2
+    assert sides.tolist() == [[expected, [0, 0, 0]]]
 
 
 def test_disagreement_needs_many_samples_or_pixels_far_away() -> None:
     few, many = np.array([[[0, 0, 30], [0, 0, 17]]]), np.array([[[24, 0, 0], [0, 0, 24]]])
-    assert disagreement_of(few, np.array([100]), np.array([0])).tolist() == [0.0]
-    assert disagreement_of(many, np.array([100]), np.array([0])).tolist() == [0.5]
-    assert disagreement_of(few, np.array([100]), np.array([25])).tolist() == [1.0]
+    assert disagreements(few, np.array([100]), np.array([0])).tolist() == [0.0]
+    assert disagreements(many, np.array([100]), np.array([0])).tolist() == [0.5]
+    assert disagreements(few, np.array([100]), np.array([25])).tolist() == [1.0]
 
 
 @pytest.mark.parametrize(
     ("own", "mirrored", "swapped"), [(0, 24, True), (0, 23, False), (25, 75, True), (26, 75, False), (100, 100, False)]
 )
 def test_legs_of_which_one_hides_the_other_are_not_exchanged(own: int, mirrored: int, swapped: bool) -> None:
-    assert Agreement(own, mirrored, other=50).swapped == swapped
+    assert are_swapped(np.array([own, mirrored, 50])) == swapped
 
 
 def test_a_set_without_sides_has_none_to_compare() -> None:
     keypoints, parts = example()
     pascal = label_set("pascal6")
     groups = pascal.from_parts(np.where(parts.groups > 0, 10, 0))
-    assert compare_sides(groups, keypoints, pascal) == {}
+    assert not weighed((keypoints, PartLabels(pascal, groups))).pixels.sides().any()
     assert len(weigh_evidence(keypoints, PartLabels(pascal, groups))) == 1
 
 
@@ -271,14 +290,14 @@ def test_the_wrong_one_is_mended_whichever_it_is(start: str) -> None:
 def test_a_blob_far_from_its_bones_is_ignored_and_the_part_itself_is_not() -> None:
     keypoints, parts = example()
     groups, mask = with_blob()
-    cleaned, names = ignored(groups, keypoints)
-    assert names == {"torso"}
+    cleaned, stray = ignored(groups, keypoints)
+    assert stray
     (seen,) = weigh_evidence(keypoints, replace(parts, groups=groups))
     assert seen.warnings == ("labels: torso also far from any such bone; ignored there",)
     assert (cleaned[mask] == IGNORE).mean() > 0.9
     assert (cleaned[~mask] == parts.groups[~mask]).all()
-    cleaned, names = ignored(parts.groups, keypoints)  # where nothing is wrong
-    assert names == set()
+    cleaned, stray = ignored(parts.groups, keypoints)  # where nothing is wrong
+    assert not stray
     np.testing.assert_array_equal(cleaned, parts.groups)
 
 
@@ -288,9 +307,9 @@ def test_a_part_whose_keypoints_are_missing_or_in_doubt_has_no_blob() -> None:
     for joint in ("left_hip", "right_shoulder"):
         confidence = keypoints.confidence.copy()
         confidence[keypoints.format.landmarks.index(joint)] = 0.1
-        assert ignored(groups, replace(keypoints, confidence=confidence))[1] == set()
+        assert not ignored(groups, replace(keypoints, confidence=confidence))[1]
     groups[~mask & (parts.groups == group("torso"))] = BACKGROUND  # all of the part is elsewhere
-    assert ignored(groups, keypoints)[1] == set()
+    assert not ignored(groups, keypoints)[1]
 
 
 # --- Other ids -------------------------------------------------------------------------------------------------------
@@ -302,15 +321,14 @@ def test_labels_of_another_set_are_told() -> None:
     for name in ("sapiens28", "atr18"):
         other = label_set(name)
         contrary = PartLabels(other, other.to_groups(ids))
-        assert measured(select_person(contrary.groups, keypoints), keypoints, other) > 1.0
+        assert measured((keypoints, contrary)) > 1.0
         assert any(f"are these ids of {name}?" in text for text in weigh_evidence(keypoints, contrary)[0].warnings)
 
 
 def test_people_with_noise_are_not_told_that_their_labels_are_others() -> None:
     for index in range(20):
         sample = make_sample(index, "realistic")
-        selected = select_person(sample.parts.groups, sample.keypoints, sample.others)
-        assert measured(selected, sample.keypoints, CDCL) < 0.9
+        assert measured((sample.keypoints, sample.parts), sample.others) < 0.9
 
 
 def test_an_implausible_end_is_told() -> None:
@@ -345,12 +363,13 @@ def test_keypoints_that_tell_no_pose_are_a_warning(points: list[list[float]], to
     assert weigh_evidence(keypoints)[0].warnings == warnings
     everywhere = PartLabels(label_set("full1"), np.ones(parts.groups.shape, np.uint8))
     assert weigh_evidence(keypoints, everywhere)[0].warnings[: len(warnings)] == warnings
-    owners = torch.ones(parts.groups.shape, dtype=torch.int32)
-    ((evidence, _, _),) = cut_masks([MaskedPerson(keypoints, owners, 1)], "cpu")
-    assert evidence.warnings[: len(warnings)] == warnings
-    cut = cut_labels([LabelledPerson(replace(known, warnings=("keypoints: odd",)), parts)])[0]
-    assert cut is not None
-    assert cut[0].warnings == ("keypoints: odd",)
+    mask = Mask(torch.ones(parts.groups.shape, dtype=torch.int32), 1)
+    odd = PicturePerson(replace(known, warnings=("keypoints: odd",)), parts)
+    many = [PicturePerson(keypoints), PicturePerson(keypoints, mask), PicturePerson(keypoints, everywhere), odd]
+    cut = cut_out_people(many, "cpu")
+    for person, expected in zip(cut, (*[warnings] * 3, ("keypoints: odd",)), strict=True):
+        assert isinstance(person, CutPerson)
+        assert person.evidence.warnings[: len(expected)] == expected
 
 
 # --- Large pictures --------------------------------------------------------------------------------------------------

@@ -13,9 +13,9 @@ from helpers.quick import QUICK_SEARCH
 from warp_partdr.body.labels import BACKGROUND, IGNORE
 from warp_partdr.body.landmarks import annotated
 from warp_partdr.body.template import PART_NAMES, THICKNESS_NAMES, template
-from warp_partdr.inputs.ignored_labels import ignore_missing_limbs
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import observe
+from warp_partdr.inputs.own_pixels import ignore_missing_limbs
 from warp_partdr.solve.ellipsoids.fitting import fit_body
 
 LIMBS = {"upper_arm": "elbow", "forearm": "wrist", "upper_leg": "knee", "lower_leg": "ankle"}  # and where they end

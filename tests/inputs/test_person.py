@@ -8,27 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.cuts import seen_body
 
 from warp_partdr.body.labels import IGNORE, label_set
 from warp_partdr.body.skeletons import SKELETONS
 from warp_partdr.errors import InputError
-from warp_partdr.inputs.connected_pixels import connected
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, choose_person, person_height
+from warp_partdr.inputs.own_pixels import Windows, select_person
 from warp_partdr.inputs.part_labels import PartLabels, check_sizes, read_parts, read_photo
-from warp_partdr.inputs.person import (
-    LOOSE_REACH,
-    MIN_SEED_RADIUS,
-    REACH,
-    SEED_RADIUS,
-    crop_keypoints,
-    crop_nearest,
-    loose_ends,
-    person_crop,
-    person_labels,
-)
-from warp_partdr.inputs.selection import Areas, PeopleBones, is_labelled, select_person
+from warp_partdr.inputs.person import crop_nearest, is_labelled, person_crop, person_labels
+from warp_partdr.reference.own_pixels import own_pixels
 
 PHOTOS = ("000000032081", "000000203864", "000000468632")
 
@@ -127,24 +118,6 @@ def test_background_and_what_is_ignored_are_no_part():
     assert is_labelled(np.array([0, 1, 254, IGNORE], dtype=np.uint8)).tolist() == [False, True, True, False]
 
 
-def test_pixels_beside_the_bones_of_a_tiny_person_are_theirs():
-    """A person 3 px tall, of whom a pixel is a third."""
-    (tiny, tall) = (PeopleBones.of([standing(height=height)], [[]]).reach[0] for height in (3, 300))
-    assert tiny == MIN_SEED_RADIUS
-    assert tall == pytest.approx(REACH * person_height(standing(height=300)))
-
-
-def test_beyond_an_area_nobody_is_labelled():
-    picture = np.zeros((6, 9), dtype=np.uint8)
-    picture[2:5, 3:7] = 7
-    areas = Areas.of([picture], np.array([[0.0, 0.0, 9.0, 6.0]]))
-    rows, columns = np.indices((20, 20)) - 5
-    found = areas.at(np.zeros((20, 20), dtype=np.int64), rows, columns)
-    expected = np.zeros((20, 20))
-    expected[7:10, 8:12] = 7
-    np.testing.assert_array_equal(found, expected)
-
-
 def test_select_person_ignores_others_and_blobs() -> None:
     me, other = standing(100), standing(300)
     size = (230, 400)
@@ -234,18 +207,19 @@ def test_crop_beyond_the_picture_is_ignored() -> None:
     assert crop_nearest(groups, (0, 0, 4, 3), (1, 1)).item() == groups[1, 2]  # The one at the box's centre.
 
 
-def test_keypoints_and_labels_crop_alike() -> None:
+def test_keypoints_and_labels_are_seen_alike_in_a_window() -> None:
     me = without(standing(100), [3])
     groups = np.zeros((230, 200), dtype=np.uint8)
     for joint, (x, y) in enumerate(me.points):
         groups[int(y), int(x)] = joint + 1
-    box, size = (20, -30, 180, 240), (540, 320)  # Twice as large.
-    cropped = crop_keypoints(me, box, size)
-    labels = crop_nearest(groups, box, size)
-    seen = [int(labels[int(y), int(x)]) - 1 for x, y in cropped.points[cropped.visible]]
+    box, size = (20, -30, 180, 240), (540, 320)  # twice as large
+    one = "coco17", me.points[None], me.confidence[None]
+    windows = Windows.at(*one, np.array([[20.0, -30.0]]), np.array([2.0]), np.array([size]))
+    (points,), labels = windows.points, crop_nearest(groups, box, size)
+    seen = [int(labels[int(y), int(x)]) - 1 for x, y in points[me.visible]]
     assert seen == [joint for joint in range(17) if joint != 3]
-    assert not cropped.points[3].any()
-    assert person_height(cropped) == pytest.approx(2 * person_height(me), rel=1e-5)
+    assert not points[3].any()
+    assert windows.heights[0] == pytest.approx(2 * person_height(me), rel=1e-5)
 
 
 def test_the_box_holds_the_labels_and_the_margin_and_no_more():
@@ -259,22 +233,9 @@ def test_the_box_holds_the_labels_and_the_margin_and_no_more():
     assert person_crop(keypoints, groups, margin=0.0) == (2, 5, 12, 25)
 
 
-def bone_distances(keypoints: Keypoints2D, v: np.ndarray, u: np.ndarray, reach: float) -> np.ndarray:
-    """Distances of places to the nearest bone or lonely keypoint, inf beyond ``reach``."""
-    sure = np.flatnonzero(keypoints.confident).tolist()
-    bones = [edge for edge in keypoints.format.edges if edge[0] in sure and edge[1] in sure]
-    found = np.full(len(u), np.inf)
-    for one, other in [*bones, *((joint, joint) for joint in sure if joint not in np.array(bones))]:
-        (x0, y0), (x1, y1) = keypoints.points[[one, other]].astype(np.float64)
-        squared = max((x1 - x0) ** 2 + (y1 - y0) ** 2, 1e-12)
-        share = np.clip(((u - x0) * (x1 - x0) + (v - y0) * (y1 - y0)) / squared, 0, 1)
-        found = np.minimum(found, np.hypot(u - x0 - share * (x1 - x0), v - y0 - share * (y1 - y0)))
-    return np.where(found <= reach, found, np.inf)
-
-
 @pytest.mark.parametrize("others", [0, 1, 2])
-def test_blocks_of_pixels_are_judged_as_each_pixel_is(rng: np.random.Generator, others: int) -> None:
-    """The rule is applied pixel by pixel. There are many blobs, so that borders lie everywhere."""
+def test_stretches_of_pixels_are_judged_as_each_pixel_is(rng: np.random.Generator, others: int) -> None:
+    """Against the formula book; many blobs, so that borders lie everywhere."""
     differ = 0
     for _ in range(12):
         size = rng.integers(60, 200, 2)
@@ -286,22 +247,9 @@ def test_blocks_of_pixels_are_judged_as_each_pixel_is(rng: np.random.Generator, 
             confidence = (rng.random(17) < 0.8).astype(np.float32)
             people.append(Keypoints2D("coco17", points * (confidence[:, None] > 0), confidence))
         keypoints, *rest = people
-        height = person_height(keypoints)
-        reach = max(REACH * height, MIN_SEED_RADIUS)
-        rows, columns = np.indices(groups.shape).reshape(2, -1)
-        distances, *theirs = (bone_distances(each, rows + 0.5, columns + 0.5, reach) for each in people)
-        near = np.isfinite(distances)
-        loose = keypoints.points[loose_ends("coco17", keypoints.confident[None])[0]].astype(np.float64)
-        for x, y in loose:
-            near |= (columns + 0.5 - x) ** 2 + (rows + 0.5 - y) ** 2 <= (LOOSE_REACH * height) ** 2
-        for other in theirs:
-            near &= distances <= other
-        seeds = distances <= max(SEED_RADIUS * height, MIN_SEED_RADIUS)
-        labelled = groups > 0
-        assert (seeds.reshape(groups.shape) & labelled).any()
-        near = near.reshape(groups.shape) & labelled
-        kept = connected(near, near & seeds.reshape(groups.shape))
-        expected = np.where(labelled & ~kept, IGNORE, groups)
+        body = seen_body(keypoints, label_set("full1"), rest)
+        expected, along = own_pixels(groups, body)
+        assert along
         np.testing.assert_array_equal(select_person(groups, keypoints, rest), expected)
-        differ += int((expected != groups).any() and kept.any())
+        differ += int((expected != groups).any() and ((expected > 0) & (expected < IGNORE)).any())
     assert differ > 6

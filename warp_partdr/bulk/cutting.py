@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -11,13 +11,11 @@ import numpy as np
 from ..body.skeletons import Skeleton, skeleton
 from ..cameras import Perspective, UsualLens
 from ..errors import InputError
+from ..inputs.cut_out import cut_out_people
 from ..inputs.cut_people import CutPeople, CutPerson, stack_alike
-from ..inputs.evidence import weigh_evidence
-from ..inputs.keypoints import Keypoints2D, measure_heights
-from ..inputs.labelled_people import LabelledPerson, cut_labels
-from ..inputs.masked_people import MaskedPerson, cut_masks
-from ..inputs.observation import LABEL_SIZE, crop_evidence
-from ..inputs.part_labels import PartLabels
+from ..inputs.evidence import PicturePerson
+from ..inputs.observation import LABEL_SIZE
+from ..inputs.own_pixels import Mask
 from ..inputs.person import check_inside
 from ..networks.detection.person import SKELETON
 from .outages import PassingError, is_passing
@@ -77,12 +75,8 @@ class Cutter:
     def cut(self, held: Sequence[Held], found: Mapping[int, Read]) -> Cut:
         """Cut people out; ``found`` are pictures with the people who were found in them, by their place."""
         rows: list[Row] = []
-        cut: list[tuple[int, CutPerson]] = []
-        masked: list[tuple[int, MaskedPerson]] = []
-        labelled: list[tuple[int, LabelledPerson]] = []
+        people: list[tuple[int, PicturePerson]] = []
         sources = [found.get(index, seen) for index, (_, seen) in enumerate(held)]
-        known_parts = [known for known in sources if isinstance(known, SourcePicture) and known.parts is not None]
-        measure_heights([each.keypoints for known in known_parts for each in known.people or ()])
         for index, ((name, seen), known) in enumerate(zip(held, sources, strict=True)):
             row: Row = {"picture": name}
             if isinstance(seen, SourcePicture):
@@ -111,31 +105,19 @@ class Cutter:
                 try:
                     if index not in found:
                         check_inside(person.keypoints, (row["height"], row["width"]))
-                    if known.parts is not None:
-                        others = [each.keypoints for each in known.people if each is not person]
-                        labelled.append((len(rows) - 1, LabelledPerson(person.keypoints, known.parts, others, camera)))
-                    elif known.owners is not None:
-                        masked.append((len(rows) - 1, MaskedPerson(person.keypoints, known.owners, number + 1, camera)))
-                    else:
-                        cut.append((len(rows) - 1, self._cut_alone(person.keypoints, None, (), camera)))
+                    people.append((len(rows) - 1, _picture_person(known, number, camera)))
                 except FAULTS as error:
                     rows[-1] |= _fault(error)
             for number, fault in enumerate(known.faults, start=len(known.people)):
                 wrong = {"person": number, "annotation": fault.annotation, "error": one_line(InputError(fault.error))}
                 rows.append(row | wrong)
-        for own, some in attempt(_cut_masked, [person for _, person in masked]):
-            row_indices = [number for number, _ in masked[own]]
-            if isinstance(some, Exception):
-                rows[row_indices[0]] |= _fault(some)
-            else:
-                cut += zip(row_indices, some, strict=True)
-        together = self._cut_labelled([each for _, each in labelled])
-        for (number, alone), cut_person in zip(labelled, together, strict=True):
-            try:
-                cut.append((number, cut_person or self._cut_alone(*alone)))
-            except FAULTS as error:
-                rows[number] |= _fault(error)
-        cut.sort(key=lambda each: each[0])
+        cut: list[tuple[int, CutPerson]] = []
+        for own, some in attempt(self._cut_out, [person for _, person in people]):
+            for (number, _), each in zip(people[own], [some] if isinstance(some, Exception) else some, strict=True):
+                if isinstance(each, Exception):
+                    rows[number] |= _fault(each)
+                else:
+                    cut.append((number, each))
         numbers = np.array([number for number, _ in cut])
         groups = stack_alike([person for _, person in cut])
         return Cut(
@@ -144,29 +126,27 @@ class Cutter:
             [(numbers[row_indices], people) for row_indices, people in groups],
         )
 
-    def _cut_labelled(self, people: Sequence[LabelledPerson]) -> list[CutPerson | None]:
-        """People of labels, cut out together; None of those who are to be cut out alone."""
-        try:
-            return [None if each is None else CutPerson(*each) for each in cut_labels(people, self.label_size)]
-        except FAULTS:  # alone each tells what is wrong with it
-            return [None] * len(people)
-
-    def _cut_alone(
-        self,
-        keypoints: Keypoints2D,
-        parts: PartLabels | None,
-        others: Sequence[Keypoints2D],
-        camera: Perspective | None,
-    ) -> CutPerson:
-        evidence = weigh_evidence(keypoints, parts, others)[0]
-        observation, crop = crop_evidence(evidence, camera=camera, label_size=self.label_size)
-        slim = replace(evidence, picture=None, groups=None)  # else each would hold labels of a whole picture
-        return CutPerson(slim, observation, crop)
+    def _cut_out(self, people: Sequence[PicturePerson]) -> list[CutPerson | InputError]:
+        """Cut people out: those of masks at full size on the device that holds these, the others on the CPU."""
+        found: dict[int, CutPerson | InputError] = {}
+        masks = {place: each.pixels for place, each in enumerate(people) if isinstance(each.pixels, Mask)}
+        if masks:
+            device = next(iter(masks.values())).owners.device
+            found |= zip(masks, cut_out_people([people[place] for place in masks], device), strict=True)
+        rest = [place for place in range(len(people)) if place not in masks]
+        found |= zip(rest, cut_out_people([people[place] for place in rest], "cpu", self.label_size), strict=True)
+        return [found[place] for place in range(len(people))]
 
 
-def _cut_masked(people: Sequence[MaskedPerson]) -> list[CutPerson]:
-    """People of masks that are all on one device, where they are cut out, too."""
-    return [CutPerson(*each) for each in cut_masks(people, people[0].owners.device)]
+def _picture_person(known: SourcePicture, number: int, camera: Perspective | None) -> PicturePerson:
+    """One of the people of a picture, with its labels or masks."""
+    assert known.people is not None
+    keypoints = [each.keypoints for each in known.people]
+    if known.parts is not None:
+        others = [*keypoints[:number], *keypoints[number + 1 :]]
+        return PicturePerson(keypoints[number], known.parts, others, camera)
+    mask = None if known.owners is None else Mask(known.owners, number + 1)
+    return PicturePerson(keypoints[number], mask, camera=camera)
 
 
 def read_picture(source: PictureSource, name: str) -> Read:

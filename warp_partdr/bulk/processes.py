@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from itertools import islice
 
 import numpy as np
+import warp as wp
 from torch.utils.data import DataLoader, Dataset
 
 from ..errors import InputError, cause
+from ..interop.devices import without_driver_warning
+from ..kernels.launch import set_num_threads
 from .cutting import Cut, Cutter, Held, read_picture
 from .sources import PictureSource, SourcePicture
 
@@ -61,7 +65,7 @@ def read_in_processes(
         batch_size=None,
         num_workers=processes,
         collate_fn=_as_it_is,
-        worker_init_fn=_keep_memory,
+        worker_init_fn=_prepare,
         multiprocessing_context=_context(),
     )
     read = iter(loader)
@@ -82,11 +86,17 @@ def _context() -> multiprocessing.context.BaseContext:
     return context
 
 
-def _keep_memory(process: int) -> None:
-    """Let the C library keep the memory that is freed, for what is taken anew from the system is cleared each time.
+def _prepare(process: int) -> None:
+    """Let a process take one core for Warp's kernels, as torch does, and keep its memory.
 
-    glibc keeps twice as much as the largest piece that was freed; others do as they do.
+    The C library keeps what is freed, for what is taken anew from the system is cleared each time: glibc twice as much
+    as the largest piece that was freed; others do as they do.
     """
+    os.environ["CUDA_VISIBLE_DEVICES"] = ""  # else each would take some of the GPU's memory
+    wp.config.log_level = wp.LOG_WARNING
+    with without_driver_warning():
+        wp.init()
+    set_num_threads(1)
     np.empty(_LARGEST_PIECE, dtype=np.uint8)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from ..body.labels import label_set
 from ..body.template import PART_NAMES
 from ..errors import InputError
-from ..inputs.agreement import LIMBS
+from ..inputs.body_lines import LIMBS
 from .histograms import Histogram
 from .reading import Address, PeopleFiles
 from .rows import UNREAD

@@ -14,7 +14,7 @@ def load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> None
     """Compile a fit's kernels, or load them: later, one of its stages would seem to take so long."""
     import warp as wp
 
-    from ..kernels import kinematics, labels
+    from ..kernels import kinematics, labels, own_pixels, own_targets
     from ..kernels.ellipsoids import picture, silhouette
     from ..kernels.mesh import label_borders, push_xy, push_z, rasterize, resolve
     from ..kernels.refine import state
@@ -32,6 +32,8 @@ def load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> None
         modules += [f"warp_partdr.kernels.ellipsoids.{gradient}" for gradient in gradients]
     for module in modules:
         wp.load_module(module, device=device)
+    for module in (own_pixels, own_targets) if with_labels else ():  # a single person is cut out on the CPU
+        wp.load_module(module, device="cpu")
 
 
 def load_mesh_kernels(device: str) -> None:

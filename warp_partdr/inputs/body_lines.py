@@ -1,77 +1,119 @@
 """Bones, flesh and limbs of many people by their keypoints, as arrays for kernels.
 
-All people have one skeleton. Lines that are there stand first in each person's row; how many they are stands beside.
+All people have one skeleton. Bones that are there stand first in each person's row; how many they are stands beside.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ..body.landmarks import without_side
+from ..body.labels import LabelSet
+from ..body.landmarks import mirror_name, without_side
 from ..body.skeletons import Skeleton, skeleton
-from .agreement import limbs_between, segments_of_parts
-from .ignored_labels import limb_extent
-from .keypoints import confident, person_heights
+from ..body.template import JOINT_NAMES, MEAN_STATURE, PARENTS, PART_NAMES, SHAPE_INDICES, template
+from .keypoints import confident
 from .person import LOOSE_REACH, MIN_SEED_RADIUS, REACH, SEED_RADIUS, loose_ends
 
+LIMBS: dict[str, tuple[str, ...]] = {
+    "arms": ("upper_arm", "forearm", "hand"),
+    "legs": ("upper_leg", "lower_leg", "foot"),
+}
+
+# Shares of the person's height.
+_TRUNK = 0.06  # radius of flesh about the lines between shoulders and hips
+_HEAD = 0.16  # radius of a head and its hair about any point of the face
+_ENDS = {"hand": ("wrist", 0.11), "foot": ("ankle", 0.15)}  # their lengths, any way from the joint
+_MARGIN = 0.01  # about how far keypoints are off
+
+_FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear", "head", "head_top")
+_CORNERS = ("left_shoulder", "right_hip", "right_shoulder", "left_hip")
+
 _SHORTEST = 1e-12  # [px^2], of a line's square
+_SLACK = 1.0  # [px], more than the rounding of a distance
+
+Segment = tuple[str, str, float]  # landmarks at both ends, and a radius as a share of the person's height
+Place = TypeVar("Place")
 
 
 @dataclass(frozen=True)
-class BodyLines:
-    """Lines of N people, and their numbers.
+class Bones:
+    """Bones of N people, and of others beside them.
 
     Attributes:
-        heights: Of the people [px], shape (N,).
-        bones: Between confident keypoints, and points that must be near, shape (N, S, 7), float32: start (x, y), way to
-            the end, its square, squared distance up to which pixels are near, distance up to which they are seeds.
-        num_bones: Shape (N,), int32.
-        flesh: Segments near which the parts are, shape (N, F, 6): the same first five, then the flesh's radius as a
-            share of the height.
-        num_flesh: Shape (N,); 0 where keypoints of a part are missing.
-        limbs: Bones of limbs, shape (N, L, 4): start and way to the end.
-        around: What is ignored about them where they are missing, shape (N, L, 7), float32, as ``bones``.
-        num_limbs: Shape (N,).
+        reaches: Distances [px] from bones and from loose ends, beyond which nothing is a person's, and that of what is
+            along bones, shape (N, 3).
+        lines: Between confident keypoints, and points that must be near, as ``kernels.own_pixels.Bone``, shape
+            (N, S, 12).
+        counts: Numbers of those that are there, shape (N,), int32.
+        theirs: Bones of others who come near, one person's after another's, likewise, shape (T, 12).
+        first_theirs: The first of each person, and their number in all, shape (N + 1,), int32.
     """
 
-    heights: np.ndarray
-    bones: np.ndarray
-    num_bones: np.ndarray
-    flesh: np.ndarray
-    num_flesh: np.ndarray
-    limbs: np.ndarray
+    reaches: np.ndarray
+    lines: np.ndarray
+    counts: np.ndarray
+    theirs: np.ndarray
+    first_theirs: np.ndarray
+
+
+@dataclass(frozen=True)
+class Flesh:
+    """Segments near which the groups of N people may be.
+
+    Attributes:
+        lines: Start, way to the end, its square and the flesh's radius as a share of the height, -1 where an end is
+            missing, one group's after another's, shape (N, F, 6).
+        firsts: First segment of each group from 0 on, and their number, shape (G + 2,), int32.
+        complete: 1 for groups whose keypoints are all known, shape (N, G + 1), uint8.
+    """
+
+    lines: np.ndarray
+    firsts: np.ndarray
+    complete: np.ndarray
+
+
+@dataclass(frozen=True)
+class Limbs:
+    """Bones of limbs of N people.
+
+    Attributes:
+        lines: Start and way to the end, shape (N, L, 4).
+        around: What is ignored about them where they are missing, shape (N, L, 6), float32: the same, the square of the
+            way, and a squared distance.
+        there: 1 where both ends are known, shape (N, L), uint8.
+    """
+
+    lines: np.ndarray
     around: np.ndarray
-    num_limbs: np.ndarray
+    there: np.ndarray
 
 
-def body_lines(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray) -> BodyLines:
-    """Lines of N people: points (N, J, 2) [px], float32, and confidence (N, J)."""
-    sure, heights = confident(confidence), person_heights(form, points, confidence)
-    bones, num_bones = _first(_bones(form, points, sure, heights), _are_bones(form, sure))
-    segments, parts = _flesh(form)
-    ends = points[:, segments[:, :2].astype(np.int64)]
-    flesh = np.concatenate(
-        [_lines(ends, np.float32), np.broadcast_to(segments[:, 2:], (len(points), len(segments), 1))], axis=2
-    )
-    there = _both(sure, segments[:, :2].astype(np.int64))
-    complete = np.ones(len(points), dtype=bool)
-    for rows, any_serves in parts:
-        complete &= there[:, rows].any(axis=1) if any_serves else there[:, rows].all(axis=1)
-    flesh, num_flesh = _first(flesh, there & complete[:, None])
-    joints, extents = _limbs(form)
+class Points(NamedTuple):
+    """Keypoints of some people with one skeleton."""
+
+    form: str | Skeleton
+    points: np.ndarray  # (M, J, 2) [px], float32
+    confidence: np.ndarray  # (M, J)
+    whose: np.ndarray  # (M,) which of N people they are beside
+
+
+def limbs_of(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, heights: np.ndarray) -> Limbs:
+    """Limbs of N people: points (N, J, 2) [px], float32, confidence (N, J), and heights (N,)."""
+    joints, extents = limb_table(form)
     ends = points[:, joints]
     limbs = np.concatenate([ends[:, :, 0], ends[:, :, 1] - ends[:, :, 0]], axis=2).astype(np.float64)
     whole = np.stack([ends[:, :, 0], ends[:, :, 1] + (ends[:, :, 1] - ends[:, :, 0]) * extents[:, 1:]], axis=2)
     limits = (extents[:, 0] * heights[:, None]) ** 2
     below = limits.astype(np.float32)
     below = np.where(below > limits, np.nextafter(below, np.float32(0.0)), below)  # compared with in float64
-    around = np.concatenate([_lines(whole, np.float64), below[..., None], below[..., None]], axis=2).astype(np.float32)
-    there = _both(sure, joints)
-    (limbs, num_limbs), (around, _) = _first(limbs, there), _first(around, there)
-    return BodyLines(heights, bones.astype(np.float32), num_bones, flesh, num_flesh, limbs, around, num_limbs)
+    around = np.concatenate([_lines(whole, np.float64), below[..., None]], axis=2).astype(np.float32)
+    return Limbs(limbs, around, _both(confident(confidence), joints).astype(np.uint8))
 
 
 def _both(sure: np.ndarray, joints: np.ndarray) -> np.ndarray:
@@ -80,10 +122,10 @@ def _both(sure: np.ndarray, joints: np.ndarray) -> np.ndarray:
 
 
 def _lines(ends: np.ndarray, kind: type) -> np.ndarray:
-    """Start, way to the end and its square, of ends (N, S, 2, 2), counted in a precision: (N, S, 5)."""
-    way: np.ndarray = ends[:, :, 1].astype(kind) - ends[:, :, 0].astype(kind)
+    """Start, way to the end and its square, of ends (..., 2, 2), counted in a precision: (..., 5)."""
+    way: np.ndarray = ends[..., 1, :].astype(kind) - ends[..., 0, :].astype(kind)
     squares = np.maximum(way[..., :1] ** 2 + way[..., 1:] ** 2, kind(_SHORTEST))
-    return np.concatenate([ends[:, :, 0], way, squares], axis=2).astype(np.float64)
+    return np.concatenate([ends[..., 0, :], way, squares], axis=-1).astype(np.float64)
 
 
 def _first(lines: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -92,47 +134,209 @@ def _first(lines: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return np.take_along_axis(lines, order[..., None], axis=1), there.sum(axis=1, dtype=np.int32)
 
 
-def _bones(form: str | Skeleton, points: np.ndarray, sure: np.ndarray, heights: np.ndarray) -> np.ndarray:
-    """Edges of the skeleton, then each joint alone, then each as a loose end, shape (N, E + 2 J, 7)."""
-    joints = np.arange(points.shape[1])
-    edges = np.array(skeleton(form).edges, dtype=np.int64).reshape(-1, 2)
-    ends = points[:, np.concatenate([edges, np.stack([joints, joints], axis=1), np.stack([joints, joints], axis=1)])]
-    near = np.maximum(REACH * heights, MIN_SEED_RADIUS)[:, None] ** 2
-    seeds = np.maximum(SEED_RADIUS * heights, MIN_SEED_RADIUS)[:, None]
-    loose = (LOOSE_REACH * heights)[:, None] ** 2
-    own, alone = (len(points), len(edges) + len(joints)), (len(points), len(joints))
-    limits = np.concatenate([np.broadcast_to(near, own), np.broadcast_to(loose, alone)], axis=1)
-    radii = np.concatenate([np.broadcast_to(seeds, own), np.full(alone, -1.0)], axis=1)
-    return np.concatenate([_lines(ends, np.float64), limits[..., None], radii[..., None]], axis=2)
+def bones_of(
+    form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, heights: np.ndarray, others: Sequence[Points]
+) -> Bones:
+    """Bones of N people, as of ``limbs_of``, and of others: edges of the skeleton, lone joints, and loose ends."""
+    sure = confident(confidence)
+    pairs, there = _bone_joints_of(form, sure)
+    loose, joints = loose_ends(form, sure), np.arange(points.shape[1])
+    ends = points[:, np.concatenate([pairs, np.stack([joints, joints], axis=1)])]
+    reach, seeds = (np.maximum(share * heights, MIN_SEED_RADIUS) for share in (REACH, SEED_RADIUS))
+    reaches = np.stack([reach, LOOSE_REACH * heights, seeds], axis=1)
+    are_loose = np.arange(ends.shape[1]) >= len(pairs)
+    lines = _bone_rows(
+        ends, np.where(are_loose, reaches[:, 1:2], reaches[:, :1]), np.where(are_loose, -1.0, reaches[:, 2:])
+    )
+    lines, counts = _first(lines, np.concatenate([there, loose], axis=1))
+    theirs, first_theirs = _others_bones(others, points, sure, reaches, np.any(loose, axis=1))
+    return Bones(reaches, lines, counts, theirs, first_theirs)
 
 
-def _are_bones(form: str | Skeleton, sure: np.ndarray) -> np.ndarray:
-    """True for the rows of ``_bones`` that are there, shape (N, E + 2 J)."""
-    edges = np.array(skeleton(form).edges, dtype=np.int64).reshape(-1, 2)
-    whole = _both(sure, edges)
-    alone = sure.copy()
-    for edge, there in zip(edges, whole.T, strict=True):
-        alone[:, edge] &= ~there[:, None]
-    return np.concatenate([whole, alone, loose_ends(form, sure)], axis=1)
+def _bone_rows(ends: np.ndarray, reaches: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Lines between ends (..., 2, 2) as ``kernels.own_pixels.Bone``: (..., 12)."""
+    low, high = ends.min(axis=-2), ends.max(axis=-2)
+    limits = [reaches[..., None] ** 2, radii[..., None], low, high, reaches[..., None] + _SLACK]
+    return np.concatenate([_lines(ends, np.float64), *limits], axis=-1)
+
+
+def _bone_joints_of(form: str | Skeleton, sure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Joints at both ends of a skeleton's edges, and each joint twice, (S, 2); which N people have, the latter alone.
+
+    Of N people's confident joints (N, J).
+    """
+    pairs, neighbours = _edges(form)
+    whole = _both(sure, pairs[: len(pairs) - sure.shape[1]])
+    return pairs, np.concatenate([whole, sure & ~(sure @ neighbours)], axis=1)
 
 
 @lru_cache
-def _flesh(form: str | Skeleton) -> tuple[np.ndarray, list[tuple[list[int], bool]]]:
-    """Segments (F, 3) of all parts: two joints and a radius; rows of each part, and whether any of them serves."""
-    names = {name: joint for joint, name in enumerate(skeleton(form).landmarks)}
-    parts = segments_of_parts(names)
-    rows = {segment: row for row, segment in enumerate(dict.fromkeys(each for some in parts.values() for each in some))}
-    table = [
-        ([rows[each] for each in some], without_side(part) in ("head", "neck") or not some)
-        for part, some in parts.items()
-    ]
-    return np.array(list(rows), dtype=np.float64).reshape(-1, 3), table
+def _edges(form: str | Skeleton) -> tuple[np.ndarray, np.ndarray]:
+    """Joints at both ends of a skeleton's edges, and each joint twice, (S, 2); true for neighbours, (J, J)."""
+    joints = np.arange(len(skeleton(form)))
+    edges = np.array(skeleton(form).edges, dtype=np.int64).reshape(-1, 2)
+    neighbours = np.zeros((len(joints), len(joints)), dtype=bool)
+    neighbours[edges[:, 0], edges[:, 1]] = neighbours[edges[:, 1], edges[:, 0]] = True
+    return np.concatenate([edges, np.stack([joints, joints], axis=1)]), neighbours
+
+
+def _others_bones(
+    others: Sequence[Points], points: np.ndarray, sure: np.ndarray, reaches: np.ndarray, loose: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """``Bones.theirs`` and ``first_theirs``: those that come near all that may be the person's."""
+    if not others:
+        return np.zeros((0, 12)), np.zeros(len(points) + 1, dtype=np.int32)
+    reach = reaches[:, 0]
+    farthest = np.where(loose, np.maximum(reaches[:, 1], reach), reach) + reach
+    places = points.astype(np.float64)
+    low = np.where(sure[..., None], places, np.inf).min(axis=1) - farthest[:, None]
+    high = np.where(sure[..., None], places, -np.inf).max(axis=1) + farthest[:, None]
+    found, whose = [], []
+    for each in others:
+        pairs, there = _bone_joints_of(each.form, confident(each.confidence))
+        person, row = there.nonzero()
+        ends, beside = each.points[person[:, None], pairs[row]], each.whose[person]
+        near = (ends.min(axis=1) <= high[beside]).all(axis=1) & (ends.max(axis=1) >= low[beside]).all(axis=1)
+        found.append(_bone_rows(ends[near], reach[beside[near]], np.zeros(near.sum())))
+        whose.append(beside[near])
+    of = np.concatenate(whose)
+    counts = np.bincount(of, minlength=len(points))
+    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+    return np.concatenate(found)[np.argsort(of, kind="stable")], first
+
+
+def flesh_of(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, labels: LabelSet | None) -> Flesh:
+    """Flesh of N people's groups: points (N, J, 2) [px], float32, and confidence (N, J); none without labels."""
+    table = _flesh_table(form, () if labels is None else tuple(labels.groups.items()))
+    there = _both(confident(confidence), table.joints)
+    radii = np.where(there, table.radii, -1.0)
+    lines = np.concatenate([_lines(points[:, table.joints], np.float32), radii[..., None]], axis=2)
+    complete = np.zeros((len(points), len(table.firsts) - 1), dtype=np.uint8)
+    for group, parts in enumerate(table.parts, start=1):
+        complete[:, group] = 1
+        for rows, any_serves in parts:
+            complete[:, group] &= there[:, rows].any(axis=1) if any_serves else there[:, rows].all(axis=1)
+    return Flesh(lines, table.firsts, complete)
+
+
+class _FleshTable(NamedTuple):
+    """Segments of all groups, one group's after another, and what must be known of a group."""
+
+    joints: np.ndarray  # at both ends, (F, 2)
+    radii: np.ndarray  # (F,)
+    firsts: np.ndarray  # first segment of each group from 0 on, and their number, (G + 2,), int32
+    parts: list[list[tuple[list[int], bool]]]  # of each group from 1 on: segments of a part, and if any of them serves
+
+
+@lru_cache(maxsize=256)
+def _flesh_table(form: str | Skeleton, groups: tuple[tuple[str, tuple[str, ...]], ...]) -> _FleshTable:
+    """Flesh of groups: of all their parts and of their mirror images' parts, for which sides may be exchanged."""
+    names, known = dict(groups), {name: joint for joint, name in enumerate(skeleton(form).landmarks)}
+    segments_of = segments_of_parts(known)
+    joints: list[tuple[int, int]] = []
+    radii: list[float] = []
+    firsts, needed = [0, 0], []
+    for name in names:
+        either = [each for each in dict.fromkeys((name, mirror_name(name))) if each in names]
+        parts = [part for each in either for part in names[each]]
+        rows: dict[tuple[int, int, float], int] = {}
+        for part in parts:
+            for segment in segments_of[part]:  # parts share them
+                rows.setdefault(segment, len(joints) + len(rows))
+        joints += ((start, end) for start, end, _ in rows)
+        radii += (radius for *_, radius in rows)
+        firsts.append(len(joints))
+        any_serves = ("head", "neck")
+        needed.append(
+            [
+                ([rows[each] for each in segments_of[part]], without_side(part) in any_serves or not segments_of[part])
+                for part in parts
+            ]
+        )
+    table = np.array(joints, dtype=np.int64).reshape(-1, 2)
+    return _FleshTable(table, np.array(radii, dtype=np.float64), np.array(firsts, dtype=np.int32), needed)
+
+
+def segments_of_parts(points: Mapping[str, Place]) -> dict[str, list[tuple[Place, Place, float]]]:
+    """Segments near which each part may be, of which a head or neck needs one, between points of any kind."""
+    known = frozenset(points)
+    return {
+        part: [(points[start], points[end], radius) for start, end, radius in _part_segments(part, known)]
+        for part in PART_NAMES
+    }
+
+
+def _part_segments(part: str, known: frozenset[str]) -> Iterator[Segment]:
+    """Segments near which a part may be; empty if its keypoints are missing."""
+    kind = without_side(part)
+    side = part.removesuffix(kind)
+    if kind in ("hip", "abdomen", "chest", "shoulder"):
+        if known >= set(_CORNERS):
+            for start, end in combinations(_CORNERS, 2):
+                yield start, end, _TRUNK
+    elif kind in ("head", "neck"):
+        for name in _FACE:
+            if name in known:
+                yield name, name, _HEAD
+    elif kind in _ENDS:
+        joint, length = _ENDS[kind]
+        if side + joint in known:
+            yield side + joint, side + joint, length
+    else:
+        start, end = _bone_joints(part)
+        if known >= {start, end}:
+            thickness = float(template().mean_thicknesses[SHAPE_INDICES[PART_NAMES.index(part)][1]])
+            yield start, end, thickness / (2 * MEAN_STATURE)
+
+
+def _bone_joints(name: str) -> tuple[str, str]:
+    """Joints at both ends of a part's bone."""
+    part = PART_NAMES.index(name)
+    return JOINT_NAMES[PARENTS[part] + 1], JOINT_NAMES[part + 1]
 
 
 @lru_cache
-def _limbs(form: str | Skeleton) -> tuple[np.ndarray, np.ndarray]:
+def limb_names(form: str | Skeleton) -> tuple[str, ...]:
+    """Parts of the limbs whose bones a skeleton has, from one of its joints to another, L names."""
+    known = set(skeleton(form).landmarks)
+    every = (f"{side}_{kind}" for side in ("left", "right") for kinds in LIMBS.values() for kind in kinds)
+    return tuple(name for name in every if without_side(name) not in _ENDS and known >= set(_bone_joints(name)))
+
+
+@lru_cache
+def limb_table(form: str | Skeleton) -> tuple[np.ndarray, np.ndarray]:
     """Joints (L, 2) of limbs' bones, and ``limb_extent`` of each (L, 2)."""
-    names = {name: joint for joint, name in enumerate(skeleton(form).landmarks)}
-    found = list(limbs_between(names))
-    joints = np.array([(start, end) for _, start, end in found], dtype=np.int64).reshape(-1, 2)
-    return joints, np.array([limb_extent(name) for name, _, _ in found]).reshape(-1, 2)
+    landmarks, names = skeleton(form).landmarks, limb_names(form)
+    joints = [[landmarks.index(end) for end in _bone_joints(name)] for name in names]
+    return np.array(joints, dtype=np.int64).reshape(-1, 2), np.array([limb_extent(each) for each in names]).reshape(
+        -1, 2
+    )
+
+
+def limb_extent(name: str) -> tuple[np.float64, np.float64]:
+    """Half the width of a limb, as a share of the height, and how far it goes on beyond its bone, of whose length."""
+    mean = template()
+    length, thickness, _ = SHAPE_INDICES[PART_NAMES.index(name)]
+    further = np.float64(0.0)
+    if name.endswith("forearm"):
+        hand = SHAPE_INDICES[PART_NAMES.index(name.replace("forearm", "hand"))][0]
+        further = mean.mean_lengths[hand] / mean.mean_lengths[length]
+    return mean.mean_thicknesses[thickness] / (2 * MEAN_STATURE) + _MARGIN, further
+
+
+@lru_cache(maxsize=1024)
+def limb_sides(form: str | Skeleton, part_groups: bytes) -> np.ndarray:
+    """Group of each limb, and that of its mirror image, where a label set distinguishes them, else 0: (L, 2), int32.
+
+    The label set's ``part_groups``.
+    """
+    names, table = limb_names(form), np.frombuffer(part_groups, dtype=np.uint8)
+    parts = [[1 + PART_NAMES.index(each) for each in (name, mirror_name(name))] for name in names]
+    sides = table[np.array(parts, dtype=np.int64).reshape(-1, 2)].astype(np.int32)
+    return np.where(sides[:, :1] != sides[:, 1:], sides, 0)
+
+
+def limb_of(form: str | Skeleton) -> list[int]:
+    """Number of those of ``LIMBS`` that each limb's bone belongs to, L numbers."""
+    every = list(LIMBS.values())
+    return [next(n for n, kinds in enumerate(every) if without_side(name) in kinds) for name in limb_names(form)]

@@ -16,10 +16,10 @@ from ..body.skeletons import Skeleton, skeleton
 from ..cameras import Crop, Perspective, UsualLens
 from ..interop.movable import Movable
 from .evidence import Evidence, weigh_evidence
-from .ignored_labels import ignore_missing_limbs
 from .keypoints import Keypoints2D
+from .own_pixels import Windows
 from .part_labels import PartLabels
-from .person import crop_nearest, person_crop
+from .person import crop_boxes, crop_nearest
 
 REFERENCE_SIZE = 256  # [px], the paper's image size; losses are stated for it
 CROP_MARGIN = 0.1  # of the person's extent, on each side
@@ -128,43 +128,35 @@ def crop_evidence(
     Labels are kept at ``label_size`` pixels a side, of which ``LABEL_SIZE`` is an odd multiple: what ``resize_nearest``
     would make of those at ``LABEL_SIZE``, to the bit.
     """
-    window, keypoints = evidence.window, evidence.in_window()
-    if evidence.groups is not None and not trust_background:
-        evidence = replace(evidence, groups=ignore_missing_limbs(evidence.groups, keypoints))
-    groups = np.zeros((1, 1), dtype=np.uint8) if evidence.groups is None else evidence.groups
-    x0, y0, x1, y1 = person_crop(keypoints, groups, CROP_MARGIN)
-    half = max(x1 - x0, y1 - y0) / 2
-    u, v = (x0 + x1) / 2, (y0 + y1) / 2
-    crop = _square_crop(window, (u, v), half)
+    middles, halves = crop_squares(*evidence.extents())
+    low, high = boxes_in_picture(evidence.windows, middles, halves)
     labels = maps = known = None
     if evidence.picture is not None:
-        side = 2 * half / window.zoom
-        box, size = (crop.left, crop.top, crop.left + side, crop.top + side), (LABEL_SIZE, LABEL_SIZE)
-        step = LABEL_SIZE // label_size
-        target = evidence.target(size, box, step=step)
+        (x0, y0), (x1, y1) = low[0].tolist(), high[0].tolist()
+        size, every = (LABEL_SIZE, LABEL_SIZE), LABEL_SIZE // label_size
+        target = evidence.target(size, (x0, y0, x1, y1), every=every, trust_background=trust_background)
         labels = torch.from_numpy(target).to(device)
         if evidence.picture.maps is not None:
-            seen = crop_nearest(evidence.picture.maps, box, size, step=step, fill=0.0)
+            seen = crop_nearest(evidence.picture.maps, (x0, y0, x1, y1), size, step=every, fill=0.0)
             known = torch.from_numpy(np.where(target == IGNORE, 0.0, seen.sum(0)).astype(np.float32)).to(device)
             maps = torch.from_numpy(np.ascontiguousarray(seen[1:])).to(device)
-    visible = keypoints.visible
-    points = (keypoints.points[visible] - (u, v)) / half
-    names, marks = visible_names(keypoints.skeleton, visible.tobytes())
-    return (
-        Observation(
-            landmarks=names,
-            marks=marks,
-            points=torch.from_numpy(points.astype(np.float32)).to(device),
-            confidence=torch.from_numpy(keypoints.confidence[visible].astype(np.float32)).to(device),
-            labels=labels,
-            label_set=None if evidence.picture is None else evidence.picture.label_set,
-            maps=maps,
-            known=known,
-            lens=None if camera is None else crop_lens(camera, crop).to(device),
-            lens_assumed=isinstance(camera, UsualLens),
-        ),
-        crop,
+    weighed = WeighedPerson(
+        keypoints=evidence.keypoints,
+        points=evidence.windows.points[0, evidence.keypoints.visible],
+        window=evidence.window,
+        labels=labels,
+        label_set=None if evidence.picture is None else evidence.picture.label_set,
+        warnings=evidence.warnings,
+        camera=camera,
     )
+    ((_, observation, crop),) = observe_together([weighed], middles, halves, device)
+    return replace(observation, maps=maps, known=known), crop
+
+
+def boxes_in_picture(windows: Windows, middles: np.ndarray, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Left and top, right and bottom in the pictures of squares in windows (``crop_squares``), shape (N, 2)."""
+    low = windows.starts + (middles - halves[:, None]) / windows.zooms[:, None]
+    return low, low + (2 * halves / windows.zooms)[:, None]
 
 
 def _square_crop(window: Crop, middle: tuple[float, float], half: float) -> Crop:
@@ -182,13 +174,12 @@ def crop_squares(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndar
 
     Lowest and highest (x, y) [px] of that, shape (N, 2).
     """
-    grow = CROP_MARGIN * np.maximum((high - low).max(axis=1), 1.0)[:, None]
-    low, high = np.floor(low - grow), np.ceil(high + grow)
+    low, high = crop_boxes(low, high, CROP_MARGIN)
     return (low + high) / 2, (high - low).max(axis=1) / 2
 
 
 class WeighedPerson(NamedTuple):
-    """A person to be cut out, whose evidence was weighed beside others'."""
+    """A person to be cut out, whose evidence was weighed."""
 
     keypoints: Keypoints2D
     points: np.ndarray  # the visible ones in pixels of the window, shape (L, 2)
@@ -202,10 +193,7 @@ class WeighedPerson(NamedTuple):
 def observe_together(
     people: Sequence[WeighedPerson], middles: np.ndarray, halves: np.ndarray, device: torch.device | str
 ) -> list[CutOut]:
-    """Cut out people by the squares about them (``crop_squares``); their evidence has no labels.
-
-    As ``crop_evidence`` of each, to the bit.
-    """
+    """Cut out people by the squares about them (``crop_squares``); their evidence has no labels."""
     counts = [len(person.points) for person in people]
     middle, half = (np.repeat(each, counts, axis=0) for each in (middles, halves[:, None]))
     seen = (np.concatenate([person.points for person in people]) - middle) / half

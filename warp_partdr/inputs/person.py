@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from ..body.labels import BACKGROUND, IGNORE
 from ..body.skeletons import Skeleton, skeleton
 from ..errors import InputError
-from .keypoints import Keypoints2D, confident, person_heights
+from .keypoints import Keypoints2D, confident
 from .part_labels import PartLabels
 
 Box = tuple[float, float, float, float]
@@ -113,12 +114,12 @@ def person_labels(parts: PartLabels, keypoints: Keypoints2D) -> PartLabels:
     return PartLabels(parts.label_set, groups.astype(np.uint8))
 
 
-def reach_boxes(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+def reach_boxes(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, heights: np.ndarray) -> np.ndarray:
     """Boxes [px] around all that ``select_person`` may keep, which may reach beyond the picture, shape (N, 4).
 
-    Of N people with one skeleton: points (N, J, 2) and confidence (N, J).
+    Of N people with one skeleton: points (N, J, 2), confidence (N, J), and heights (N,).
     """
-    sure, heights = confident(confidence), person_heights(form, points, confidence)
+    sure = confident(confidence)
     reach = np.where(loose_ends(form, sure), LOOSE_REACH, REACH) * heights[:, None]
     reach = np.maximum(reach, MIN_SEED_RADIUS)[..., None]
     places = points.astype(np.float64)
@@ -167,13 +168,19 @@ def _clip(value: float, limit: int) -> int:
 
 def loose_ends(form: str | Skeleton, sure: np.ndarray) -> np.ndarray:
     """Confident joints whose next joint down a limb is not, of N people's confident ones (N, J)."""
+    loose: np.ndarray = sure & (~sure @ _followed(form))
+    return loose
+
+
+@lru_cache
+def _followed(form: str | Skeleton) -> np.ndarray:
+    """True where a joint (row) is the next one down a limb of another (column), shape (J, J)."""
     landmarks = skeleton(form).landmarks
-    loose = np.zeros(sure.shape, dtype=bool)
+    table = np.zeros((len(landmarks), len(landmarks)), dtype=bool)
     for edge in skeleton(form).edges:
         for joint, following in (edge, edge[::-1]):
-            if landmarks[following].endswith(_LIMB_JOINTS):
-                loose[:, joint] |= sure[:, joint] & ~sure[:, following]
-    return loose
+            table[following, joint] |= landmarks[following].endswith(_LIMB_JOINTS)
+    return table
 
 
 def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1) -> tuple[int, int, int, int]:
@@ -182,14 +189,27 @@ def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1)
     ``groups`` hold this person's ids alone (``select_person``); ``margin`` on each side is a share of the longer side.
     """
     points = keypoints.points[keypoints.confident].astype(np.float64)
-    rows, columns = label_bounds((groups != BACKGROUND) & (groups != IGNORE))
+    rows, columns = label_bounds(is_labelled(groups))
     if rows.stop:
         points = np.concatenate([points, [[columns.start, rows.start], [columns.stop, rows.stop]]])
-    low, high = points.min(axis=0), points.max(axis=0)
-    grow = margin * max((high - low).max(), 1.0)
-    x0, y0 = np.floor(low - grow).astype(int).tolist()
-    x1, y1 = np.ceil(high + grow).astype(int).tolist()
+    low, high = crop_boxes(points.min(axis=0)[None], points.max(axis=0)[None], margin)
+    x0, y0, x1, y1 = np.concatenate([low, high], axis=1)[0].astype(int).tolist()
     return x0, y0, x1, y1
+
+
+def is_labelled(groups: np.ndarray) -> np.ndarray:
+    """True where group ids, uint8, are those of a part."""
+    found: np.ndarray = groups - np.uint8(1) < IGNORE - 1  # in bytes, where 0 - 1 is 255
+    return found
+
+
+def crop_boxes(low: np.ndarray, high: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Left and top, right and bottom of boxes in whole pixels around N people, of whom the lowest and highest is known.
+
+    (x, y) [px], shape (N, 2); ``margin`` on each side is a share of the longer side.
+    """
+    grow = margin * np.maximum((high - low).max(axis=1, keepdims=True), 1.0)
+    return np.floor(low - grow), np.ceil(high + grow)
 
 
 def crop_nearest(
@@ -217,15 +237,3 @@ def centres(low: Any, high: Any, count: int, step: int = 1) -> np.ndarray:
     Of several such rows, ends have the shape (N, 1).
     """
     return low + (np.arange(step // 2, count, step) + 0.5) * ((high - low) / count)
-
-
-def crop_keypoints(keypoints: Keypoints2D, box: Box, size: tuple[int, int]) -> Keypoints2D:
-    """Keypoints in pixels of the crop that ``crop_nearest`` makes; missing ones stay at 0."""
-    x0, y0, x1, y1 = box
-    scale = np.array([size[1] / (x1 - x0), size[0] / (y1 - y0)])
-    points = (keypoints.points - np.array([x0, y0])) * scale
-    points[~keypoints.visible] = 0.0
-    cropped = points.astype(np.float32)
-    if np.array_equal(cropped, keypoints.points) and keypoints.points.dtype == np.float32:
-        return keypoints  # whose height is known already
-    return Keypoints2D(keypoints.skeleton, cropped, keypoints.confidence)

@@ -16,9 +16,8 @@ import torch
 from ..body.labels import BACKGROUND, IGNORE
 from ..cameras import Perspective, UsualLens, zoomed
 from ..errors import InputError, check_type, check_whole, told_as
-from ..inputs.evidence import Evidence, weigh_evidence
+from ..inputs.evidence import MASK_LABELS, Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.masked_people import MASK_LABELS
 from ..inputs.part_labels import PartLabels, read_photo, told_focal
 from ..inputs.person import PersonInputs
 from ..models.model import DetailedModel

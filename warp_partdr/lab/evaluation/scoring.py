@@ -17,8 +17,8 @@ from ... import metrics
 from ...body.labels import BACKGROUND, LabelSet, label_set, regroup
 from ...body.stature import bone_statures
 from ...body.template import JOINT_NAMES
-from ...inputs.ignored_labels import ignore_missing_limbs
 from ...inputs.keypoints import person_height
+from ...inputs.own_pixels import ignore_missing_limbs
 from ...inputs.sample import Sample
 from ...solve.ellipsoids.result import FitResult
 from ...solve.mesh.mesh_stage import MeshFit

@@ -14,8 +14,7 @@ import torch
 
 from ...body.labels import BACKGROUND, IGNORE
 from ...body.skeletons import MPJPE_JOINTS
-from ...inputs.evidence import weigh_evidence
-from ...inputs.masked_people import MASK_LABELS
+from ...inputs.evidence import MASK_LABELS, weigh_evidence
 from ...inputs.part_labels import PartLabels
 from ...interop.torch_threads import one_torch_thread
 from ...metrics import pa_mpjpe

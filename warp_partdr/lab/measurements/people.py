@@ -19,8 +19,10 @@ import torch
 import warp as wp
 from PIL import Image
 
+from ...inputs.cut_out import cut_out_people
 from ...inputs.cut_people import CutPeople, CutPerson
-from ...inputs.masked_people import MaskedPerson, cut_masks
+from ...inputs.evidence import PicturePerson
+from ...inputs.own_pixels import Mask
 from ...inputs.part_labels import read_photo
 from ...networks.detection import MIN_SCORE
 from ...networks.detection.asset import packaged_people_networks
@@ -113,9 +115,9 @@ def _timed(pictures: list[np.ndarray], device: str, half: bool) -> dict[str, np.
     seconds["so far"] = np.sum(list(seconds.values()), axis=0)
     stage("all of these: find_people_in", lambda: find_people_in(pictures, device=device, half=half))
     owners = stage("whom each pixel shows", lambda: instance_maps([[each] for each in people], sizes))
-    masked = [MaskedPerson(each.keypoints, shown, 1) for each, shown in zip(people, owners, strict=True)]
-    cut = stage("evidence and crops", lambda: cut_masks(masked, device))
-    together = stage("people as arrays", lambda: CutPeople.of([CutPerson(*each) for each in cut]))
+    masked = [PicturePerson(each.keypoints, Mask(shown, 1)) for each, shown in zip(people, owners, strict=True)]
+    cut = stage("evidence and crops", lambda: cut_out_people(masked, device))
+    together = stage("people as arrays", lambda: CutPeople.of([each for each in cut if isinstance(each, CutPerson)]))
     stage("label network", lambda: ask_network(together.observations, network, half=half).parameters())
     names = ["all of these: find_people_in", "whom each pixel shows", "evidence and crops", "people as arrays"]
     names.append("label network")
@@ -127,7 +129,7 @@ def _kernels(pictures: list[np.ndarray], device: str) -> FigureTable:
     """Each kernel of the evidence, with a clock that waits for it."""
     people = [each[0] for each in find_people_in(pictures, device=device)]
     owners = instance_maps([[each] for each in people], [(each.shape[0], each.shape[1]) for each in pictures])
-    masked = [MaskedPerson(each.keypoints, shown, 1) for each, shown in zip(people, owners, strict=True)]
+    masked = [PicturePerson(each.keypoints, Mask(shown, 1)) for each, shown in zip(people, owners, strict=True)]
     seconds: dict[str, float] = {}
     launch = wp.launch
 
@@ -139,7 +141,7 @@ def _kernels(pictures: list[np.ndarray], device: str) -> FigureTable:
         seconds[kernel.key] = seconds.get(kernel.key, 0.0) + time.perf_counter() - started
 
     with patch.object(wp, "launch", clocked):
-        cut_masks(masked, device)
+        cut_out_people(masked, device)
     table = _empty_table("Kernels of the evidence")
     for name, each in seconds.items():
         table.add(name, 1000 * each, len(pictures) / each, None)

@@ -9,10 +9,10 @@ from ....body.labels import LabelSet, label_set
 from ....errors import InputError, printable
 from ....inputs.keypoint_files import read_keypoints
 from ....inputs.keypoints import choose_person
+from ....inputs.own_pixels import select_person
 from ....inputs.part_labels import check_sizes, read_parts, read_photo
 from ....inputs.photo_files import LeftOut, photos_among
 from ....inputs.sample import Sample
-from ....inputs.selection import select_person
 from .pictures import existing
 
 _LAYOUT = "pictures N.jpg, N.png or the like, each with N.keypoints.json and perhaps N.parts.png"

@@ -1,0 +1,197 @@
+"""People cut out of pictures: their evidence is weighed, and their labels drawn in crops, many at once on a device.
+
+Each is, to the bit, as ``weigh_evidence`` and ``crop_evidence`` cut them out alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from ..body.labels import LabelSet
+from ..body.skeletons import Skeleton
+from ..errors import InputError
+from ..interop.streams import on_torch_stream
+from ..interop.torch_threads import one_torch_thread
+from .cut_people import CutPerson
+from .evidence import (
+    MASK_LABELS,
+    PicturePerson,
+    check_places,
+    exchanged_groups,
+    exchanged_warning,
+    keypoint_warnings,
+    weigh_people,
+)
+from .keypoints import LARGEST_PLACE
+from .observation import LABEL_SIZE, WeighedPerson, boxes_in_picture, crop_squares, observe_together
+from .own_pixels import Mask, Windows, extents, no_label_along_bones
+from .person import person_labels
+
+_PIXELS = {"cpu": 2**24, "cuda": 2**26}  # of pictures that are looked at together
+
+Found = dict[int, CutPerson | InputError]
+
+
+@one_torch_thread()
+def cut_out_people(
+    people: Sequence[PicturePerson], device: torch.device | str, label_size: int = LABEL_SIZE
+) -> list[CutPerson | InputError]:
+    """Cut people out of pictures, those of part labels and of masks; or tell what is wrong with them.
+
+    The evidence is without labels of the picture, and observations without probabilities. Where sides of labels and
+    keypoints differ, the keypoints are believed. Somebody of whom a mask shows nothing has keypoints alone.
+
+    Args:
+        people: They may share pictures.
+        device: Device of the observations.
+        label_size: Side of the labels' crops [px], of which ``LABEL_SIZE`` is an odd multiple.
+
+    Returns:
+        Each person, or the error that ``weigh_evidence`` raises for them.
+    """
+    device = torch.empty(0, device=device).device  # with its number, which Warp asks for
+    found: Found = dict(_unusable(people))
+    kinds: list[tuple[tuple[str | Skeleton, LabelSet | None], list[int]]] = []  # label sets can't be keys
+    usable: dict[int, PicturePerson] = {}
+    for place, person in enumerate(people):
+        if place in found:
+            continue
+        try:
+            usable[place] = _of_instances(person)
+        except InputError as error:
+            found[place] = error
+            continue
+        kind = person.keypoints.skeleton, _label_set(person)
+        places = next((those for each, those in kinds if each == kind), None)
+        if places is None:
+            kinds.append((kind, places := []))
+        places.append(place)
+    for (_, labels), places in kinds:
+        if labels is None:
+            found |= zip(places, _cut_keypoints([usable[place] for place in places], device), strict=True)
+            continue
+        for some in _shares(places, usable, _PIXELS[device.type]):
+            found |= zip(some, _cut_labels([usable[place] for place in some], device, label_size), strict=True)
+    return [found[place] for place in range(len(people))]
+
+
+def _unusable(people: Sequence[PicturePerson]) -> Found:
+    """Errors of people whose keypoints can't be used: of those whom a look at all of them finds."""
+    found: Found = {}
+    forms: dict[str | Skeleton, list[int]] = {}
+    for place, person in enumerate(people):
+        forms.setdefault(person.keypoints.skeleton, []).append(place)
+    for places in forms.values():
+        points = np.stack([people[place].keypoints.points for place in places])
+        visible = np.stack([people[place].keypoints.confidence for place in places]) > 0
+        first = np.take_along_axis(points, visible.argmax(axis=1)[:, None, None], axis=1)
+        differ = (visible & (points != first).any(axis=2)).any(axis=1)
+        known = ((np.abs(points) <= LARGEST_PLACE).all(axis=2) | ~visible).all(axis=1)
+        for row in np.flatnonzero(~(differ & known)).tolist():
+            try:
+                check_places(people[places[row]].keypoints)
+            except InputError as error:
+                found[places[row]] = error
+    return found
+
+
+def _label_set(person: PicturePerson) -> LabelSet | None:
+    """Label set of a person's picture; None without labels and masks."""
+    if person.pixels is None:
+        return None
+    return MASK_LABELS if isinstance(person.pixels, Mask) else person.pixels.label_set
+
+
+def _of_instances(person: PicturePerson) -> PicturePerson:
+    """A person of labels that are by person, with their own alone."""
+    if person.pixels is None or isinstance(person.pixels, Mask) or person.pixels.instances is None:
+        return person
+    return person._replace(pixels=person_labels(person.pixels, person.keypoints), others=())
+
+
+def _shares(places: Sequence[int], people: dict[int, PicturePerson], most: int) -> list[list[int]]:
+    """Places of people in parts whose pictures have at most so many pixels, but for one person's."""
+    parts: list[list[int]] = []
+    held: set[int] = set()
+    size = 0
+    for place in places:
+        pixels = people[place].pixels
+        assert pixels is not None
+        image = pixels.owners if isinstance(pixels, Mask) else pixels.groups
+        own = image.shape[0] * image.shape[1]
+        more = own if id(image) in held else 2 * own
+        if not parts or size + more > most:
+            parts.append([])
+            held, size, more = set(), 0, 2 * own
+        parts[-1].append(place)
+        held.add(id(image))
+        size += more
+    return parts
+
+
+def _cut_keypoints(people: Sequence[PicturePerson], device: torch.device) -> list[CutPerson]:
+    """Cut out people with one skeleton by their keypoints alone."""
+    count = len(people)
+    points = np.stack([person.keypoints.points for person in people])
+    confidence = np.stack([person.keypoints.confidence for person in people])
+    windows = Windows.at(
+        people[0].keypoints.skeleton,
+        points,
+        confidence,
+        np.zeros((count, 2)),
+        np.ones(count),
+        np.ones((count, 2), dtype=np.int64),
+    )
+    nowhere = np.full((count, 2), np.inf)
+    middles, halves = crop_squares(*extents(windows.points, confidence, nowhere, -nowhere))
+    weighed = [
+        WeighedPerson(
+            person.keypoints,
+            windows.points[n, confidence[n] > 0],
+            windows.crop(n),
+            None,
+            None,
+            keypoint_warnings(person.keypoints),
+            person.camera,
+        )
+        for n, person in enumerate(people)
+    ]
+    return [CutPerson(*each) for each in observe_together(weighed, middles, halves, device)]
+
+
+def _cut_labels(people: Sequence[PicturePerson], device: torch.device, label_size: int) -> list[CutPerson | InputError]:
+    """Cut out people with one skeleton, of pictures with one label set or with masks, that memory holds."""
+    labels = _label_set(people[0])
+    assert labels is not None
+    with on_torch_stream(device):
+        weighed = weigh_people(people, device)
+        windows, along = weighed.pixels.windows, weighed.pixels.along
+        middles, halves = crop_squares(
+            *extents(windows.points, windows.confidence, weighed.measures.low, weighed.measures.high)
+        )
+        boxes = boxes_in_picture(windows, middles, halves)
+        size = LABEL_SIZE, LABEL_SIZE
+        targets = weighed.pixels.targets(*boxes, size, every=LABEL_SIZE // label_size).unbind()
+    cut: list[WeighedPerson] = []
+    for n, (person, target) in enumerate(zip(people, targets, strict=True)):
+        warnings = weighed.warnings[n]
+        if limbs := weighed.swapped[n]:
+            whole = weighed.whole[n]
+            table = torch.from_numpy(exchanged_groups(labels, limbs, whole=whole)).to(device)
+            target = table[target.long()]
+            warnings = (*warnings, exchanged_warning(limbs, whole=whole))
+        points = windows.points[n, windows.confidence[n] > 0]
+        cut.append(WeighedPerson(person.keypoints, points, windows.crop(n), target, labels, warnings, person.camera))
+    there = np.flatnonzero(along)
+    found: list[CutPerson | InputError] = [no_label_along_bones()] * len(people)
+    own = observe_together([cut[n] for n in there], middles[there], halves[there], device) if len(there) else []
+    for n, each in zip(there.tolist(), own, strict=True):
+        found[n] = CutPerson(*each)
+    hidden = [n for n in np.flatnonzero(~along).tolist() if isinstance(people[n].pixels, Mask)]
+    if hidden:
+        for n, alone in zip(hidden, _cut_keypoints([people[n] for n in hidden], device), strict=True):
+            found[n] = alone
+    return found
