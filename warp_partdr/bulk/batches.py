@@ -162,7 +162,7 @@ class _Taken:
     the pictures alone.
     """
 
-    how: PeopleWork
+    work: PeopleWork
     pool: ThreadPoolExecutor
     rows: PeopleRows = field(default_factory=PeopleRows)
     _held: list[Held] = field(default_factory=list)
@@ -177,11 +177,11 @@ class _Taken:
             done: Future[Cut] = Future()
             done.set_result(given)
             self._cutting.append(done)
-            self._collect_cut(self.how.workers)
+            self._collect_cut(self.work.workers)
             return
         self._held.append(given)
         there = [math.prod(each.size) for _, each in self._held if isinstance(each, SourcePicture)]
-        device = self.how.device
+        device = self.work.device
         if len(there) >= pictures_at_a_time(device) or sum(there) >= _PIXELS[torch.device(device).type]:
             self._cut()
 
@@ -199,8 +199,8 @@ class _Taken:
     def _cut(self) -> None:
         held, self._held = self._held, []
         if held:
-            self._cutting.append(self.pool.submit(_cut_people, self.how, held))
-        self._collect_cut(self.how.workers)
+            self._cutting.append(self.pool.submit(_cut_people, self.work, held))
+        self._collect_cut(self.work.workers)
 
     def _collect_cut(self, ahead: int) -> None:
         """Take what was cut out, but for so many groups that may still be in work."""
@@ -209,7 +209,7 @@ class _Taken:
             numbers = self.rows.extend(cut.rows)
             for places, people in cut.people:
                 self._queue(people).add(numbers[places], people)
-            self._fit(self.how.batch)
+            self._fit(self.work.batch)
 
     def _queue(self, people: CutPeople) -> _Waiting:
         """Waiting people of the same kind, who are fitted together; a new group if there are none."""
@@ -223,14 +223,14 @@ class _Taken:
         """Fit those who wait, in batches of ``least`` people at least."""
         for waiting in self._waiting:
             while waiting.count >= least:
-                places, people = waiting.take(self.how.batch)
-                self._fitting.append((places, self.pool.submit(_fit_people, self.how, people)))
-        self._collect_fitted(2 * self.how.workers)
+                places, people = waiting.take(self.work.batch)
+                self._fitting.append((places, self.pool.submit(_fit_people, self.work, people)))
+        self._collect_fitted(2 * self.work.workers)
 
     def _collect_fitted(self, ahead: int) -> None:
         while len(self._fitting) > ahead:
-            places, work = self._fitting.popleft()
-            self.rows.parts += [part.at(places) for part in work.result()]
+            places, fitted = self._fitting.popleft()
+            self.rows.parts += [part.at(places) for part in fitted.result()]
 
 
 @dataclass
@@ -260,11 +260,11 @@ class _Waiting:
         return np.concatenate([places for places, _ in taken]), [people for _, people in taken]
 
 
-def _fit_people(how: PeopleWork, given: Sequence[CutPeople]) -> list[RowPart]:
+def _fit_people(work: PeopleWork, given: Sequence[CutPeople]) -> list[RowPart]:
     """Columns of rows for the bodies of people, in one batch; who is at fault has an error instead."""
-    people = CutPeople.joined([each.to(how.device) for each in given])
+    people = CutPeople.joined([each.to(work.device) for each in given])
     parts: list[RowPart] = []
-    for own, found in attempt(how.bodies, people):
+    for own, found in attempt(work.bodies, people):
         if isinstance(found, Exception):
             some: Sequence[RowPart] = [error_part(0, one_line(found), passing=is_passing(found))]
         else:
@@ -273,10 +273,10 @@ def _fit_people(how: PeopleWork, given: Sequence[CutPeople]) -> list[RowPart]:
     return parts
 
 
-def _cut_people(how: PeopleWork, held: Sequence[Held]) -> Cut:
+def _cut_people(work: PeopleWork, held: Sequence[Held]) -> Cut:
     """Rows of pictures and their people, and the people cut out, for a fit."""
     unknown = [place for place, (_, seen) in enumerate(held) if isinstance(seen, SourcePicture) and seen.people is None]
     found: dict[int, Read] = {}
-    for own, some in attempt(how.find, [held[place][1] for place in unknown]):
+    for own, some in attempt(work.find, [held[place][1] for place in unknown]):
         found |= zip(unknown[own], [some] if isinstance(some, Exception) else some, strict=True)
-    return how.cutter.cut(held, found)
+    return work.cutter.cut(held, found)

@@ -181,7 +181,8 @@ class _Run:
         first = rows[0]
         for warning in first.get(FILE_WARNINGS, ()):
             self.say(f"warning: {photo.path}: {warning}")
-        self.found.photos += "height" in first
+        if "height" in first:  # it could be read
+            self.found.photos += 1
         if first.get("people") == 0:
             self._nobody(photo, "nobody found in it")
             return
