@@ -143,9 +143,10 @@ def test_pixels_beside_the_bones_of_a_tiny_person_are_theirs(with_mask: bool, de
     tiny = Keypoints2D(keypoints.skeleton, keypoints.points * zoom + np.float32(8), keypoints.confidence)
     shown = np.ones((20, 20), dtype=np.uint8)
     person = masked(tiny, shown) if with_mask else PicturePerson(tiny, PartLabels(parts.label_set, shown))
-    ((cut),) = assert_as_alone([person], device)
+    (cut,) = assert_as_alone([person], device)
     assert isinstance(cut, CutPerson)
     assert bool((cut.observation.labels == 1).any())
+    assert_twin(cut, person, LABEL_SIZE)
 
 
 def test_people_of_one_picture_share_it_and_its_camera(device: str) -> None:
