@@ -24,9 +24,9 @@ from ...models.anny import anny
 from ...solve.ellipsoids.fitting import fit_body
 from ...solve.ellipsoids.options import FitOptions
 from ...solve.ellipsoids.result import FitResult
-from ...solve.mesh import mesh_energy as mesh_energy_module
-from ...solve.mesh import mesh_stage
-from ...solve.mesh.mesh_energy import gather_starts, mesh_energy
+from ...solve.mesh import gather, mesh_stage
+from ...solve.mesh.energy import mesh_energy
+from ...solve.mesh.gather import gather_starts
 from ...solve.mesh.mesh_options import MeshOptions
 from ...solve.mesh.mesh_stage import refine_meshes
 from ...solve.mesh.steps import find_steps
@@ -37,9 +37,9 @@ from ..options import Counts, Device
 
 _STEPS = (
     Step(mesh_stage, "gather_starts", "starts"),
-    Step(mesh_energy_module, "pose_from_ellipbody", "starts, poses"),
-    Step(mesh_energy_module, "gather_keypoints", "starts, keypoints"),
-    Step(mesh_energy_module, "gather_spreads", "starts, spreads"),
+    Step(gather, "pose_from_ellipbody", "starts, poses"),
+    Step(gather, "gather_aims", "starts, keypoints and depths"),
+    Step(gather, "gather_turn_spreads", "starts, spreads of turns"),
     Step(mesh_stage, "find_steps", "steps found or captured"),
     Step(CapturedStep, "replay", "steps"),
     Step(mesh_stage, "ungrown", "whole mesh"),
@@ -110,7 +110,7 @@ def _all_steps(results: list[FitResult], options: MeshOptions, device: str) -> C
     energy = mesh_energy(model, options, results[0].observation.label_set)
     with torch.no_grad():
         people = gather_starts(energy, model, results)
-    steps = find_steps(energy, people, options)
+    steps = find_steps(energy, people)
 
     def run() -> None:
         for _ in range(options.iterations):

@@ -33,11 +33,10 @@ from ...models.resizing import resize_shapes
 from ...render.mesh import PartImage, draw_mesh
 from ..ellipsoids.fitting import Progress
 from ..ellipsoids.result import FitResult
-from ..ellipsoids.stepper import rate_share
+from .energy import MeshEnergy, mesh_energy
+from .gather import gather_starts
 from .given_poses import GivenPoses
-from .mesh_energy import MeshEnergy, gather_starts, mesh_energy
 from .mesh_options import MeshOptions
-from .mesh_unknowns import Starts, Unknowns
 from .steps import Steps, find_steps
 
 
@@ -142,16 +141,16 @@ def refine_meshes(
     found: dict[int, MeshFit] = {}
     done, total = 0, options.iterations * len(batches)
 
-    def step(iteration: int) -> None:
+    def tell(iterations: int) -> None:
         if progress is not None:
-            progress("mesh", done + iteration + 1, total)
+            progress("mesh", done + iterations, total)
 
     for (energy, _), places in batches.items():
         assert model is not None
         some, given = [results[place] for place in places], None
         if starts is not None:
-            given = GivenPoses.of([starts[place] for place in places], energy.turning)
-        found |= zip(places, _refine_batch(energy, model, some, given, step), strict=True)
+            given = GivenPoses.of([starts[place] for place in places], energy.drawn.turning)
+        found |= zip(places, _refine_batch(energy, model, some, given, tell), strict=True)
         done += options.iterations
     return [found[place] for place in range(len(results))]
 
@@ -171,38 +170,34 @@ def _refine_batch(
     model: DetailedModel,
     results: Sequence[FitResult],
     given: GivenPoses | None,
-    told: Callable[[int], None],
+    progress: Callable[[int], None],
 ) -> list[MeshFit]:
-    started, iterations = time.perf_counter(), energy.options.iterations
+    started = time.perf_counter()
     with torch.no_grad():
         people = gather_starts(energy, model, results, given)
-    steps = find_steps(energy, people, energy.options)
-    for iteration in range(iterations):
-        steps.step(rate_share(iteration, iterations))
-        told(iteration)
+    steps = find_steps(energy, people)
+    steps.run(progress)
     with torch.no_grad():
-        return _finish(energy, model, people, steps, results, given, started)
+        return _finish(model, steps, results, given, started)
 
 
 def _finish(
-    energy: MeshEnergy,
     model: DetailedModel,
-    people: Starts,
-    steps: Steps[Starts, Unknowns],
+    steps: Steps,
     results: Sequence[FitResult],
     given: GivenPoses | None,
     started: float,
 ) -> list[MeshFit]:
     """Detailed bodies where their cameras see them, and EllipBodies measured from them."""
-    found = steps.unknowns
+    energy, people, found = steps.energy, steps.people, steps.unknowns
     terms = {name: term.clone() for name, term in steps.terms.items()}
-    shape, rotations, translation = energy.whole_pose(model, people, found)
+    shape, rotations, translation = energy.drawn.whole_pose(model, people, found)
     log_scale = found.log_scale
     if any(result.stature is not None for result in results):
         shape, shares = _resized(model, shape, results)
         translation, log_scale = translation * shares[:, None], log_scale - shares.log()
     if given is not None:
-        rotations = given.whole(rotations[:, energy.turning])
+        rotations = given.whole(rotations[:, energy.drawn.turning])
     bodies = ungrown(model, shape, rotations, translation, terms)
     numbers = {name: term.tolist() for name, term in terms.items()}
     energies = [{name: values[place] for name, values in numbers.items()} for place in range(len(results))]

@@ -21,31 +21,32 @@ from ...models.clothes import CLOTHED
 from ...models.model import DetailedModel
 from ...models.pose import pose_from_ellipbody
 from ...models.registration import shape_from_lengths
-from ..mesh.mesh_energy import gather_keypoints, gather_spreads
-from ..mesh.unknown_noise import border_lengths
+from ..mesh.gather import gather_aims, gather_turn_spreads
+from ..mesh.landmark_costs import LandmarkAims
+from ..mesh.starts import LabelPictures, Slots, Starts, Views
 from .clusters import Clusters, of_one, of_several, slots_of
-from .energy import SceneEnergy, SceneStarts, Sheet
 from .looks import Looked
 from .pictures import pelvises_in_world
+from .plan import ScenePlan
 
 _START_WIDTH = 2 / 3  # of the moves' Gaussian, by which starts are smoothed: no move brings back what that takes away
 _SLOPES = 0.1  # of smooth moves: weight of their squares, in standard deviations of the Gaussian
 _UNSEEN_SPREAD = 1.0  # [rad], of turns where nobody sees a person
 _ROUNDED = 1e-6  # share of a step, by which times are rounded
 _NEAREST = 0.1  # [m], of a pelvis before its camera
+_NO_LENS = (1.0, 0.0, 0.0)  # of a picture that nobody is seen in
 _MARGIN = 0.02  # of a picture's crop around several people
 
 
-def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks: Sequence[Looked]) -> SceneStarts:
-    """Starts of a scene's bodies, and its observations.
+def gather_scene(plan: ScenePlan, looks: Sequence[Looked]) -> Starts:
+    """Starts of a scene's bodies, and what was observed of them.
 
     Args:
-        energy: Of the scene.
-        model: The whole one.
-        scene: The scene.
+        plan: Of the scene.
         looks: Of ``look_at``.
     """
-    one, num_frames, num_views = energy.one, scene.num_frames, len(scene.views)
+    scene, drawn, options = plan.scene, plan.energy.drawn, plan.options
+    num_frames, num_views = scene.num_frames, len(scene.views)
     count = scene.num_people * num_frames
     like = looks[0].body.log_scale
     rows = torch.tensor([look.sight.person * num_frames + look.sight.frame for look in looks], device=like.device)
@@ -57,19 +58,19 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
     body = _joined(looks, homes, rotations, translations, scene)
     posed = body.posed()
     own = torch.arange(0, count, num_frames, device=like.device)
-    shape, clothes, unknown = _shapes(model, body.select(own), scene)
-    turned, moved = pose_from_ellipbody(model, posed, shape.repeat_interleave(num_frames, 0), trunk_along=True)
+    shape, clothes, unknown = _shapes(plan.model, body.select(own), scene)
+    turned, moved = pose_from_ellipbody(plan.model, posed, shape.repeat_interleave(num_frames, 0), trunk_along=True)
     first = torch.tensor([looks[home].sight.view for home in homes], device=like.device)
     to_world = rotations[first].mT
-    turned = turned[:, one.turning].clone()
+    turned = turned[:, drawn.turning].clone()
     turned[:, 0] = to_world @ turned[:, 0]
 
     seen = torch.zeros(count, dtype=torch.bool, device=like.device).index_fill(0, rows, True)
     log_scale, shift, smooth, rates = body.log_scale, body.shift, None, None
     lenses = torch.stack([look.seen.lens for look in looks if look.seen.lens is not None])
     at = torch.tensor(homes, device=like.device)
-    if num_frames > 1 and energy.options.smoothing > 0:
-        width, times = energy.options.smoothing, torch.from_numpy(scene.frame_times).to(like.device)
+    if num_frames > 1 and options.smoothing > 0:
+        width, times = options.smoothing, torch.from_numpy(scene.frame_times).to(like.device)
         shares = time_shares(seen.view(-1, num_frames), times, _START_WIDTH * width).to(like)
         each = turned.unflatten(0, (scene.num_people, -1))
         turned = nearest_rotation(torch.einsum("pts,ps...->pt...", shares, each).flatten(0, 1))
@@ -78,29 +79,27 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         smooth = time_shares(seen.new_ones(1, num_frames), times, width).to(like)[0]
         steps = times.diff()
         near = steps <= width * (1 + _ROUNDED)  # else a foot may have gone and stood again between two frames
-        if energy.options.sliding > 0 and near.any():
+        if options.sliding > 0 and near.any():
             rates = torch.where(near, 1 / steps, 0.0).to(like)
 
-    places, points, votes = gather_keypoints(one.model, [look.seen for look in looks])
-    depth_spreads, turn_spreads = gather_spreads(one, [look.uncertainty for look in looks], like)
-    turn_spreads = torch.where(seen[:, None], turn_spreads[at], _UNSEEN_SPREAD)
+    said = [look.uncertainty for look in looks]
+    depths = BodyParameters.joined([look.body for look in looks]).posed().joints[..., 2]
+    aims = gather_aims(drawn, [look.seen for look in looks], said, depths[:, 1:] - depths[:, :1])
+    turn_spreads = torch.where(seen[:, None], gather_turn_spreads(drawn, said, like)[at], _UNSEEN_SPREAD)
 
     def table(values: torch.Tensor) -> torch.Tensor:
-        """Rows of sights by body and view, (N, V, ...)."""
+        """Rows of sights by body and view, 0 where somebody is not seen, (N V, ...)."""
         full = values.new_full((count, num_views, *values.shape[1:]), 0)
         full[rows, views] = values
-        return full
+        return full.flatten(0, 1)
 
-    depths = BodyParameters.joined([look.body for look in looks]).posed().joints[..., 2]
-    together = alone = None
-    if one.mesh is not None:
-        together = _sheet(of_several(energy.clusters), energy.options.together, scene, looks)
-        alone = _sheet(of_one(energy.clusters), energy.options.mesh.size, scene, looks)
-    no_lens = lenses.new_tensor([1.0, 0.0, 0.0])
+    alone = together = None
+    if drawn.mesh is not None:
+        together = _label_pictures(plan, of_several(plan.clusters), options.together, looks)
+        alone = _label_pictures(plan, of_one(plan.clusters), options.mesh.size, looks)
     shown = table(torch.ones_like(views, dtype=torch.bool))
-    seen_by = torch.where(shown[..., None], table(lenses), no_lens).flatten(0, 1)
-    cameras = lens_camera(seen_by, REFERENCE_SIZE)
-    return SceneStarts(
+    crops = lens_camera(torch.where(shown[..., None], table(lenses), lenses.new_tensor(_NO_LENS)), REFERENCE_SIZE)
+    return Starts(
         rotations=turned,
         translation=(to_world @ moved[..., None])[..., 0],
         shape=shape,
@@ -109,23 +108,28 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         log_scale=log_scale,
         shift=shift,
         lens=lenses[at],
-        first_rotations=rotations[first],
-        first_translations=translations[first],
-        turn_weights=turn_spreads.pow(-2)[..., None],
-        view_rotations=rotations,
-        view_translations=translations,
-        places=table(places),
-        points=table(points),
-        votes=table(votes),
-        focals=cameras.focal.unflatten(0, (count, num_views)),
-        centres=cameras.centre.unflatten(0, (count, num_views)),
-        depths=table(depths[:, 1:] - depths[:, :1]),
-        depth_weights=table(1 / depth_spreads.square()),
-        shown=shown,
+        turn_variances=turn_spreads.square()[..., None],
+        aims=LandmarkAims(
+            places=table(aims.places),
+            points=table(aims.points),
+            votes=table(aims.votes),
+            ends=aims.ends,
+            depths=table(aims.depths),
+            depth_weights=table(aims.depth_weights),
+        ),
+        views=Views(
+            rotations=rotations,
+            translations=translations,
+            home_rotations=rotations[first],
+            home_translations=translations[first],
+            focals=crops.focal,
+            centres=crops.centre,
+            shown=shown.view(count, num_views),
+        ),
+        alone=alone,
+        together=together,
         smooth=smooth,
         rates=rates,
-        together=together,
-        alone=alone,
     )
 
 
@@ -266,16 +270,16 @@ def _meeting_point(group: Sequence[Looked], rotations: torch.Tensor, translation
     return torch.linalg.solve(normal, right)
 
 
-def _sheet(clusters: Clusters, size: int, scene: Scene, looks: Sequence[Looked]) -> Sheet | None:
+def _label_pictures(plan: ScenePlan, clusters: Clusters, size: int, looks: Sequence[Looked]) -> LabelPictures | None:
     """Pictures of these clusters in crops of a size, all ignored where nobody is seen; None if there is no cluster."""
     if not clusters:
         return None
-    like = looks[0].body.log_scale
+    scene, like = plan.scene, looks[0].body.log_scale
     slots, rows = slots_of(clusters, scene.num_people, like.device)
     places: list[list[int]] = rows.tolist()
     shape = len(clusters) * scene.num_frames * len(scene.views), size, size
     target = torch.full(shape, IGNORE, dtype=torch.uint8, device=like.device)
-    lenses = like.new_tensor([1.0, 0.0, 0.0]).repeat(shape[0], 1)
+    lenses = like.new_tensor(_NO_LENS).repeat(shape[0], 1)
     groups: dict[int, list[Looked]] = {}
     for look in looks:
         cluster = places[look.sight.person][0]
@@ -291,7 +295,7 @@ def _sheet(clusters: Clusters, size: int, scene: Scene, looks: Sequence[Looked])
             target[picture], lenses[picture] = labels, look.seen.lens
         else:
             target[picture], lenses[picture] = _together(group, places, size, scene.views[group[0].sight.view], like)
-    return Sheet(target, border_lengths(target), lenses, slots, rows)
+    return LabelPictures.of(target, Slots(lenses, slots, rows))
 
 
 def _shifted(labels: torch.Tensor, look: Looked, places: Sequence[Sequence[int]]) -> torch.Tensor:
