@@ -98,7 +98,6 @@ CARRIERS_TO_MEND = {
     "crop_loss: _as_floats(*parameters)",
     "draw: self.prepare_picture(**images)",
     "landmark_costs: _LandmarkCosts.apply(*own)",
-    "measure_parameters: BodyParameters(*sizes)",
     "pose: _in_torch(*parameters)",
     "pose: pose_parts(*parameters)",
     "posed: pose_parts(*numbers)",

@@ -11,10 +11,11 @@ from warp_partdr.inputs.scene import PersonShape, Scene
 from warp_partdr.lab.synthetic.scene_people import make_views
 from warp_partdr.models.anny import anny
 from warp_partdr.models.measuring import statures
+from warp_partdr.solve.mesh.looked import Looked
 from warp_partdr.solve.scene.clip_sizes import of_one_size, stretch
 from warp_partdr.solve.scene.depth_order import grown
 from warp_partdr.solve.scene.fitting import fit_scene
-from warp_partdr.solve.scene.looks import Looked, look_at
+from warp_partdr.solve.scene.looks import look_at
 from warp_partdr.solve.scene.options import SceneOptions
 
 FRAMES = 31  # eight looks

@@ -13,11 +13,12 @@ from warp_partdr.inputs.scene import Scene, Sight
 from warp_partdr.lab.synthetic.scene_people import make_views
 from warp_partdr.models.anny import anny
 from warp_partdr.solve.mesh.energy import MeshEnergy
+from warp_partdr.solve.mesh.looked import Looked
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.mesh.starts import Starts
 from warp_partdr.solve.scene.clusters import find_clusters, slots_of
 from warp_partdr.solve.scene.fitting import fit_scene
-from warp_partdr.solve.scene.looks import Looked, look_at
+from warp_partdr.solve.scene.looks import look_at
 from warp_partdr.solve.scene.options import SceneOptions
 from warp_partdr.solve.scene.plan import plan_scene
 from warp_partdr.solve.scene.start import gather_scene

@@ -25,8 +25,9 @@ from ..interop.gradient_mode import with_gradients
 from ..interop.torch_threads import one_torch_thread
 from ..networks.regression.landmarks import LANDMARKS, network_keypoints
 from ..networks.regression.predicted import posed_landmarks
+from ..solve.mesh.looked import Looked
 from ..solve.scene.clip_sizes import alike_sizes
-from ..solve.scene.looks import Looked, look_at
+from ..solve.scene.looks import look_at
 
 # Chosen on PartBench's people 0 to 39 and clips 0 to 7 before two cameras, by
 # ``python -m warp_partdr.lab camera-places``.

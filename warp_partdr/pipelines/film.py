@@ -27,9 +27,9 @@ from ..models.registration import Registered, ungrown
 from ..networks.detection.film_people import FilmPeople, shots_between
 from ..networks.detection.person import SKELETON
 from ..solve.ellipsoids.fitting import Progress
+from ..solve.mesh.looked import Looked
 from ..solve.scene.fitting import SceneFit, fit_scene
 from ..solve.scene.impossible import impossible_people
-from ..solve.scene.looks import Looked
 from ..solve.scene.options import SceneOptions
 from .camera_units import in_metres
 from .film_looks import FilmLooks

@@ -20,7 +20,8 @@ from ..errors import InputError
 from ..inputs.scene import Scene, Sight
 from ..networks.detection.film_people import areas
 from ..solve.ellipsoids.fitting import Progress
-from ..solve.scene.looks import Looked, look_in_batches, looked_at_together
+from ..solve.mesh.looked import Looked
+from ..solve.scene.looks import look_in_batches, looked_at_together
 from .camera_places import Moments, Places, place_cameras
 from .matched_times import uneven_times
 from .photo import check_whose, person_place

@@ -8,7 +8,8 @@ from dataclasses import replace
 import torch
 
 from ..inputs.scene import Scene, Sight, View
-from ..solve.scene.looks import Looked, look_in_batches, looked_at_together
+from ..solve.mesh.looked import Looked
+from ..solve.scene.looks import look_in_batches, looked_at_together
 
 _Block = tuple[int, int, int]  # a person, a view, and which block of frames
 

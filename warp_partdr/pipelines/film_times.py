@@ -18,7 +18,7 @@ from ..inputs.frame_times import is_even
 from ..networks.regression.landmarks import LANDMARKS
 from ..networks.regression.predicted import posed_landmarks
 from ..solve.ellipsoids.fitting import Progress
-from ..solve.scene.looks import Looked
+from ..solve.mesh.looked import Looked
 from .film_cameras import look_at_frames, moments_of, spread
 from .matched_times import match_films, nearest_frames
 from .same_people import check_each_film

@@ -23,8 +23,8 @@ from ...models.anny import anny
 from ...models.measuring import statures
 from ...models.model import Detailed
 from ...render.mesh import draw_mesh
+from ...solve.mesh.looked import Looked
 from ...solve.scene.depth_order import grown
-from ...solve.scene.looks import Looked
 from ...solve.scene.start import time_shares
 from . import people
 from .mocap import Clip

@@ -20,11 +20,11 @@ from ...models.pose import free_joints, pose_from_ellipbody
 from ...models.registration import shape_from_lengths
 from ...networks.regression.uncertainty import Uncertainty
 from ..ellipsoids.energy import split_votes
-from ..ellipsoids.result import FitResult
 from .drawn_model import DrawnModel
 from .energy import MeshEnergy
 from .given_poses import GivenPoses
 from .landmark_costs import LandmarkAims
+from .looked import Looked
 from .starts import LabelPictures, Starts
 
 # Where no network said how sure it is, and of joints that it says nothing of: depth [m] and turns [rad].
@@ -33,17 +33,17 @@ _ROW = 32  # keypoints: people have so many, or a multiple, so that few sizes of
 
 
 def gather_starts(
-    energy: MeshEnergy, model: DetailedModel, results: Sequence[FitResult], given: GivenPoses | None = None
+    energy: MeshEnergy, model: DetailedModel, people: Sequence[Looked], given: GivenPoses | None = None
 ) -> Starts:
     """Starts of people, each alone in one frame of one view; all have a camera, or none.
 
     Args:
         energy: Energy of people with labels of their set.
         model: The whole model.
-        results: Fits of ellipsoids; each goes on from where its outline stage began.
-        given: Bodies to start from instead, where the results see theirs.
+        people: The people.
+        given: Bodies to start from instead, where the people's crops see theirs.
     """
-    start = BodyParameters.joined([each.before_outline or each.parameters for each in results])
+    start = BodyParameters.joined([each.body for each in people])
     if given is None:
         posed = start.posed()
         shape = shape_from_lengths(model, posed)
@@ -51,8 +51,7 @@ def gather_starts(
         rotations = whole[:, energy.drawn.turning]
     else:
         shape, rotations, translation = given.shape, given.turning_rotations(), given.translation
-    observations = [each.observation for each in results]
-    said = [each.uncertainty for each in results]
+    observations, said = [each.seen for each in people], [each.uncertainty for each in people]
     aims = gather_aims(energy.drawn, observations, said, shape.new_zeros(len(shape), len(JOINT_NAMES) - 1))
     alone = lens = None
     if energy.drawn.mesh is not None:
@@ -60,7 +59,7 @@ def gather_starts(
         alone = LabelPictures.of(resize_nearest(labels, energy.options.size))
     if observations[0].lens is not None:
         lens = torch.stack([each.lens for each in observations if each.lens is not None])
-    people = Starts(
+    starts = Starts(
         rotations=rotations,
         translation=translation,
         shape=shape,
@@ -73,8 +72,8 @@ def gather_starts(
         aims=aims,
         alone=alone,
     )
-    landmarks = energy.drawn.landmarks(energy.drawn.pose(people, people.at_rest()))
-    return replace(people, aims=replace(aims, depths=energy.drawn.depths(landmarks).detach()))
+    landmarks = energy.drawn.landmarks(energy.drawn.pose(starts, starts.at_rest()))
+    return replace(starts, aims=replace(aims, depths=energy.drawn.depths(landmarks).detach()))
 
 
 def gather_aims(

@@ -36,6 +36,7 @@ from ..ellipsoids.result import FitResult
 from .energy import MeshEnergy, mesh_energy
 from .gather import gather_starts
 from .given_poses import GivenPoses
+from .looked import Looked
 from .mesh_options import MeshOptions
 from .steps import Steps, find_steps
 
@@ -174,7 +175,7 @@ def _refine_batch(
 ) -> list[MeshFit]:
     started = time.perf_counter()
     with torch.no_grad():
-        people = gather_starts(energy, model, results, given)
+        people = gather_starts(energy, model, [Looked.of_fit(each) for each in results], given)
     steps = find_steps(energy, people)
     steps.run(progress)
     with torch.no_grad():
@@ -266,6 +267,12 @@ def measure_parameters(
 ) -> tuple[BodyParameters, torch.Tensor]:
     """EllipBodies of detailed bodies about the origin, which is seen at ``log_scale`` and ``shift``; their pelvises."""
     orientation, pelvises, turns, lengths, thicknesses = measure_ellipbody(bodies)
-    sizes = lengths, thicknesses, log_scale, shift
-    measured = BodyParameters(rotation_to_6d(orientation), rotation_to_axis_angle(turns), *sizes)
+    measured = BodyParameters(
+        orientation=rotation_to_6d(orientation),
+        rotations=rotation_to_axis_angle(turns),
+        lengths=lengths,
+        thicknesses=thicknesses,
+        log_scale=log_scale,
+        shift=shift,
+    )
     return move_pelvises(measured, lens, pelvises), pelvises

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import torch
 
-from ...interop.adam import Adam
+from ...interop.adam import Adam, descend
 from ...interop.captured_step import CapturedStep
 from ...interop.graph_cache import graphs
-from ..ellipsoids.stepper import rate_share
+from ..ellipsoids.stepper import FINAL_RATE
 from .energy import MeshEnergy
 from .starts import Starts, Unknowns
 
@@ -48,9 +48,7 @@ class Steps:
     def run(self, progress: Callable[[int], None]) -> None:
         """Take all steps that the options ask for, and tell how many are done after each."""
         iterations = self.energy.options.iterations
-        for iteration in range(iterations):
-            self.step(rate_share(iteration, iterations))
-            progress(iteration + 1)
+        descend(lambda _, share: self.step(share), iterations, last_share=FINAL_RATE, progress=progress)
 
     def step(self, share: float | torch.Tensor) -> None:
         """Take one step, at this share of the learning rate."""

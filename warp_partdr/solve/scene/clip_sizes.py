@@ -19,8 +19,8 @@ from ...inputs.scene import Scene
 from ...models.measuring import statures
 from ...models.model import DetailedModel
 from ...models.registration import shape_from_lengths
+from ..mesh.looked import Looked
 from .depth_order import grown
-from .looks import Looked
 
 # Of 600 people of PartBench's kind, whom no level has, in motion that networks learn from (scripts/learn_sizes.py): the
 # true logarithm changes by 1 / (a + b / n) where the mean of n looks changes by 1, about this sum of lengths [m].

@@ -11,7 +11,7 @@ from ...errors import InputError
 from ...inputs.observation import CROP_MARGIN
 from ...inputs.person import person_crop
 from ...render.part_mesh import MAX_LABEL
-from .looks import Looked
+from ..mesh.looked import Looked
 
 Clusters = tuple[tuple[int, ...], ...]  # each person in one, ascending
 

@@ -16,9 +16,9 @@ import torch
 from ...cameras import ScreenCamera
 from ...render.mesh import mesh_label_loss
 from ...render.part_mesh import PartMesh
+from ..mesh.looked import Looked
 from ..mesh.starts import Starts, Unknowns
 from .clusters import of_several
-from .looks import Looked
 from .plan import ScenePlan
 from .start import gather_scene
 

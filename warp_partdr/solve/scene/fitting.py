@@ -24,13 +24,14 @@ from ...models.registration import Registered, ungrown
 from ...models.resizing import resize_before
 from ..ellipsoids.fitting import Progress
 from ..mesh.energy import MeshEnergy
+from ..mesh.looked import Looked
 from ..mesh.starts import StandingFeet, Starts, Unknowns
 from ..mesh.steps import find_steps
 from .clip_sizes import of_one_size
 from .depth_order import LEAST_GAIN, exchange, order_people
 from .ground import Grounded, stand_on_ground
 from .impossible import impossible_people
-from .looks import Looked, look_at
+from .looks import look_at
 from .options import SceneOptions
 from .plan import plan_scene
 from .start import gather_scene

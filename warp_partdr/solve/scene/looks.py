@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 
 import torch
 
 from ...body.lens import turn_to_rays
-from ...body.parameters import BodyParameters
-from ...cameras import Crop
 from ...errors import InputError
 from ...inputs.evidence import Evidence, weigh_evidence
-from ...inputs.observation import Observation, crop_evidence
+from ...inputs.observation import crop_evidence
 from ...inputs.scene import Scene, Sight, View
 from ...interop.torch_threads import one_torch_thread
 from ...kernels.launch import get_num_threads, run_slices
@@ -21,30 +19,9 @@ from ...networks.regression.checkpoint import packaged_network
 from ...networks.regression.label_network import LabelNetwork
 from ...networks.regression.predict import ask_network
 from ...networks.regression.predicted import Predicted
-from ...networks.regression.uncertainty import Uncertainty
+from ..mesh.looked import Looked
 
 _TOGETHER = {"cpu": 8, "cuda": 64}  # sights that the network looks at at a time; on the CPU, on each thread
-
-
-@dataclass(frozen=True)
-class Looked:
-    """A sight that the network looked at.
-
-    Attributes:
-        sight: The sight.
-        evidence: What is believed of it.
-        seen: The same in a crop.
-        crop: The crop.
-        body: The network's body, as the crop's camera sees it, B = 1.
-        uncertainty: How sure it is.
-    """
-
-    sight: Sight
-    evidence: Evidence
-    seen: Observation
-    crop: Crop
-    body: BodyParameters
-    uncertainty: Uncertainty | None
 
 
 def look_at(scene: Scene, device: torch.device | str) -> list[Looked]:

@@ -23,9 +23,9 @@ from ...models.pose import pose_from_ellipbody
 from ...models.registration import shape_from_lengths
 from ..mesh.gather import gather_aims, gather_turn_spreads
 from ..mesh.landmark_costs import LandmarkAims
+from ..mesh.looked import Looked
 from ..mesh.starts import LabelPictures, Slots, Starts, Views
 from .clusters import Clusters, of_one, of_several, slots_of
-from .looks import Looked
 from .pictures import pelvises_in_world
 from .plan import ScenePlan
 
