@@ -29,7 +29,8 @@ from warp_partdr.solve.scene.fitting import fit_scene
 from warp_partdr.solve.scene.looks import look_at
 from warp_partdr.solve.scene.options import SceneOptions
 from warp_partdr.solve.scene.plan import ScenePlan, plan_scene
-from warp_partdr.solve.scene.start import gather_scene, time_shares
+from warp_partdr.solve.scene.smoothing import time_shares
+from warp_partdr.solve.scene.start import gather_scene
 
 QUICK = SceneOptions(mesh=MeshOptions(iterations=30, size=96, vertices=800), together=160)
 

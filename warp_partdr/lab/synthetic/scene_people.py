@@ -25,7 +25,7 @@ from ...models.model import Detailed
 from ...render.mesh import draw_mesh
 from ...solve.mesh.looked import Looked
 from ...solve.scene.depth_order import grown
-from ...solve.scene.start import time_shares
+from ...solve.scene.smoothing import time_shares
 from . import people
 from .mocap import Clip
 from .noise import LEVELS, Level, noisy_keypoints, noisy_labels
