@@ -16,9 +16,9 @@ from warp_partdr.lab.synthetic.mocap import Clip
 from warp_partdr.lab.synthetic.scene_people import make_clip, make_pair
 from warp_partdr.models.anny import anny
 from warp_partdr.solve.mesh.energy import MeshEnergy
+from warp_partdr.solve.mesh.feet import FEET, slides
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.mesh.starts import Starts
-from warp_partdr.solve.scene.feet import FEET, slides
 from warp_partdr.solve.scene.fitting import fit_scene
 from warp_partdr.solve.scene.looks import look_at
 from warp_partdr.solve.scene.options import SceneOptions

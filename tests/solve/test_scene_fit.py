@@ -20,11 +20,11 @@ from warp_partdr.models.anny import anny
 from warp_partdr.models.capsules import measure_capsules
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.solve.mesh.energy import mesh_energy
+from warp_partdr.solve.mesh.feet import FEET
 from warp_partdr.solve.mesh.looked import Looked
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.mesh.starts import LabelPictures, StandingFeet, Starts
 from warp_partdr.solve.scene.depth_order import exchange, grown, order_people
-from warp_partdr.solve.scene.feet import FEET
 from warp_partdr.solve.scene.fitting import fit_scene
 from warp_partdr.solve.scene.looks import look_at
 from warp_partdr.solve.scene.options import SceneOptions

@@ -24,11 +24,11 @@ from ...models.model import Detailed, DetailedModel
 from ...models.point_sums import sum_points
 from ...render.mesh import mesh_label_loss
 from ...render.part_mesh import PartMesh
-from ..scene.feet import POINTS, slides
-from ..scene.pictures import PictureViews, pelvises_in_world, place_people
 from .drawn_model import DrawnModel, draw_model
+from .feet import POINTS, slides
 from .landmark_costs import landmark_costs
 from .mesh_options import MeshOptions
+from .placed_people import PictureViews, pelvises_in_world, place_people
 from .starts import LabelPictures, Starts, Unknowns, Views
 from .unknown_noise import keypoint_costs, label_costs
 

@@ -15,9 +15,9 @@ import numpy as np
 
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.scene import Ground
+from ..mesh.feet import FEET
 from ..mesh.looked import Looked
 from .depth_order import grown
-from .feet import FEET
 from .plan import ScenePlan
 from .start import gather_scene
 

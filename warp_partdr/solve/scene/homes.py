@@ -18,7 +18,7 @@ from ...body.rotations import nearest_rotation, rotation_from_axis_angle, rotati
 from ...inputs.observation import REFERENCE_SIZE
 from ...inputs.scene import Scene, View
 from ..mesh.looked import Looked
-from .pictures import pelvises_in_world
+from ..mesh.placed_people import pelvises_in_world
 
 _NEAREST = 0.1  # [m], of a pelvis before its camera
 

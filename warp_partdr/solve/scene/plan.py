@@ -13,9 +13,9 @@ from ...models.capsules import measure_capsules
 from ...models.model import DetailedModel
 from ..mesh.drawn_model import DrawnModel, draw_model
 from ..mesh.energy import MeshEnergy
+from ..mesh.feet import FEET
 from ..mesh.looked import Looked
 from .clusters import Clusters, check_room, find_clusters
-from .feet import FEET
 from .options import SceneOptions
 
 
