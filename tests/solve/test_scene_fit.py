@@ -45,7 +45,7 @@ def prepared(
 
 
 def pelvises(plan: ScenePlan, people: Starts) -> torch.Tensor:
-    """Where the fit starts, in the world."""
+    """Pelvises where the fit starts, in the world."""
     found = plan.energy.place(people, people.at_rest()).pelvises
     assert found is not None
     return found

@@ -24,7 +24,7 @@ from ...models.anny import anny
 from ...solve.ellipsoids.fitting import fit_body
 from ...solve.ellipsoids.options import FitOptions
 from ...solve.ellipsoids.result import FitResult
-from ...solve.mesh import gather, mesh_stage
+from ...solve.mesh import gather, mesh_stage, steps
 from ...solve.mesh.energy import mesh_energy
 from ...solve.mesh.gather import gather_starts
 from ...solve.mesh.looked import Looked
@@ -41,7 +41,7 @@ _STEPS = (
     Step(gather, "pose_from_ellipbody", "starts, poses"),
     Step(gather, "gather_aims", "starts, keypoints and depths"),
     Step(gather, "gather_turn_spreads", "starts, spreads of turns"),
-    Step(mesh_stage, "find_steps", "steps found or captured"),
+    Step(steps, "find_steps", "steps found or captured"),
     Step(CapturedStep, "replay", "steps"),
     Step(mesh_stage, "ungrown", "whole mesh"),
     Step(mesh_stage, "measure_parameters", "measured"),
@@ -69,9 +69,9 @@ def measure_mesh(*, counts: Counts = (1, 8), device: Device = "auto") -> Iterato
     for people in counts:
         results = [several[place % len(several)] for place in range(people)]
         with one_torch_thread():
-            steps = _timed(_all_steps(results, options, where), where)
+            alone = _timed(_all_steps(results, options, where), where)
         whole = _timed(partial(refine_meshes, results, options=options), where)
-        table.add(people, whole.wall, whole.busy, steps.wall, steps.busy)
+        table.add(people, whole.wall, whole.busy, alone.wall, alone.busy)
         clock = StepClock(where, _STEPS)
         clock.measure(partial(refine_meshes, results, options=options))
         clocks.append(clock.table(f"{people} people", people))
@@ -111,10 +111,10 @@ def _all_steps(results: list[FitResult], options: MeshOptions, device: str) -> C
     energy = mesh_energy(model, options, results[0].observation.label_set)
     with torch.no_grad():
         people = gather_starts(energy, model, [Looked.of_fit(each) for each in results])
-    steps = find_steps(energy, people)
+    found = find_steps(energy, people)
 
     def run() -> None:
         for _ in range(options.iterations):
-            steps.step(0.5)
+            found.step(0.5)
 
     return run

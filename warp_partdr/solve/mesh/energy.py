@@ -29,7 +29,7 @@ from .feet import POINTS, slides
 from .landmark_costs import landmark_costs
 from .mesh_options import MeshOptions
 from .placed_people import PictureViews, pelvises_in_world, place_people
-from .starts import LabelPictures, Starts, Unknowns, Views
+from .starts import LabelPictures, Starts, Unknowns, WorldViews
 from .unknown_noise import keypoint_costs, label_costs
 
 _SEVERAL_CAMERAS = 2.0  # factor of keypoints and labels: rays that meet tell more than the network's guesses do
@@ -165,7 +165,7 @@ def crop_cameras(people: Starts, unknowns: Unknowns, size: int) -> tuple[Camera,
     return through_lens(crop_camera(unknowns.log_scale, unknowns.shift, size), people.lens, size)
 
 
-def _before_views(points: torch.Tensor, views: Views) -> torch.Tensor:
+def _before_views(points: torch.Tensor, views: WorldViews) -> torch.Tensor:
     """Points (N, L, 3) in each camera's frame, shape (N, V, L, 3)."""
     turned = torch.nn.functional.linear(points, views.rotations.flatten(0, 1), views.translations.flatten())
     return turned.unflatten(2, (-1, 3)).transpose(1, 2)
@@ -224,7 +224,7 @@ def _by_cameras(people: Starts) -> float:
     return _SEVERAL_CAMERAS if people.num_views > 1 else 1.0
 
 
-class Term(NamedTuple):
+class MeshTerm(NamedTuple):
     """Term of the energy."""
 
     name: str
@@ -234,28 +234,32 @@ class Term(NamedTuple):
 
 
 TERMS = (
-    Term("proj", lambda energy, people: _by_cameras(people) * energy.options.proj, _keypoints),
-    Term("depth", lambda energy, people: energy.options.depth, lambda energy, bodies: bodies.landmark_costs[1]),
-    Term(
+    MeshTerm("proj", lambda energy, people: _by_cameras(people) * energy.options.proj, _keypoints),
+    MeshTerm("depth", lambda energy, people: energy.options.depth, lambda energy, bodies: bodies.landmark_costs[1]),
+    MeshTerm(
         "turns",
         lambda energy, people: energy.options.turns,
         lambda energy, bodies: bodies.unknowns.turns.square() / bodies.people.turn_variances,
     ),
-    Term(
+    MeshTerm(
         "shape",
         lambda energy, people: energy.options.shape / 2,
         lambda energy, bodies: (bodies.unknowns.shape - bodies.people.shape).square(),
     ),
-    Term(
+    MeshTerm(
         "clothes",
         lambda energy, people: energy.options.clothes or 0.0,
         lambda energy, bodies: clothes_costs(bodies.unknowns.clothes),
         lambda energy, people: energy.options.clothes is not None,
     ),
-    Term("apart", lambda energy, people: energy.apart, _overlaps, lambda energy, people: energy.capsules is not None),
-    Term("ground", lambda energy, people: energy.ground, _heights, lambda energy, people: people.feet is not None),
-    Term("sliding", lambda energy, people: energy.sliding, _slides, lambda energy, people: people.rates is not None),
-    Term(
+    MeshTerm(
+        "apart", lambda energy, people: energy.apart, _overlaps, lambda energy, people: energy.capsules is not None
+    ),
+    MeshTerm("ground", lambda energy, people: energy.ground, _heights, lambda energy, people: people.feet is not None),
+    MeshTerm(
+        "sliding", lambda energy, people: energy.sliding, _slides, lambda energy, people: people.rates is not None
+    ),
+    MeshTerm(
         "seg",
         lambda energy, people: _by_cameras(people) * energy.options.drawn_seg,
         _label_losses,

@@ -94,7 +94,7 @@ def gather_aims(
 
 
 def gather_turn_spreads(drawn: DrawnModel, said: Sequence[Uncertainty | None], like: torch.Tensor) -> torch.Tensor:
-    """How sure the turn of each free joint is [rad], shape (M, F), of the dtype and on the device of ``like``."""
+    """Spreads of the turns of free joints [rad], shape (M, F), of the dtype and on the device of ``like``."""
     count = 1 + len(FREE_PARTS)
     unsaid = like.new_full((1, count), _TURN_SPREAD)
     turns = torch.cat([unsaid if each is None else each.turns for each in said])

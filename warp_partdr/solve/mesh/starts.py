@@ -22,7 +22,7 @@ _SHAPE_RATE, _CLOTHES_RATE = 5.0, 0.3
 
 
 @dataclass(frozen=True)
-class Views(NamedTensors):
+class WorldViews(NamedTensors):
     """V cameras that share a world, and the crops in which they see bodies.
 
     Attributes:
@@ -131,7 +131,7 @@ class Starts(NamedTensors):
     lens: torch.Tensor | None
     turn_variances: torch.Tensor
     aims: LandmarkAims
-    views: Views | None = None
+    views: WorldViews | None = None
     alone: LabelPictures | None = None
     together: LabelPictures | None = None
     smooth: torch.Tensor | None = None

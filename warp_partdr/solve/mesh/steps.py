@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 
@@ -15,6 +16,42 @@ from .starts import Starts, Unknowns
 
 # Of Adam. So few steps can't wait for torch's defaults: these forget the start's large gradients, and overshoot less.
 _BETAS = 0.7, 0.95
+
+
+@dataclass(frozen=True)
+class RefinedPeople:
+    """People whose numbers were refined; a later refinement changes none of these tensors.
+
+    Attributes:
+        people: Where they started, and what was observed of them.
+        unknowns: Their numbers after the last step.
+        terms: Weighted terms of the energy before the last step by name, one number a cost's row; none without a step.
+    """
+
+    people: Starts
+    unknowns: Unknowns
+    terms: dict[str, torch.Tensor]
+
+    @property
+    def energies(self) -> dict[str, float]:
+        """Weighted terms of all people together, by name."""
+        return {name: float(term.sum()) for name, term in self.terms.items()}
+
+
+def refine_starts(energy: MeshEnergy, people: Starts, progress: Callable[[int], None]) -> RefinedPeople:
+    """Refine people from their start on.
+
+    Args:
+        energy: Energy, with the number of steps and their size.
+        people: Where they start, and what was observed of them.
+        progress: Called after each step with the number of steps that are done.
+    """
+    steps = find_steps(energy, people)
+    options = energy.options
+    descend(lambda _, share: steps.step(share), options.iterations, last_share=FINAL_RATE, progress=progress)
+    with torch.no_grad():
+        unknowns = Unknowns(**{name: value.clone() for name, value in vars(steps.unknowns).items()})
+        return RefinedPeople(people, unknowns, {name: term.clone() for name, term in steps.terms.items()})
 
 
 class Steps:
@@ -44,11 +81,6 @@ class Steps:
         factors = self.energy.factors(self.people)
         costs = {name: cost.detach() for name, cost in self._costs.items()}
         return {name: factors[name] * cost.reshape(len(cost), -1).sum(1) for name, cost in costs.items()}
-
-    def run(self, progress: Callable[[int], None]) -> None:
-        """Take all steps that the options ask for, and tell how many are done after each."""
-        iterations = self.energy.options.iterations
-        descend(lambda _, share: self.step(share), iterations, last_share=FINAL_RATE, progress=progress)
 
     def step(self, share: float | torch.Tensor) -> None:
         """Take one step, at this share of the learning rate."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -23,17 +23,16 @@ from ...models.model import DetailedModel
 from ...models.registration import Registered, ungrown
 from ...models.resizing import resize_before
 from ..ellipsoids.fitting import Progress
-from ..mesh.energy import MeshEnergy
 from ..mesh.looked import Looked
-from ..mesh.starts import StandingFeet, Starts, Unknowns
-from ..mesh.steps import find_steps
+from ..mesh.starts import StandingFeet, Starts
+from ..mesh.steps import RefinedPeople, refine_starts
 from .clip_sizes import of_one_size
 from .depth_order import LEAST_GAIN, exchange, order_people
 from .ground import Grounded, stand_on_ground
 from .impossible import impossible_people
 from .looks import look_at
 from .options import SceneOptions
-from .plan import plan_scene
+from .plan import ScenePlan, plan_scene
 from .start import gather_scene
 
 
@@ -132,25 +131,9 @@ def fit_scene(
         if options.one_size or options.stature is not None:
             looks = of_one_size(model, scene, looks, options.stature)
         looks, grounded = stand_on_ground(plan, looks)
-        if options.exchanges:
-            people, looks = order_people(plan, looks)
-        else:
-            people = gather_scene(plan, looks)
     warnings = _warnings(looks)
     looked = time.perf_counter()
-    best = _refine(plan.energy, _held(people, grounded), looks, tell)
-    # What is refined fits the order it stands in, so in one frame the other order is refined, too, before they compare.
-    least_gain = LEAST_GAIN if scene.num_frames > 1 else -math.inf
-    for _ in range(1, scene.num_people if options.exchanges else 1):
-        with torch.no_grad():
-            exchanged = exchange(plan, best.people, best.unknowns, best.looks, least_gain)
-            if exchanged is None:
-                break
-            people = gather_scene(plan, exchanged)
-        other = _refine(plan.energy, _held(people, grounded), exchanged, tell)
-        if other.total >= best.total:
-            break
-        best = other
+    best = _refine(plan, looks, grounded, lambda done: tell("scene", done, options.mesh.iterations))
     with torch.no_grad():
         drawn, pelvises = plan.energy.drawn, plan.energy.place(best.people, best.unknowns).pelvises
         assert pelvises is not None
@@ -163,23 +146,8 @@ def fit_scene(
         clothes = bounded(best.unknowns.clothes)
     seconds = {"network": looked - started, "scene": time.perf_counter() - looked}
     ground = None if grounded is None else grounded.ground
-    fit = SceneFit(scene, bodies, clothes, best.terms, seconds, warnings, ground)
+    fit = SceneFit(scene, bodies, clothes, best.energies, seconds, warnings, ground)
     return replace(fit, warnings=(*warnings, *_impossible(fit)))
-
-
-@dataclass(frozen=True)
-class _Refined:
-    """Bodies of a refinement, what it started from, and its terms before the last step."""
-
-    people: Starts
-    looks: Sequence[Looked]
-    unknowns: Unknowns
-    terms: dict[str, float]
-
-    @property
-    def total(self) -> float:
-        """The energy."""
-        return sum(self.terms.values())
 
 
 def _held(people: Starts, grounded: Grounded | None) -> Starts:
@@ -190,13 +158,27 @@ def _held(people: Starts, grounded: Grounded | None) -> Starts:
     return replace(people, feet=StandingFeet(plane, people.shape.new_tensor(grounded.shares)))
 
 
-def _refine(energy: MeshEnergy, people: Starts, looks: Sequence[Looked], tell: Progress) -> _Refined:
-    steps = find_steps(energy, people)
-    steps.run(lambda done: tell("scene", done, energy.options.iterations))
+def _refine(
+    plan: ScenePlan, looks: Sequence[Looked], grounded: Grounded | None, progress: Callable[[int], None]
+) -> RefinedPeople:
+    """People in the best of the orders in depth that are tried."""
+    options, scene = plan.options, plan.scene
     with torch.no_grad():
-        found = {name: value.clone() for name, value in vars(steps.unknowns).items()}
-    terms = {name: float(term.sum()) for name, term in steps.terms.items()}
-    return _Refined(people, looks, Unknowns(**found), terms)
+        people, looks = order_people(plan, looks) if options.exchanges else (gather_scene(plan, looks), looks)
+    best = refine_starts(plan.energy, _held(people, grounded), progress)
+    # What is refined fits the order it stands in, so in one frame the other order is refined, too, before they compare.
+    least_gain = LEAST_GAIN if scene.num_frames > 1 else -math.inf
+    for _ in range(1, scene.num_people if options.exchanges else 1):
+        with torch.no_grad():
+            exchanged = exchange(plan, best.people, best.unknowns, looks, least_gain)
+            if exchanged is None:
+                break
+            people = gather_scene(plan, exchanged)
+        other = refine_starts(plan.energy, _held(people, grounded), progress)
+        if sum(other.energies.values()) >= sum(best.energies.values()):
+            break
+        best, looks = other, exchanged
+    return best
 
 
 def _impossible(fit: SceneFit) -> list[str]:

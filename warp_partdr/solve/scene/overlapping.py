@@ -15,7 +15,7 @@ from ..ellipsoids.fitting import Progress
 from ..ellipsoids.result import FitResult
 from ..mesh.looked import Looked
 from ..mesh.mesh_options import MeshOptions
-from ..mesh.mesh_stage import MeshFit, mesh_fits, refine_meshes
+from ..mesh.mesh_stage import CropPositions, MeshFit, mesh_fits, refine_meshes
 from .clusters import Clusters, find_clusters, fits_in_labels, of_several
 from .fitting import fit_scene
 from .options import SceneOptions
@@ -76,10 +76,10 @@ def _fit_together(
     with torch.no_grad():
         lens = torch.stack([each.observation.lens for each in results if each.observation.lens is not None])
         pelvises = fit.landmarks(("pelvis",))[:, 0, 0]
-        where = *seen_at(pelvises, lens), lens
+        origins = CropPositions(*seen_at(pelvises, lens), lens)
         bodies = fit.bodies.moved(-pelvises)
         losses = {name: lens.new_tensor(len(lens) * [value]) for name, value in fit.energy.items()}
-        fits = mesh_fits(replace(bodies, losses=losses), where, fit.clothes, results, len(lens) * [fit.energy])
+        fits = mesh_fits(replace(bodies, losses=losses), origins, fit.clothes, results, len(lens) * [fit.energy])
     for each in fits:
         each.ellipbody.stage_seconds["mesh"] = fit.seconds["scene"] / len(fits)
     return fits

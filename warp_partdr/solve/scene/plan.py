@@ -21,7 +21,7 @@ from .options import SceneOptions
 
 @dataclass(frozen=True, eq=False)
 class ScenePlan:
-    """What a scene's fit works with.
+    """Scene with all that its fit works with.
 
     Attributes:
         scene: The scene.

@@ -20,7 +20,7 @@ from ...models.registration import shape_from_lengths
 from ..mesh.gather import gather_aims, gather_turn_spreads
 from ..mesh.landmark_costs import LandmarkAims
 from ..mesh.looked import Looked
-from ..mesh.starts import Starts, Views
+from ..mesh.starts import Starts, WorldViews
 from .clusters import of_one, of_several
 from .homes import CameraPoses, find_homes
 from .label_pictures import NO_LENS, cluster_pictures
@@ -139,11 +139,11 @@ def _aims(plan: ScenePlan, looks: Sequence[Looked], table: _Table) -> LandmarkAi
     )
 
 
-def _views(looks: Sequence[Looked], table: _Table, cameras: CameraPoses, homes: CameraPoses) -> Views:
+def _views(looks: Sequence[Looked], table: _Table, cameras: CameraPoses, homes: CameraPoses) -> WorldViews:
     lenses = table.full(torch.stack([look.seen.lens for look in looks if look.seen.lens is not None]))
     shown = table.shown
     crops = lens_camera(torch.where(shown.view(-1, 1), lenses, lenses.new_tensor(NO_LENS)), REFERENCE_SIZE)
-    return Views(
+    return WorldViews(
         rotations=cameras.rotations,
         translations=cameras.translations,
         home_rotations=homes.rotations,
