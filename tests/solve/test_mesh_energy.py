@@ -12,8 +12,8 @@ from warp_partdr.lab.synthetic.scene_people import LABELS, make_views
 from warp_partdr.models.anny import anny
 from warp_partdr.solve.mesh.energy import TERMS, mesh_energy
 from warp_partdr.solve.mesh.gather import gather_starts
-from warp_partdr.solve.mesh.looked import Looked
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
+from warp_partdr.solve.mesh.observed_body import ObservedBody
 from warp_partdr.solve.mesh.starts import Starts
 from warp_partdr.solve.scene.looks import look_at
 from warp_partdr.solve.scene.options import SceneOptions
@@ -24,12 +24,12 @@ QUICK = SceneOptions(mesh=MeshOptions(iterations=2, size=96, vertices=800, apart
 
 
 @pytest.fixture(scope="module")
-def looks() -> list[Looked]:
+def looks() -> list[ObservedBody]:
     """A person of PartBench, seen by one camera."""
     return look_at(make_views(3, 1).scene, "cpu")
 
 
-def beside_each_other(looks: list[Looked], options: MeshOptions) -> Starts:
+def beside_each_other(looks: list[ObservedBody], options: MeshOptions) -> Starts:
     """Starts of the person twice, each in a scene of one person."""
     energy = mesh_energy(anny(), options, LABELS)
     with torch.no_grad():

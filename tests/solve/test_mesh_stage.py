@@ -21,9 +21,9 @@ from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.result import FitResult
 from warp_partdr.solve.mesh.energy import mesh_energy
 from warp_partdr.solve.mesh.gather import gather_starts
-from warp_partdr.solve.mesh.looked import Looked
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.mesh.mesh_stage import MeshFit, refine_mesh, refine_meshes
+from warp_partdr.solve.mesh.observed_body import ObservedBody
 from warp_partdr.solve.mesh.steps import Steps
 
 HIPS = ("left_hip", "right_hip")
@@ -239,7 +239,7 @@ def test_steps_start_again_with_other_people(crowd):
     everyone = several(crowd, "cpu")
     seen = [each for each in everyone if each.observation.lens is None and each.observation.label_set is not None][:2]
     energy = mesh_energy(anny(), QUICK, seen[0].observation.label_set)
-    first, second = (gather_starts(energy, anny(), [Looked.of_fit(each)]) for each in seen)
+    first, second = (gather_starts(energy, anny(), [ObservedBody.of_fit(each)]) for each in seen)
     used, fresh = Steps(energy, first.copied()), Steps(energy, second)
     used.step(1.0)
     used.restart(second)

@@ -13,8 +13,8 @@ from warp_partdr.inputs.scene import Scene, Sight
 from warp_partdr.lab.synthetic.scene_people import make_views
 from warp_partdr.models.anny import anny
 from warp_partdr.solve.mesh.energy import MeshEnergy
-from warp_partdr.solve.mesh.looked import Looked
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
+from warp_partdr.solve.mesh.observed_body import ObservedBody
 from warp_partdr.solve.mesh.starts import Starts
 from warp_partdr.solve.scene.clusters import find_clusters, slots_of
 from warp_partdr.solve.scene.fitting import fit_scene
@@ -43,7 +43,7 @@ def line(*widths: float, frame: int = 0) -> list[Sight]:
     return [beside(one, person, far, frame=frame, parts=False) for person, far in enumerate(widths)]
 
 
-def looked(sights: list[Sight]) -> tuple[Scene, list[Looked]]:
+def looked(sights: list[Sight]) -> tuple[Scene, list[ObservedBody]]:
     scene = Scene(make_views(3, 1).scene.views, sights)
     return scene, look_at(scene, "cpu")
 

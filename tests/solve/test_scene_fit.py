@@ -21,8 +21,8 @@ from warp_partdr.models.capsules import measure_capsules
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.solve.mesh.energy import mesh_energy
 from warp_partdr.solve.mesh.feet import FEET
-from warp_partdr.solve.mesh.looked import Looked
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
+from warp_partdr.solve.mesh.observed_body import ObservedBody
 from warp_partdr.solve.mesh.starts import LabelPictures, StandingFeet, Starts
 from warp_partdr.solve.scene.depth_order import exchange, grown, order_people
 from warp_partdr.solve.scene.fitting import fit_scene
@@ -36,7 +36,7 @@ QUICK = SceneOptions(mesh=MeshOptions(iterations=30, size=96, vertices=800), tog
 
 
 def prepared(
-    scene: Scene, device: str, options: SceneOptions = QUICK, looks: Sequence[Looked] | None = None
+    scene: Scene, device: str, options: SceneOptions = QUICK, looks: Sequence[ObservedBody] | None = None
 ) -> tuple[ScenePlan, Starts]:
     looks = looks or look_at(scene, device)
     plan = plan_scene(scene, looks, anny(torch.device(device)), options)
@@ -115,7 +115,7 @@ def test_a_pair_in_the_wrong_order_is_exchanged(device):
     front = int(depths.argmin())
     with torch.no_grad():
         right = look_at(sample.scene, device)
-        away = [float(look.seen.lens[0] / look.body.log_scale.exp()) for look in right]
+        away = [float(look.observation.lens[0] / look.body.log_scale.exp()) for look in right]
         factor = math.sqrt(1.08 * max(1.0, away[1 - front] / away[front]))
         wrong = [grown(look, factor if look.sight.person == front else 1 / factor) for look in right]
         people, looks = order_people(plan, wrong)
@@ -151,7 +151,7 @@ def test_each_view_is_seen_by_its_own_camera():
     found = look_at(replace(scene, views=[first, narrow]), "cpu")
     for look, before in zip(found, usual, strict=True):
         factor = 2.0 if look.sight.view else 1.0
-        assert float(look.seen.lens[0]) == pytest.approx(factor * float(before.seen.lens[0]), rel=1e-5)
+        assert float(look.observation.lens[0]) == pytest.approx(factor * float(before.observation.lens[0]), rel=1e-5)
 
 
 def test_labels_along_no_bone_are_left_out_and_that_is_told():
@@ -161,7 +161,7 @@ def test_labels_along_no_bone_are_left_out_and_that_is_told():
     corner = np.zeros_like(sight.parts.groups)
     corner[:3, :3] = 1
     (look,) = look_at(replace(scene, sights=[replace(sight, parts=replace(sight.parts, groups=corner))]), "cpu")
-    assert look.seen.labels is None
+    assert look.observation.labels is None
     (warning,) = look.evidence.warnings
     assert warning.endswith("keypoints alone taken")
 

@@ -27,9 +27,9 @@ from ...solve.ellipsoids.result import FitResult
 from ...solve.mesh import gather, mesh_stage, steps
 from ...solve.mesh.energy import mesh_energy
 from ...solve.mesh.gather import gather_starts
-from ...solve.mesh.looked import Looked
 from ...solve.mesh.mesh_options import MeshOptions
 from ...solve.mesh.mesh_stage import refine_meshes
+from ...solve.mesh.observed_body import ObservedBody
 from ...solve.mesh.steps import find_steps
 from ..clocks import Step, StepClock, synchronize
 from ..evaluation.partbench.samples import make_sample
@@ -110,7 +110,7 @@ def _all_steps(results: list[FitResult], options: MeshOptions, device: str) -> C
     model = anny(device)
     energy = mesh_energy(model, options, results[0].observation.label_set)
     with torch.no_grad():
-        people = gather_starts(energy, model, [Looked.of_fit(each) for each in results])
+        people = gather_starts(energy, model, [ObservedBody.of_fit(each) for each in results])
     found = find_steps(energy, people)
 
     def run() -> None:

@@ -24,8 +24,8 @@ from ...models.anny import anny
 from ...solve.ellipsoids.fitting import fit_body
 from ...solve.mesh.energy import mesh_energy
 from ...solve.mesh.gather import gather_starts
-from ...solve.mesh.looked import Looked
 from ...solve.mesh.mesh_options import MeshOptions
+from ...solve.mesh.observed_body import ObservedBody
 from ...solve.mesh.steps import Steps, find_steps
 from ...solve.scene.looks import look_at
 from ...solve.scene.options import SceneOptions
@@ -90,7 +90,7 @@ def _mesh_steps(device: torch.device) -> Steps:
     fit = fit_body(sight.keypoints, sight.parts, quality="fast", device=str(device), camera=camera)
     energy = mesh_energy(model, _MESH, fit.observation.label_set)
     with torch.no_grad():
-        return find_steps(energy, gather_starts(energy, model, [Looked.of_fit(fit)]))
+        return find_steps(energy, gather_starts(energy, model, [ObservedBody.of_fit(fit)]))
 
 
 def _seconds_of(device: str, *ways: Steps) -> list[float]:

@@ -24,7 +24,7 @@ from .drawn_model import DrawnModel
 from .energy import MeshEnergy
 from .given_poses import GivenPoses
 from .landmark_costs import LandmarkAims
-from .looked import Looked
+from .observed_body import ObservedBody
 from .starts import LabelPictures, Starts
 
 # Where no network said how sure it is, and of joints that it says nothing of: depth [m] and turns [rad].
@@ -33,7 +33,7 @@ _ROW = 32  # keypoints: people have so many, or a multiple, so that few sizes of
 
 
 def gather_starts(
-    energy: MeshEnergy, model: DetailedModel, people: Sequence[Looked], given: GivenPoses | None = None
+    energy: MeshEnergy, model: DetailedModel, people: Sequence[ObservedBody], given: GivenPoses | None = None
 ) -> Starts:
     """Starts of people, each alone in one frame of one view; all have a camera, or none.
 
@@ -51,7 +51,7 @@ def gather_starts(
         rotations = whole[:, energy.drawn.turning]
     else:
         shape, rotations, translation = given.shape, given.turning_rotations(), given.translation
-    observations, said = [each.seen for each in people], [each.uncertainty for each in people]
+    observations, said = [each.observation for each in people], [each.uncertainty for each in people]
     aims = gather_aims(energy.drawn, observations, said, shape.new_zeros(len(shape), len(JOINT_NAMES) - 1))
     alone = lens = None
     if energy.drawn.mesh is not None:

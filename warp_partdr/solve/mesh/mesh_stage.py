@@ -36,8 +36,8 @@ from ..ellipsoids.result import FitResult
 from .energy import MeshEnergy, mesh_energy
 from .gather import gather_starts
 from .given_poses import GivenPoses
-from .looked import Looked
 from .mesh_options import MeshOptions
+from .observed_body import ObservedBody
 from .steps import RefinedPeople, refine_starts
 
 
@@ -175,7 +175,7 @@ def _refine_batch(
 ) -> list[MeshFit]:
     started = time.perf_counter()
     with torch.no_grad():
-        people = gather_starts(energy, model, [Looked.of_fit(each) for each in results], given)
+        people = gather_starts(energy, model, [ObservedBody.of_fit(each) for each in results], given)
     refined = refine_starts(energy, people, progress)
     with torch.no_grad():
         return _finish(energy, model, refined, results, given, started)

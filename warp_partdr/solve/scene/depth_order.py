@@ -16,7 +16,7 @@ import torch
 from ...cameras import ScreenCamera
 from ...render.mesh import mesh_label_loss
 from ...render.part_mesh import PartMesh
-from ..mesh.looked import Looked
+from ..mesh.observed_body import ObservedBody
 from ..mesh.starts import Starts, Unknowns
 from .clusters import of_several
 from .plan import ScenePlan
@@ -27,7 +27,7 @@ LEAST_GAIN = 0.003  # of the loss, that an exchange must save; rounding alone mo
 _MOST_EXCHANGES = 3  # a person of the picture
 
 
-def order_people(plan: ScenePlan, looks: Sequence[Looked]) -> tuple[Starts, list[Looked]]:
+def order_people(plan: ScenePlan, looks: Sequence[ObservedBody]) -> tuple[Starts, list[ObservedBody]]:
     """Starts with pairs exchanged where the labels of their picture say so, and their sights."""
     looks, scene = list(looks), plan.scene
     people = gather_scene(plan, looks)
@@ -49,9 +49,9 @@ def exchange(
     plan: ScenePlan,
     people: Starts,
     unknowns: Unknowns,
-    looks: Sequence[Looked],
+    looks: Sequence[ObservedBody],
     least_gain: float = LEAST_GAIN,
-) -> list[Looked] | None:
+) -> list[ObservedBody] | None:
     """Sights after the best exchange of two people in each frame, as bodies are now; None if none gains so much."""
     if not _tells_order(plan, people):
         return None
@@ -77,7 +77,7 @@ def _drawn(plan: ScenePlan, people: Starts, unknowns: Unknowns) -> torch.Tensor:
     return drawn.unflatten(1, (slots, -1)).unflatten(0, (clusters, -1))
 
 
-def _exchanged(looks: Sequence[Looked], factors: Mapping[int, Mapping[int, float]]) -> list[Looked]:
+def _exchanged(looks: Sequence[ObservedBody], factors: Mapping[int, Mapping[int, float]]) -> list[ObservedBody]:
     """Sights whose bodies grow by factors, by frame and person."""
     return [grown(look, factors.get(look.sight.frame, {}).get(look.sight.person, 1.0)) for look in looks]
 
@@ -123,6 +123,6 @@ def _best_exchange(
     return tries[best] if float(loss[best]) < (1 - least_gain) * float(loss[0]) else {}
 
 
-def grown(look: Looked, factor: float) -> Looked:
+def grown(look: ObservedBody, factor: float) -> ObservedBody:
     """A sight whose body is so much larger and farther away."""
     return replace(look, body=look.body.resized(torch.full_like(look.body.log_scale, factor)))

@@ -23,7 +23,7 @@ from ...models.model import DetailedModel
 from ...models.registration import Registered, ungrown
 from ...models.resizing import resize_before
 from ..ellipsoids.fitting import Progress
-from ..mesh.looked import Looked
+from ..mesh.observed_body import ObservedBody
 from ..mesh.starts import StandingFeet, Starts
 from ..mesh.steps import RefinedPeople, refine_starts
 from .clip_sizes import of_one_size
@@ -90,7 +90,7 @@ def fit_scene(
     model: DetailedModel | None = None,
     device: torch.device | str = "cpu",
     progress: Progress | None = None,
-    looks: Sequence[Looked] | None = None,
+    looks: Sequence[ObservedBody] | None = None,
 ) -> SceneFit:
     """Fit detailed bodies to a scene: one shape a person, a pose a frame, places in the world.
 
@@ -159,7 +159,7 @@ def _held(people: Starts, grounded: Grounded | None) -> Starts:
 
 
 def _refine(
-    plan: ScenePlan, looks: Sequence[Looked], grounded: Grounded | None, progress: Callable[[int], None]
+    plan: ScenePlan, looks: Sequence[ObservedBody], grounded: Grounded | None, progress: Callable[[int], None]
 ) -> RefinedPeople:
     """People in the best of the orders in depth that are tried."""
     options, scene = plan.options, plan.scene
@@ -191,7 +191,7 @@ def _impossible(fit: SceneFit) -> list[str]:
     return impossible_people(dict(enumerate(fit.statures.tolist())), dict(enumerate(far)))
 
 
-def _warnings(looks: Sequence[Looked]) -> tuple[str, ...]:
+def _warnings(looks: Sequence[ObservedBody]) -> tuple[str, ...]:
     """Faults of sights, each sentence once, with the first sight that it is about."""
     first: dict[str, str] = {}
     for look in looks:

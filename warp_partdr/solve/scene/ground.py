@@ -16,7 +16,7 @@ import numpy as np
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.scene import Ground
 from ..mesh.feet import FEET
-from ..mesh.looked import Looked
+from ..mesh.observed_body import ObservedBody
 from .depth_order import grown
 from .plan import ScenePlan
 from .start import gather_scene
@@ -120,7 +120,7 @@ def _shares(bodies: Standing, off: np.ndarray, normal: np.ndarray, offset: float
     return bodies.seen * _STANDING * stands / (_STANDING * stands + (1 - _STANDING) / _ELSEWHERE)
 
 
-def stand_on_ground(plan: ScenePlan, looks: Sequence[Looked]) -> tuple[list[Looked], Grounded | None]:
+def stand_on_ground(plan: ScenePlan, looks: Sequence[ObservedBody]) -> tuple[list[ObservedBody], Grounded | None]:
     """Sights whose bodies grew, and the ground in the world; None where it can't tell anything.
 
     Several views know the depth, people whose shapes are known do not grow, and of one person on any ground all sizes
@@ -144,7 +144,7 @@ def stand_on_ground(plan: ScenePlan, looks: Sequence[Looked]) -> tuple[list[Look
     return grew, Grounded(ground, found.sizes, found.shares)
 
 
-def _standing(plan: ScenePlan, looks: Sequence[Looked], eye: np.ndarray) -> Standing:
+def _standing(plan: ScenePlan, looks: Sequence[ObservedBody], eye: np.ndarray) -> Standing:
     """Bodies where the fit starts, about the eye of the one camera."""
     scene, people = plan.scene, gather_scene(plan, looks)
     names = plan.energy.drawn.model.landmark_names

@@ -17,7 +17,7 @@ from ...body.parameters import BodyParameters
 from ...body.rotations import nearest_rotation, rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle
 from ...inputs.observation import REFERENCE_SIZE
 from ...inputs.scene import Scene, View
-from ..mesh.looked import Looked
+from ..mesh.observed_body import ObservedBody
 from ..mesh.placed_people import pelvises_in_world
 
 _NEAREST = 0.1  # [m], of a pelvis before its camera
@@ -75,7 +75,7 @@ class HomeBodies:
         return replace(self, body=replace(body, log_scale=log_scale, shift=shift))
 
 
-def find_homes(scene: Scene, looks: Sequence[Looked], cameras: CameraPoses) -> HomeBodies:
+def find_homes(scene: Scene, looks: Sequence[ObservedBody], cameras: CameraPoses) -> HomeBodies:
     """Put together what all views say of each body, in the crop of its home.
 
     Args:
@@ -86,12 +86,12 @@ def find_homes(scene: Scene, looks: Sequence[Looked], cameras: CameraPoses) -> H
     index = _home_looks(scene, looks)
     homes = [looks[each] for each in index]
     views = torch.tensor([home.sight.view for home in homes], device=cameras.rotations.device)
-    lenses = torch.stack([home.seen.lens for home in homes if home.seen.lens is not None])
+    lenses = torch.stack([home.observation.lens for home in homes if home.observation.lens is not None])
     body = _join_bodies(scene, looks, homes, cameras)
     return HomeBodies(body, torch.tensor(index, device=views.device), cameras.select(views), lenses)
 
 
-def _home_looks(scene: Scene, looks: Sequence[Looked]) -> list[int]:
+def _home_looks(scene: Scene, looks: Sequence[ObservedBody]) -> list[int]:
     """Index of the look in whose crop each body is placed: of the view that sees the person surest in all frames.
 
     Smooth moves are smooth in one view alone. Where nobody sees a person, the look is of the nearest frame.
@@ -113,11 +113,11 @@ def _home_looks(scene: Scene, looks: Sequence[Looked]) -> list[int]:
 
 
 def _join_bodies(
-    scene: Scene, looks: Sequence[Looked], homes: Sequence[Looked], cameras: CameraPoses
+    scene: Scene, looks: Sequence[ObservedBody], homes: Sequence[ObservedBody], cameras: CameraPoses
 ) -> BodyParameters:
     """Bodies in their home crops; those of a person have one size."""
     bodies: list[BodyParameters] = []
-    of_body: dict[tuple[int, int], list[Looked]] = {}
+    of_body: dict[tuple[int, int], list[ObservedBody]] = {}
     for look in looks:
         of_body.setdefault((look.sight.person, look.sight.frame), []).append(look)
     for person in range(scene.num_people):
@@ -130,14 +130,16 @@ def _join_bodies(
     return BodyParameters.joined(bodies)
 
 
-def _met(body: BodyParameters, home: Looked, group: Sequence[Looked], cameras: CameraPoses) -> BodyParameters:
+def _met(
+    body: BodyParameters, home: ObservedBody, group: Sequence[ObservedBody], cameras: CameraPoses
+) -> BodyParameters:
     """A body that several views see, in its home crop."""
     here, rotations = home.sight.view, cameras.rotations
     world = [rotations[look.sight.view].mT @ look.body.global_orient() for look in group]
     orientation = rotations[here] @ _mean_rotation(torch.cat(world))
     local = torch.cat([rotation_from_axis_angle(look.body.rotations) for look in group])
     pelvis = rotations[here] @ _meeting_point(group, cameras) + cameras.translations[here]
-    lens = home.seen.lens
+    lens = home.observation.lens
     assert lens is not None
     if pelvis[2] > _NEAREST:  # else rays do not meet before the camera
         log_scale, shift = seen_at(pelvis[None], lens[None])
@@ -154,12 +156,12 @@ def _mean_rotation(rotations: torch.Tensor) -> torch.Tensor:
     return nearest_rotation(rotations.mean(-3))
 
 
-def _meeting_point(group: Sequence[Looked], cameras: CameraPoses) -> torch.Tensor:
+def _meeting_point(group: Sequence[ObservedBody], cameras: CameraPoses) -> torch.Tensor:
     """The point that is nearest to the rays through the pelvises, shape (3,) [m]."""
     normal, right = cameras.rotations.new_zeros(3, 3), cameras.rotations.new_zeros(3)
     eye = torch.eye(3).to(normal)
     for look in group:
-        _, pelvis = through_lens(look.body.camera(REFERENCE_SIZE), look.seen.lens, REFERENCE_SIZE)
+        _, pelvis = through_lens(look.body.camera(REFERENCE_SIZE), look.observation.lens, REFERENCE_SIZE)
         assert pelvis is not None
         turn, move = cameras.rotations[look.sight.view], cameras.translations[look.sight.view]
         ray = turn.mT @ torch.nn.functional.normalize(pelvis[0], dim=0)

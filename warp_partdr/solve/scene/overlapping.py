@@ -13,9 +13,9 @@ from ...inputs.scene import Scene, View
 from ...models.model import DetailedModel
 from ..ellipsoids.fitting import Progress
 from ..ellipsoids.result import FitResult
-from ..mesh.looked import Looked
 from ..mesh.mesh_options import MeshOptions
 from ..mesh.mesh_stage import CropPositions, MeshFit, mesh_fits, refine_meshes
+from ..mesh.observed_body import ObservedBody
 from .clusters import Clusters, find_clusters, fits_in_labels, of_several
 from .fitting import fit_scene
 from .options import SceneOptions
@@ -54,7 +54,9 @@ def overlapping(results: Sequence[FitResult]) -> Clusters:
     """Places of people who may hide one another, where labels of one set can tell: all of them before a camera."""
     if len(results) < 2 or not isinstance(results[0].camera, Perspective):
         return ()
-    found = of_several(find_clusters([Looked.of_fit(each, place) for place, each in enumerate(results)], len(results)))
+    found = of_several(
+        find_clusters([ObservedBody.of_fit(each, place) for place, each in enumerate(results)], len(results))
+    )
     return tuple(members for members in found if _alike([results[place] for place in members]))
 
 
@@ -68,7 +70,7 @@ def _fit_together(
 ) -> list[MeshFit]:
     camera = results[0].camera
     assert isinstance(camera, Perspective)
-    looks = [Looked.of_fit(each, person) for person, each in enumerate(results)]
+    looks = [ObservedBody.of_fit(each, person) for person, each in enumerate(results)]
     # No ground: of a photo, it is found of everybody (``results.scene_places``).
     together, device = SceneOptions(mesh=options, ground=0.0), results[0].parameters.shift.device
     scene = Scene([View(camera)], [look.sight for look in looks])

@@ -14,7 +14,7 @@ from ...models.model import DetailedModel
 from ..mesh.drawn_model import DrawnModel, draw_model
 from ..mesh.energy import MeshEnergy
 from ..mesh.feet import FEET
-from ..mesh.looked import Looked
+from ..mesh.observed_body import ObservedBody
 from .clusters import Clusters, check_room, find_clusters
 from .options import SceneOptions
 
@@ -38,7 +38,7 @@ class ScenePlan:
     energy: MeshEnergy
 
 
-def plan_scene(scene: Scene, looks: Sequence[Looked], model: DetailedModel, options: SceneOptions) -> ScenePlan:
+def plan_scene(scene: Scene, looks: Sequence[ObservedBody], model: DetailedModel, options: SceneOptions) -> ScenePlan:
     """Find who is drawn together, and make the energy.
 
     Args:
@@ -50,7 +50,7 @@ def plan_scene(scene: Scene, looks: Sequence[Looked], model: DetailedModel, opti
     Raises:
         InputError: If people who overlap have more labels than a picture holds.
     """
-    label_set = next((look.seen.label_set for look in looks if look.seen.label_set is not None), None)
+    label_set = next((look.observation.label_set for look in looks if look.observation.label_set is not None), None)
     drawn, clusters = draw_model(model, options.mesh, label_set), find_clusters(looks, scene.num_people)
     groups = 0 if label_set is None else label_set.num_groups
     if drawn.mesh is not None:

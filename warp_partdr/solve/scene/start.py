@@ -19,7 +19,7 @@ from ...models.pose import pose_from_ellipbody
 from ...models.registration import shape_from_lengths
 from ..mesh.gather import gather_aims, gather_turn_spreads
 from ..mesh.landmark_costs import LandmarkAims
-from ..mesh.looked import Looked
+from ..mesh.observed_body import ObservedBody
 from ..mesh.starts import Starts, WorldViews
 from .clusters import of_one, of_several
 from .homes import CameraPoses, find_homes
@@ -31,7 +31,7 @@ _START_WIDTH = 2 / 3  # of the moves' Gaussian, by which starts are smoothed: no
 _UNSEEN_SPREAD = 1.0  # [rad], of turns where nobody sees a person
 
 
-def gather_scene(plan: ScenePlan, looks: Sequence[Looked]) -> Starts:
+def gather_scene(plan: ScenePlan, looks: Sequence[ObservedBody]) -> Starts:
     """Starts of a scene's bodies, and what was observed of them.
 
     Args:
@@ -98,7 +98,7 @@ class _Table:
     shape: tuple[int, int]
 
     @classmethod
-    def of(cls, scene: Scene, looks: Sequence[Looked]) -> _Table:
+    def of(cls, scene: Scene, looks: Sequence[ObservedBody]) -> _Table:
         """Find the places of a scene's looks."""
         device = looks[0].body.log_scale.device
         rows = [look.sight.person * scene.num_frames + look.sight.frame for look in looks]
@@ -124,11 +124,11 @@ class _Table:
         return full.flatten(0, 1)
 
 
-def _aims(plan: ScenePlan, looks: Sequence[Looked], table: _Table) -> LandmarkAims:
+def _aims(plan: ScenePlan, looks: Sequence[ObservedBody], table: _Table) -> LandmarkAims:
     """Aims of all bodies in all views; those who are not seen have no weight."""
     depths = BodyParameters.joined([look.body for look in looks]).posed().joints[..., 2]
     said = [look.uncertainty for look in looks]
-    aims = gather_aims(plan.energy.drawn, [look.seen for look in looks], said, depths[:, 1:] - depths[:, :1])
+    aims = gather_aims(plan.energy.drawn, [look.observation for look in looks], said, depths[:, 1:] - depths[:, :1])
     return LandmarkAims(
         places=table.full(aims.places),
         points=table.full(aims.points),
@@ -139,8 +139,8 @@ def _aims(plan: ScenePlan, looks: Sequence[Looked], table: _Table) -> LandmarkAi
     )
 
 
-def _views(looks: Sequence[Looked], table: _Table, cameras: CameraPoses, homes: CameraPoses) -> WorldViews:
-    lenses = table.full(torch.stack([look.seen.lens for look in looks if look.seen.lens is not None]))
+def _views(looks: Sequence[ObservedBody], table: _Table, cameras: CameraPoses, homes: CameraPoses) -> WorldViews:
+    lenses = table.full(torch.stack([look.observation.lens for look in looks if look.observation.lens is not None]))
     shown = table.shown
     crops = lens_camera(torch.where(shown.view(-1, 1), lenses, lenses.new_tensor(NO_LENS)), REFERENCE_SIZE)
     return WorldViews(

@@ -14,13 +14,13 @@ from ..ellipsoids.result import FitResult
 
 
 @dataclass(frozen=True)
-class Looked:
+class ObservedBody:
     """Person in a picture, and the body from which a fit starts.
 
     Attributes:
         sight: Who is seen when and from where, with keypoints and labels as they were given.
         evidence: What is believed of them.
-        seen: The same in a crop.
+        observation: The same in a crop.
         crop: The crop.
         body: Body of the network or of an earlier fit, as the crop's camera sees it, B = 1.
         uncertainty: How sure the network was of it; None: no network said so.
@@ -28,13 +28,13 @@ class Looked:
 
     sight: Sight
     evidence: Evidence
-    seen: Observation
+    observation: Observation
     crop: Crop
     body: BodyParameters
     uncertainty: Uncertainty | None
 
     @classmethod
-    def of_fit(cls, result: FitResult, person: int = 0) -> Looked:
+    def of_fit(cls, result: FitResult, person: int = 0) -> ObservedBody:
         """Person of a fit of ellipsoids; a fit of the mesh goes on from where its outline stage began."""
         evidence, body = result.evidence, result.before_outline or result.parameters
         sight = Sight(evidence.keypoints, evidence.picture, person)
