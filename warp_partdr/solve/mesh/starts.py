@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import torch
 
-from ...interop.movable import Movable
 from ...models.clothes import CLOTHED
 from .landmark_costs import LandmarkAims
 from .tensors import NamedTensors
@@ -193,7 +192,7 @@ class Starts(NamedTensors):
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns(Movable):
+class Unknowns(NamedTensors):
     """Numbers that a fit looks for.
 
     Attributes:

@@ -50,8 +50,8 @@ def refine_starts(energy: MeshEnergy, people: Starts, progress: Callable[[int], 
     options = energy.options
     descend(lambda _, share: steps.step(share), options.iterations, last_share=FINAL_RATE, progress=progress)
     with torch.no_grad():
-        unknowns = Unknowns(**{name: value.clone() for name, value in vars(steps.unknowns).items()})
-        return RefinedPeople(people, unknowns, {name: term.clone() for name, term in steps.terms.items()})
+        terms = {name: term.clone() for name, term in steps.terms.items()}
+        return RefinedPeople(people, steps.unknowns.copied(), terms)
 
 
 class Steps:
