@@ -11,6 +11,7 @@ import pytest
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.interop.torch_threads import one_torch_thread
 from warp_partdr.results.film_file import write_film
+from warp_partdr.solve.mesh.energy import TERMS
 
 ROOT = Path(__file__).resolve().parents[2]
 FILM = "walk.mp4"  # the film of pages' readers
@@ -50,6 +51,13 @@ def test_links_of_pages_lead_somewhere_and_json_is_valid(page):
         assert not anchor or anchor in anchors(target), link
     for block in blocks(page, "json"):
         json.loads(block)
+
+
+def test_the_page_of_scenes_lists_the_energy_s_terms():
+    section = (
+        (ROOT / "docs" / "scenes.md").read_text(encoding="utf-8").partition("## Energy\n")[2].partition("\n## ")[0]
+    )
+    assert re.findall(r"(?m)^\| `(\w+)` \|", section) == [term.name for term in TERMS]
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=lambda page: page.stem)

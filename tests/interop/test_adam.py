@@ -8,7 +8,7 @@ import sys
 import pytest
 import torch
 
-from warp_partdr.interop.adam import Adam
+from warp_partdr.interop.adam import Adam, cosine_share, descend
 
 
 @pytest.mark.parametrize("betas", [(0.9, 0.999), (0.7, 0.95)])
@@ -56,3 +56,14 @@ def test_a_refinement_loads_no_compiler():
         "print({'torch._dynamo', 'trimesh', 'scipy'} & set(sys.modules))"
     )
     assert subprocess.check_output([sys.executable, "-c", code], text=True).splitlines()[-1] == "set()"
+
+
+def test_a_descent_takes_all_steps_at_falling_rates():
+    taken: list[tuple[int, float]] = []
+    told: list[int] = []
+    descend(lambda step, share: taken.append((step, share)), 4, last_share=0.2, progress=told.append)
+    assert [step for step, _ in taken] == [0, 1, 2, 3]
+    shares = [share for _, share in taken]
+    assert shares == pytest.approx([1.0, 0.882843, 0.6, 0.317157], abs=1e-6)
+    assert told == [1, 2, 3, 4]
+    assert cosine_share(9, 4, 0.2) == pytest.approx(0.2)

@@ -164,7 +164,7 @@ def test_half_of_the_pairs_start_in_the_wrong_order() -> None:
         wrong = in_wrong_order(sample, looks)
 
     def distances(found):
-        return [float(look.seen.lens[0] / look.body.log_scale.exp()) for look in found]
+        return [float(look.observation.lens[0] / look.body.log_scale.exp()) for look in found]
 
     front, back = sample.order
     assert distances(wrong)[front] > distances(wrong)[back]

@@ -21,7 +21,7 @@ from warp_partdr.models.pose import pose_from_ellipbody
 from warp_partdr.models.reduction import Reduced, reduce_model, reduce_within
 from warp_partdr.models.surfaces import is_closed, vertex_parts
 from warp_partdr.render.mesh import draw_mesh
-from warp_partdr.solve.mesh.mesh_energy import mesh_energy
+from warp_partdr.solve.mesh.drawn_model import draw_model
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
 
 SIZE = 192
@@ -93,7 +93,7 @@ def test_faces_seen_from_behind_are_left_out_of_closed_models_alone(reduced):
     one_sided = replace(two_sided, cull_backfaces=True)
     want, have = (draw_mesh(vertices, mesh, camera, (SIZE, SIZE)).labels for mesh in (two_sided, one_sided))
     assert (want != have).sum() <= 0.001 * (want > 0).sum()
-    seen = mesh_energy(model, MeshOptions(), label_set("full1")).mesh
+    seen = draw_model(model, MeshOptions(), label_set("full1")).mesh
     assert seen is not None
     assert seen.cull_backfaces
 

@@ -11,17 +11,18 @@ from warp_partdr.inputs.scene import PersonShape, Scene
 from warp_partdr.lab.synthetic.scene_people import make_views
 from warp_partdr.models.anny import anny
 from warp_partdr.models.measuring import statures
+from warp_partdr.solve.mesh.observed_body import ObservedBody
 from warp_partdr.solve.scene.clip_sizes import of_one_size, stretch
 from warp_partdr.solve.scene.depth_order import grown
 from warp_partdr.solve.scene.fitting import fit_scene
-from warp_partdr.solve.scene.looks import Looked, look_at
+from warp_partdr.solve.scene.looks import look_at
 from warp_partdr.solve.scene.options import SceneOptions
 
 FRAMES = 31  # eight looks
 
 
 @pytest.fixture(scope="module")
-def clip() -> tuple[Scene, list[Looked]]:
+def clip() -> tuple[Scene, list[ObservedBody]]:
     """Somebody small, whom frames see larger and smaller."""
     one = make_views(3, 1).scene
     (seen,) = look_at(one, "cpu")
@@ -32,7 +33,7 @@ def clip() -> tuple[Scene, list[Looked]]:
     return Scene(one.views, sights), looks
 
 
-def sizes(looks: list[Looked]) -> torch.Tensor:
+def sizes(looks: list[ObservedBody]) -> torch.Tensor:
     return torch.stack([look.body.lengths.sum() for look in looks])
 
 

@@ -96,7 +96,7 @@ def repair_depth_order(
     body: BodyParameters, seen: Observation, prior: PosePrior, said: Uncertainty | None = None
 ) -> tuple[BodyParameters, DepthOrder]:
     """Repair one person's body."""
-    found, (order,) = repair_depth_orders(body, Observations.of([seen]), prior, said=said)
+    found, (order,) = repair_depth_orders(body, Observations.of([seen]), prior, uncertainty=said)
     return found, order
 
 
@@ -134,7 +134,7 @@ def test_flips_farther_than_the_network_believes_are_not_tried(device):
         assert ("left arm: upper_arm" in order.tried) == (order.flipped == "left arm: upper_arm") == (away < 5)
         both = BodyParameters.joined([wrong, wrong])
         several = Uncertainty(*(torch.cat([each, each]) for each in vars(said).values()))
-        orders = repair_depth_orders(both, Observations.of([seen, seen]), prior, said=several)[1]
+        orders = repair_depth_orders(both, Observations.of([seen, seen]), prior, uncertainty=several)[1]
         assert [each.flipped for each in orders] == [order.flipped] * 2
 
 
@@ -161,7 +161,7 @@ def test_an_arm_of_whose_joints_labels_show_nothing_is_taken_behind_the_trunk(de
     depth = [float(body.posed().joints[0, elbow, 2]) for body in (truth, wrong, found)]
     assert abs(depth[2] - depth[0]) < 0.3 * abs(depth[1] - depth[0])
     orders = repair_depth_orders(
-        BodyParameters.joined([wrong, truth]), Observations.of([seen, seen]), prior, said=sure
+        BodyParameters.joined([wrong, truth]), Observations.of([seen, seen]), prior, uncertainty=sure
     )[1]
     assert [order.flipped for order in orders] == ["left arm: upper_arm", None]
     assert repair_depth_order(front, observation_of(front), prior)[1].hidden == ()

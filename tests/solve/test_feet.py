@@ -14,27 +14,26 @@ from warp_partdr.body.skeletons import MPJPE_JOINTS
 from warp_partdr.inputs.scene import Scene
 from warp_partdr.lab.evaluation.scene_scoring import sliding_speed
 from warp_partdr.lab.synthetic.mocap import Clip
-from warp_partdr.lab.synthetic.scene_people import LABELS, make_clip, make_pair
+from warp_partdr.lab.synthetic.scene_people import make_clip, make_pair
 from warp_partdr.models.anny import anny
-from warp_partdr.solve.mesh.mesh_energy import mesh_energy
-from warp_partdr.solve.scene.clusters import find_clusters
-from warp_partdr.solve.scene.energy import SceneEnergy, SceneStarts
-from warp_partdr.solve.scene.feet import FEET, slides
-from warp_partdr.solve.scene.fitting import fit_scene, scene_energy
+from warp_partdr.solve.mesh.energy import MeshEnergy
+from warp_partdr.solve.mesh.feet import FEET, slides
+from warp_partdr.solve.mesh.starts import Starts
+from warp_partdr.solve.scene.fitting import fit_scene
 from warp_partdr.solve.scene.looks import look_at
 from warp_partdr.solve.scene.options import SceneOptions
+from warp_partdr.solve.scene.plan import plan_scene
 from warp_partdr.solve.scene.start import gather_scene
 
 RATE = torch.tensor(30.0)
 STANDS, MOVES = 0.15, 0.75  # [m/s]
 
 
-def prepared(scene: Scene, options: SceneOptions = QUICK_SCENE) -> tuple[SceneEnergy, SceneStarts]:
+def prepared(scene: Scene, options: SceneOptions = QUICK_SCENE) -> tuple[MeshEnergy, Starts]:
     looks = look_at(scene, "cpu")
-    one, clusters = mesh_energy(anny(), options.mesh, LABELS), find_clusters(looks, scene.num_people)
-    energy = scene_energy(one, options, clusters, LABELS.num_groups)
+    plan = plan_scene(scene, looks, anny(), options)
     with torch.no_grad():
-        return energy, gather_scene(energy, anny(), scene, looks)
+        return plan.energy, gather_scene(plan, looks)
 
 
 def moving(*velocities: tuple[float, float, float]) -> torch.Tensor:
@@ -189,11 +188,11 @@ def test_feet_of_each_person_are_compared_with_their_own_a_frame_before() -> Non
     sights = [replace(each, frame=frame) for each in sample.scene.sights for frame in range(5)]
     scene = replace(sample.scene, sights=sights)
     energy, people = prepared(scene)
-    moves = 0.01 * torch.randn(energy.rates(people).shape, generator=torch.Generator().manual_seed(0))
+    moves = 0.01 * torch.randn(people.learning_rates().shape, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
-        unknowns = energy.moved(people, moves)
-        cost, points = energy(people, unknowns)["sliding"], energy.landmarks(people, unknowns)
-    names = energy.one.model.landmark_names
+        unknowns = people.moved(moves)
+        cost, points = energy(people, unknowns)["sliding"], energy.place(people, unknowns).points
+    names = energy.drawn.model.landmark_names
     feet = torch.stack([points[:, names.index(name)] for name in FEET], dim=1).unflatten(0, (2, 5))
     expected = slides(scene.views[0].to_camera(feet)[:, :, None], torch.ones(2, 5, 1, dtype=torch.bool), RATE.repeat(4))
     assert cost.shape == (2, 4, 6)
@@ -216,7 +215,7 @@ def test_only_films_whose_frames_are_near_one_another_have_feet_that_stand() -> 
     ):
         energy, people = prepared(other, options)
         assert people.rates is None
-        assert "sliding" not in energy(people, energy.at_rest(people))
+        assert "sliding" not in energy(people, people.at_rest())
     with pytest.raises(ValueError, match="sliding: -1"):
         SceneOptions(sliding=-1)
 

@@ -13,14 +13,13 @@ from helpers.quick import QUICK_SCENE
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.scene import Ground, Scene, Sight
-from warp_partdr.lab.synthetic.scene_people import LABELS, make_group, make_views
+from warp_partdr.lab.synthetic.scene_people import make_group, make_views
 from warp_partdr.models.anny import anny
-from warp_partdr.solve.mesh.mesh_energy import mesh_energy
-from warp_partdr.solve.scene.clusters import find_clusters
-from warp_partdr.solve.scene.fitting import fit_scene, scene_energy
+from warp_partdr.solve.scene.fitting import fit_scene
 from warp_partdr.solve.scene.ground import Standing, feet_seen, find_ground, stand_on_ground
 from warp_partdr.solve.scene.looks import look_at
 from warp_partdr.solve.scene.options import SceneOptions
+from warp_partdr.solve.scene.plan import plan_scene
 
 PLACES = np.array([[-1.0, 3.0], [-0.4, 5.0], [0.3, 3.6], [0.9, 4.6], [1.4, 5.4], [-1.6, 4.0]])  # [m]: right, away
 LEVEL = np.array([0.0, -1.0, 0.0])
@@ -90,10 +89,8 @@ def test_whose_ankles_are_not_seen_in_a_frame_does_not_stand_in_it_alone() -> No
     sights[1] = without_ankles(sights[1])
     scene = replace(group, sights=sights)
     looks = look_at(scene, "cpu")
-    one, clusters = mesh_energy(anny(), QUICK_SCENE.mesh, LABELS), find_clusters(looks, scene.num_people)
     with torch.no_grad():
-        energy = scene_energy(one, QUICK_SCENE, clusters, LABELS.num_groups)
-        _, grounded = stand_on_ground(energy, anny(), scene, looks)
+        _, grounded = stand_on_ground(plan_scene(scene, looks, anny(), QUICK_SCENE), looks)
     assert grounded is not None
     assert (grounded.shares > 0).tolist() == [True, False, True, True]
 

@@ -20,9 +20,11 @@ from warp_partdr.models.surfaces import vertex_parts
 from warp_partdr.solve.ellipsoids.fitting import fit_body
 from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.result import FitResult
-from warp_partdr.solve.mesh.mesh_energy import gather_starts, mesh_energy
+from warp_partdr.solve.mesh.energy import mesh_energy
+from warp_partdr.solve.mesh.gather import gather_starts
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.mesh.mesh_stage import MeshFit, refine_mesh, refine_meshes
+from warp_partdr.solve.mesh.observed_body import ObservedBody
 from warp_partdr.solve.mesh.steps import Steps
 
 HIPS = ("left_hip", "right_hip")
@@ -240,9 +242,8 @@ def test_steps_start_again_with_other_people(crowd):
     everyone = several(crowd, "cpu")
     seen = [each for each in everyone if each.observation.lens is None and each.observation.label_set is not None][:2]
     energy = mesh_energy(anny(), QUICK_MESH, seen[0].observation.label_set)
-    first, second = (gather_starts(energy, anny(), [each]) for each in seen)
-    rate = energy.options.learning_rate
-    used, fresh = Steps(energy, first.copied(), rate), Steps(energy, second, rate)
+    first, second = (gather_starts(energy, anny(), [ObservedBody.of_fit(each)]) for each in seen)
+    used, fresh = Steps(energy, first.copied()), Steps(energy, second)
     used.step(1.0)
     used.restart(second)
     for steps in (used, fresh):

@@ -11,14 +11,16 @@ from helpers.quick import QUICK_SCENE
 
 from warp_partdr.cameras import Crop
 from warp_partdr.inputs.scene import Scene, Sight
-from warp_partdr.lab.synthetic.scene_people import LABELS, make_views
+from warp_partdr.lab.synthetic.scene_people import make_views
 from warp_partdr.models.anny import anny
-from warp_partdr.solve.mesh.mesh_energy import mesh_energy
+from warp_partdr.solve.mesh.energy import MeshEnergy
+from warp_partdr.solve.mesh.observed_body import ObservedBody
+from warp_partdr.solve.mesh.starts import Starts
 from warp_partdr.solve.scene.clusters import find_clusters, slots_of
-from warp_partdr.solve.scene.energy import SceneEnergy, SceneStarts
-from warp_partdr.solve.scene.fitting import fit_scene, scene_energy
-from warp_partdr.solve.scene.looks import Looked, look_at
+from warp_partdr.solve.scene.fitting import fit_scene
+from warp_partdr.solve.scene.looks import look_at
 from warp_partdr.solve.scene.options import SceneOptions
+from warp_partdr.solve.scene.plan import plan_scene
 from warp_partdr.solve.scene.start import gather_scene
 
 
@@ -39,17 +41,16 @@ def line(*widths: float, frame: int = 0) -> list[Sight]:
     return [beside(one, person, far, frame=frame, parts=False) for person, far in enumerate(widths)]
 
 
-def looked(sights: list[Sight]) -> tuple[Scene, list[Looked]]:
+def looked(sights: list[Sight]) -> tuple[Scene, list[ObservedBody]]:
     scene = Scene(make_views(3, 1).scene.views, sights)
     return scene, look_at(scene, "cpu")
 
 
-def energy_of(scene: Scene, options: SceneOptions) -> tuple[SceneEnergy, SceneStarts]:
+def energy_of(scene: Scene, options: SceneOptions) -> tuple[MeshEnergy, Starts]:
     looks = look_at(scene, "cpu")
-    one = mesh_energy(anny("cpu"), options.mesh, LABELS)
-    energy = scene_energy(one, options, find_clusters(looks, scene.num_people), LABELS.num_groups)
+    plan = plan_scene(scene, looks, anny("cpu"), options)
     with torch.no_grad():
-        return energy, gather_scene(energy, anny("cpu"), scene, looks)
+        return plan.energy, gather_scene(plan, looks)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +125,7 @@ def test_more_people_than_labels_are_fitted_where_few_overlap() -> None:
 def seg_of(scene: Scene, options: SceneOptions = QUICK_SCENE) -> float:
     energy, people = energy_of(scene, options)
     with torch.no_grad():
-        return energy.factors(people)["seg"] * float(energy(people, energy.at_rest(people))["seg"].sum())
+        return energy.factors(people)["seg"] * float(energy(people, people.at_rest())["seg"].sum())
 
 
 def test_labels_of_all_count_where_some_overlap() -> None:

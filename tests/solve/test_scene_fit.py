@@ -20,48 +20,48 @@ from warp_partdr.lab.synthetic.scene_people import LABELS, make_pair, make_views
 from warp_partdr.models.anny import anny
 from warp_partdr.models.capsules import measure_capsules
 from warp_partdr.render.part_mesh import PartMesh
-from warp_partdr.solve.mesh.mesh_energy import mesh_energy
-from warp_partdr.solve.mesh.mesh_unknowns import Starts, Unknowns
-from warp_partdr.solve.scene.clusters import find_clusters
+from warp_partdr.solve.mesh.energy import mesh_energy
+from warp_partdr.solve.mesh.feet import FEET
+from warp_partdr.solve.mesh.observed_body import ObservedBody
+from warp_partdr.solve.mesh.starts import LabelPictures, StandingFeet, Starts
 from warp_partdr.solve.scene.depth_order import exchange, grown, order_people
-from warp_partdr.solve.scene.energy import SceneEnergy, SceneStarts
-from warp_partdr.solve.scene.feet import FEET
-from warp_partdr.solve.scene.fitting import fit_scene, scene_energy
-from warp_partdr.solve.scene.looks import Looked, look_at
+from warp_partdr.solve.scene.fitting import fit_scene
+from warp_partdr.solve.scene.looks import look_at
 from warp_partdr.solve.scene.options import SceneOptions
-from warp_partdr.solve.scene.start import gather_scene, time_shares
+from warp_partdr.solve.scene.plan import ScenePlan, plan_scene
+from warp_partdr.solve.scene.smoothing import time_shares
+from warp_partdr.solve.scene.start import gather_scene
 
 
 def prepared(
-    scene: Scene, device: str, options: SceneOptions = QUICK_SCENE, looks: Sequence[Looked] | None = None
-) -> tuple[SceneEnergy, SceneStarts]:
-    model = anny(torch.device(device))
+    scene: Scene, device: str, options: SceneOptions = QUICK_SCENE, looks: Sequence[ObservedBody] | None = None
+) -> tuple[ScenePlan, Starts]:
     looks = looks or look_at(scene, device)
-    clusters = find_clusters(looks, scene.num_people)
-    energy = scene_energy(mesh_energy(model, options.mesh, LABELS), options, clusters, LABELS.num_groups)
+    plan = plan_scene(scene, looks, anny(torch.device(device)), options)
     with torch.no_grad():
-        return energy, gather_scene(energy, model, scene, looks)
+        return plan, gather_scene(plan, looks)
+
+
+def pelvises(plan: ScenePlan, people: Starts) -> torch.Tensor:
+    """Pelvises where the fit starts, in the world."""
+    found = plan.energy.place(people, people.at_rest()).pelvises
+    assert found is not None
+    return found
 
 
 def test_one_body_in_one_picture_has_the_mesh_stage_s_energy(device):
     scene = make_views(3, 1).scene
     turned = replace(scene, views=[View(scene.views[0].camera)])
-    energy, people = prepared(turned, device, replace(QUICK_SCENE, mesh=replace(QUICK_SCENE.mesh, apart=1.0)))
-    alone = Starts(
-        **{name: getattr(people, name) for name in ("rotations", "translation", "shape", "log_scale", "shift")},
-        **{name: getattr(people, name)[:, 0] for name in ("places", "points", "votes", "depths")},
-        depth_spreads=people.depth_weights[:, 0].rsqrt(),
-        turn_spreads=people.turn_weights[..., 0].rsqrt(),
-        target=people.alone.target,
-        borders=people.alone.borders,
-        lens=people.lens,
-    )
-    moves = 0.02 * torch.randn(energy.rates(people).shape, generator=torch.Generator().manual_seed(0)).to(device)
-    unknowns = energy.moved(people, moves)
-    costs, expected = energy(people, unknowns), energy.one(alone, Unknowns(**vars(unknowns)))
+    plan, people = prepared(turned, device, replace(QUICK_SCENE, mesh=replace(QUICK_SCENE.mesh, apart=1.0)))
+    assert people.alone is not None
+    alone = replace(people, views=None, alone=LabelPictures(people.alone.target, people.alone.borders))
+    moves = 0.02 * torch.randn(people.learning_rates().shape, generator=torch.Generator().manual_seed(0)).to(device)
+    unknowns = people.moved(moves)
+    energy, stage = plan.energy, mesh_energy(plan.model, plan.options.mesh, LABELS)
+    costs, expected = energy(people, unknowns), stage(alone, unknowns)
     assert costs.keys() == expected.keys()
     for name, cost in costs.items():
-        own, other = energy.factors(people)[name], energy.one.factors(alone)[name]
+        own, other = energy.factors(people)[name], stage.factors(alone)[name]
         torch.testing.assert_close(own * cost.sum(), other * expected[name].sum(), rtol=2e-3, atol=1e-4)
 
 
@@ -70,17 +70,16 @@ def test_several_pictures_of_a_body_count_twice_or_plainly(monkeypatch):
         raise AssertionError
 
     for name in ("keypoint_costs", "label_costs"):
-        monkeypatch.setattr(f"warp_partdr.solve.scene.energy.{name}", refuse)
+        monkeypatch.setattr(f"warp_partdr.solve.mesh.energy.{name}", refuse)
     for views, times in ((1, 1), (2, 2)):
-        energy, people = prepared(make_views(3, views).scene, "cpu", QUICK_SCENE)
-        factors = energy.factors(people)
-        mesh = QUICK_SCENE.mesh.factors(QUICK_SCENE.mesh.apart, QUICK_SCENE.mesh.size)
-        assert (factors["proj"], factors["seg"]) == (times * mesh["proj"], times * mesh["seg"])
+        plan, people = prepared(make_views(3, views).scene, "cpu", QUICK_SCENE)
+        energy, factors = plan.energy, plan.energy.factors(people)
+        assert (factors["proj"], factors["seg"]) == (times * QUICK_SCENE.mesh.proj, times * QUICK_SCENE.mesh.drawn_seg)
         if views > 1:
-            energy(people, energy.at_rest(people))
+            energy(people, people.at_rest())
         else:
             with pytest.raises(AssertionError):
-                energy(people, energy.at_rest(people))
+                energy(people, people.at_rest())
 
 
 def test_two_cameras_find_where_somebody_stands(device):
@@ -109,35 +108,34 @@ def test_the_world_s_frame_does_not_matter():
 
 def test_a_pair_in_the_wrong_order_is_exchanged(device):
     sample = make_pair(100, "clean")
-    model = anny(torch.device(device))
-    energy, _ = prepared(sample.scene, device)
+    plan, _ = prepared(sample.scene, device)
     depths = sample.scene.views[0].to_camera(torch.from_numpy(sample.joints[:, 0].mean(1)))[:, 2]
     front = int(depths.argmin())
     with torch.no_grad():
         right = look_at(sample.scene, device)
-        away = [float(look.seen.lens[0] / look.body.log_scale.exp()) for look in right]
+        away = [float(look.observation.lens[0] / look.body.log_scale.exp()) for look in right]
         factor = math.sqrt(1.08 * max(1.0, away[1 - front] / away[front]))
         wrong = [grown(look, factor if look.sight.person == front else 1 / factor) for look in right]
-        people, looks = order_people(energy, model, sample.scene, wrong)
-        pelvises = energy.pelvises(people, energy.at_rest(people)).cpu()
-        assert int(sample.scene.views[0].to_camera(pelvises)[:, 2].argmin()) == front
-        assert exchange(energy, people, energy.at_rest(people), looks) is None
+        people, looks = order_people(plan, wrong)
+        there = pelvises(plan, people).cpu()
+        assert int(sample.scene.views[0].to_camera(there)[:, 2].argmin()) == front
+        assert exchange(plan, people, people.at_rest(), looks) is None
         # Known sizes, or a second camera, tell how far people are: then nobody is exchanged.
-        mistaken = gather_scene(energy, model, sample.scene, wrong)
-        assert exchange(energy, mistaken, energy.at_rest(mistaken), wrong) is not None
+        mistaken = gather_scene(plan, wrong)
+        assert exchange(plan, mistaken, mistaken.at_rest(), wrong) is not None
         for known in (
             replace(mistaken, unknown=0 * mistaken.unknown),
-            replace(mistaken, view_rotations=mistaken.view_rotations.expand(2, 3, 3)),
+            replace(mistaken, views=replace(mistaken.views, rotations=mistaken.views.rotations.expand(2, 3, 3))),
         ):
-            assert exchange(energy, known, energy.at_rest(mistaken), wrong) is None
+            assert exchange(plan, known, mistaken.at_rest(), wrong) is None
 
 
 def test_known_shapes_stay_as_they_are():
     scene = make_pair(102, "clean").scene
     shape = 0.5 * torch.ones(anny().num_shapes)
     known = replace(scene, shapes={1: PersonShape(shape, 0.01 * torch.ones(8))})
-    energy, people = prepared(known, "cpu")
-    moved = energy.moved(people, torch.ones_like(energy.rates(people)))
+    _, people = prepared(known, "cpu")
+    moved = people.moved(torch.ones_like(people.learning_rates()))
     assert torch.equal(moved.shape[1], shape)
     assert torch.equal(moved.clothes[1], 0.01 * torch.ones(8))
     torch.testing.assert_close(moved.shape[0] - people.shape[0], torch.ones_like(shape))
@@ -151,7 +149,7 @@ def test_each_view_is_seen_by_its_own_camera():
     found = look_at(replace(scene, views=[first, narrow]), "cpu")
     for look, before in zip(found, usual, strict=True):
         factor = 2.0 if look.sight.view else 1.0
-        assert float(look.seen.lens[0]) == pytest.approx(factor * float(before.seen.lens[0]), rel=1e-5)
+        assert float(look.observation.lens[0]) == pytest.approx(factor * float(before.observation.lens[0]), rel=1e-5)
 
 
 def test_labels_along_no_bone_are_left_out_and_that_is_told():
@@ -161,7 +159,7 @@ def test_labels_along_no_bone_are_left_out_and_that_is_told():
     corner = np.zeros_like(sight.parts.groups)
     corner[:3, :3] = 1
     (look,) = look_at(replace(scene, sights=[replace(sight, parts=replace(sight.parts, groups=corner))]), "cpu")
-    assert look.seen.labels is None
+    assert look.observation.labels is None
     (warning,) = look.evidence.warnings
     assert warning.endswith("keypoints alone taken")
 
@@ -190,8 +188,8 @@ def test_pixels_that_several_claim_or_somebody_does_not_know_are_ignored():
 
 def test_starts_of_several_views_are_where_rays_meet_whatever_the_world_s_frame():
     sample = make_views(11, 2)
-    energy, people = prepared(sample.scene, "cpu")
-    pelvis = energy.pelvises(people, energy.at_rest(people))[0].numpy()
+    plan, people = prepared(sample.scene, "cpu")
+    pelvis = pelvises(plan, people)[0].numpy()
     assert np.linalg.norm(pelvis - sample.joints[0, 0, MPJPE_HIPS].mean(0)) < 0.1
     turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(2)))[0]
     turn = turn * torch.linalg.det(turn)
@@ -201,20 +199,20 @@ def test_starts_of_several_views_are_where_rays_meet_whatever_the_world_s_frame(
         for view in sample.scene.views
     ]
     _, turned = prepared(replace(sample.scene, views=views), "cpu")
-    there = energy.pelvises(turned, energy.at_rest(turned))[0]
+    there = pelvises(plan, turned)[0]
     np.testing.assert_allclose((turn @ there + move).numpy(), pelvis, atol=1e-3)
     assert float(people.translation.norm()) > 1e-3
     torch.testing.assert_close(turned.translation @ turn.mT, people.translation, atol=1e-4, rtol=0)
 
 
 def test_only_who_stands_is_held_to_the_ground():
-    energy, people = prepared(make_pair(102, "clean").scene, "cpu")
-    rest = energy.at_rest(people)
+    plan, people = prepared(make_pair(102, "clean").scene, "cpu")
+    rest = people.at_rest()
     plane = torch.tensor([0.0, -1.0, 0.0, -2.0])
-    held = replace(people, ground=plane, standing=torch.tensor([0.0, 0.5]))
-    names = energy.one.model.landmark_names
+    held = replace(people, feet=StandingFeet(plane, torch.tensor([0.0, 0.5])))
+    energy, names = plan.energy, plan.energy.drawn.model.landmark_names
     with torch.no_grad():
-        cost, points = energy(held, rest)["ground"], energy.landmarks(people, rest)
+        cost, points = energy(held, rest)["ground"], energy.place(people, rest).points
     heights = 2 - points[:, [names.index(name) for name in FEET], 1].amax(1)  # y is down
     torch.testing.assert_close(cost, torch.tensor([0.0, 0.5]) * (100 * heights).square(), rtol=1e-3, atol=0)
     assert float(cost[1]) > 1
@@ -222,7 +220,7 @@ def test_only_who_stands_is_held_to_the_ground():
 
 def test_people_are_drawn_together():
     sample = make_pair(102, "clean")
-    _energy, people = prepared(sample.scene, "cpu")
+    _, people = prepared(sample.scene, "cpu")
     assert people.together is not None
     assert people.alone is None
     shown = set(people.together.target.unique().tolist()) - {0, 255}
@@ -256,7 +254,7 @@ def test_a_person_s_frames_are_placed_in_one_camera():
     sights = [seen(view, frame, share) for frame, both in enumerate(sure) for view, share in enumerate(both)]
     _, people = prepared(replace(sample.scene, sights=[*sights, seen(1, 4, 0.9)]), "cpu")
     first, second = (view.rotation for view in sample.scene.views)
-    for rotation, expected in zip(people.first_rotations, [first] * 4 + [second], strict=True):
+    for rotation, expected in zip(people.views.home_rotations, [first] * 4 + [second], strict=True):
         assert torch.equal(rotation, expected)
 
 
@@ -397,12 +395,13 @@ def test_people_who_walk_through_each_other_end_apart(device):
 def test_people_of_other_frames_do_not_meet():
     """Two who stand in each other, but at different times, cost nothing."""
     scene = walkers()
-    energy, people = prepared(scene, "cpu", replace(QUICK_SCENE, apart=1.0))
-    start = energy.at_rest(people)
+    plan, people = prepared(scene, "cpu", replace(QUICK_SCENE, apart=1.0))
+    energy = plan.energy
+    start = people.at_rest()
     met = float(energy(people, start)["apart"].sum())
-    scattered = people.view_translations.new_zeros(len(people.shift), 3)
+    scattered = people.shift.new_zeros(len(people.shift), 3)
     scattered[3:, 2] = 3.0  # the second one; all frames of each stand at one place
-    posed = energy.one.pose(people, start)
+    posed = energy.drawn.pose(people, start)
     capsules = energy.capsules
     assert capsules is not None
     shape = start.shape.repeat_interleave(3, 0)

@@ -10,8 +10,8 @@ import torch
 from helpers.bodies import random_turns
 
 from warp_partdr.body.lens import lens_camera, placed_at
+from warp_partdr.solve.mesh.placed_people import PictureViews, pelvises_in_world, place_people
 from warp_partdr.solve.scene.clusters import Clusters, slots_of
-from warp_partdr.solve.scene.pictures import PictureViews, pelvises_in_world, place_people
 
 FRAMES, VERTICES, SIZE = 3, 7, 96
 

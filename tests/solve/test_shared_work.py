@@ -14,8 +14,8 @@ from warp_partdr.kernels.launch import set_num_threads
 from warp_partdr.models.anny import anny
 from warp_partdr.models.capsules import measure_capsules
 from warp_partdr.models.skinning import carry_skin
+from warp_partdr.solve.mesh.placed_people import PictureViews, place_people
 from warp_partdr.solve.scene.clusters import slots_of
-from warp_partdr.solve.scene.pictures import PictureViews, place_people
 
 BODIES = 7
 

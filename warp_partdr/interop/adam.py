@@ -2,10 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Callable, Iterable
 
 import torch
 from torch.optim.adam import adam
+
+
+def cosine_share(step: int, iterations: int, last: float) -> float:
+    """Share of the learning rate at a step: from 1 to the last share along a cosine, then constant."""
+    course = min(step, iterations) / max(iterations, 1)
+    return last + (1 - last) * (1 + math.cos(math.pi * course)) / 2
+
+
+def descend(
+    step: Callable[[int, float], object],
+    iterations: int,
+    *,
+    last_share: float,
+    progress: Callable[[int], None] | None = None,
+) -> None:
+    """Take all steps of a refinement by Adam.
+
+    Args:
+        step: Takes one step, from its number and its share of the learning rate.
+        iterations: Number of steps.
+        last_share: Share of the learning rate to which ``cosine_share`` falls.
+        progress: Called after each step with the number of steps that are done.
+    """
+    for iteration in range(iterations):
+        step(iteration, cosine_share(iteration, iterations, last_share))
+        if progress is not None:
+            progress(iteration + 1)
 
 
 class Adam:

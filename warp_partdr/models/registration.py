@@ -7,7 +7,6 @@ are none of the model's people, parts grow. ``docs/registration.md`` has the for
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -17,7 +16,7 @@ import torch
 from ..body.posing import Posed
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, NUM_PARTS
 from ..errors import check_type
-from ..interop.adam import Adam
+from ..interop.adam import Adam, descend
 from ..interop.checks import check_numbers, check_steps, check_tensor
 from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
@@ -214,7 +213,7 @@ def register(
     def terms(detailed: Detailed) -> dict[str, torch.Tensor]:
         return {**loss(detailed, shape, turns), "measures": measures(shape)}
 
-    for iteration in range(iterations):
+    def step(iteration: int, share: float) -> None:
         searching = iteration % _SEARCH_EVERY == 0
         if searching:
             measures.grow(shape.detach())
@@ -222,9 +221,13 @@ def register(
         if searching:
             loss.search(detailed.vertices.detach())
         torch.stack(list(terms(detailed).values())).sum().backward()
-        adam.step((1 + math.cos(math.pi * iteration / iterations)) / 2)
+        adam.step(share)
+
+    def tell(done: int) -> None:
         if progress is not None:
-            progress("registration", iteration + 1, iterations)
+            progress("registration", done, iterations)
+
+    descend(step, iterations, last_share=0.0, progress=tell)
     with torch.no_grad():
         rotations, detailed = posed_model(stretched=True)
         loss.search(detailed.vertices)

@@ -25,8 +25,9 @@ from ..interop.gradient_mode import with_gradients
 from ..interop.torch_threads import one_torch_thread
 from ..networks.regression.landmarks import LANDMARKS, network_keypoints
 from ..networks.regression.predicted import posed_landmarks
+from ..solve.mesh.observed_body import ObservedBody
 from ..solve.scene.clip_sizes import alike_sizes
-from ..solve.scene.looks import Looked, look_at
+from ..solve.scene.looks import look_at
 
 # Chosen on PartBench's people 0 to 39 and clips 0 to 7 before two cameras, by
 # ``python -m warp_partdr.lab camera-places``.
@@ -41,7 +42,7 @@ _STEPS = 60  # of L-BFGS, at most
 def place_cameras(
     scene: Scene,
     *,
-    looks: Sequence[Looked] | None = None,
+    looks: Sequence[ObservedBody] | None = None,
     stature: float | None = None,
     device: torch.device | str = "cpu",
 ) -> Scene:
@@ -112,7 +113,7 @@ class Moments:
     there: torch.Tensor
 
     @classmethod
-    def of(cls, scene: Scene, looks: Sequence[Looked], stature: float | None = None) -> Moments:
+    def of(cls, scene: Scene, looks: Sequence[ObservedBody], stature: float | None = None) -> Moments:
         """Collect looks at a scene, in which everybody has one size; a moment is a person in a frame."""
         looks = alike_sizes(scene, looks, stature)
         places = {key: place for place, key in enumerate(sorted({_moment(look) for look in looks}))}
@@ -120,7 +121,7 @@ class Moments:
         rays, votes, marks = (torch.zeros(*shape, *more, dtype=torch.float64) for more in ((2,), (), (3,)))
         pelvises, there = torch.zeros(*shape[:2], 3, dtype=torch.float64), torch.zeros(shape[:2], dtype=torch.bool)
         for look in looks:
-            at, seen, lens = (look.sight.view, places[_moment(look)]), look.seen, look.seen.lens
+            at, seen, lens = (look.sight.view, places[_moment(look)]), look.observation, look.observation.lens
             assert lens is not None
             known = network_keypoints(seen.landmarks, seen.points, seen.confidence)
             rays[at] = ((known[:, :2] - lens[1:].to(known)) / lens[0].to(known)).double().cpu()
@@ -228,5 +229,5 @@ class Moments:
         return pairs, both, torch.where(both[..., None], self.votes[one] * self.votes[other], 0.0)
 
 
-def _moment(look: Looked) -> tuple[int, int]:
+def _moment(look: ObservedBody) -> tuple[int, int]:
     return look.sight.person, look.sight.frame

@@ -27,9 +27,9 @@ from ..models.registration import Registered, ungrown
 from ..networks.detection.film_people import FilmPeople, shots_between
 from ..networks.detection.person import SKELETON
 from ..solve.ellipsoids.stages import Progress
+from ..solve.mesh.observed_body import ObservedBody
 from ..solve.scene.fitting import SceneFit, fit_scene
 from ..solve.scene.impossible import impossible_people
-from ..solve.scene.looks import Looked
 from ..solve.scene.options import SceneOptions
 from .camera_units import in_metres
 from .film_looks import FilmLooks
@@ -155,13 +155,13 @@ def fit_film(
     looks = FilmLooks(film.views, film.sights, device)
     parts = list(film.windows(options))
 
-    def kept(name: str, scene: Scene, chosen: SceneOptions, look: Callable[[], Sequence[Looked]]) -> _Bodies:
+    def kept(name: str, scene: Scene, chosen: SceneOptions, look: Callable[[], Sequence[ObservedBody]]) -> _Bodies:
         def fit() -> dict[str, np.ndarray]:
             return vars(_Bodies.of(fit_scene(scene, options=chosen, model=model, device=device, looks=look())))
 
         return _Bodies(**(fit() if pieces is None else pieces.piece(name, _BODIES, fit)))
 
-    def scenes() -> Iterator[tuple[list[int], Scene, list[Looked]]]:
+    def scenes() -> Iterator[tuple[list[int], Scene, list[ObservedBody]]]:
         for place, part in enumerate(parts):
             numbers, scene = film.scene(part, shapes)
             looks.forget(part.start)

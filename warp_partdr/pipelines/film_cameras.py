@@ -20,7 +20,8 @@ from ..errors import InputError
 from ..inputs.scene import Scene, Sight
 from ..networks.detection.film_people import areas
 from ..solve.ellipsoids.stages import Progress
-from ..solve.scene.looks import Looked, look_in_batches, looked_at_together
+from ..solve.mesh.observed_body import ObservedBody
+from ..solve.scene.looks import look_in_batches, looked_at_together
 from .camera_places import Moments, Places, place_cameras
 from .matched_times import uneven_times
 from .photo import check_whose, person_place
@@ -32,7 +33,7 @@ _PEOPLE = 4  # of a film, the largest ones, who are looked at
 _TRIES = 3  # pairs of two films' people whose rays are compared, of those whose poses are most alike
 _ENOUGH = 0.5  # of the most moments that two have in common, that another pair must have
 
-_Looks = Mapping[Track, Sequence[Looked]]
+_Looks = Mapping[Track, Sequence[ObservedBody]]
 
 
 def place_film_cameras(
@@ -94,7 +95,7 @@ def spread(frames: np.ndarray) -> np.ndarray:
 
 def look_at_frames(
     films: Sequence[SeenFilm], frames: Sequence[np.ndarray], device: torch.device | str
-) -> dict[Track, list[Looked]]:
+) -> dict[Track, list[ObservedBody]]:
     """Looks at the largest people of films, in these frames of each."""
     tracks: list[Track] = []
     sights: list[Sight] = []
@@ -107,7 +108,7 @@ def look_at_frames(
             sights += own
     together = looked_at_together(device)
     batches = [sights[start : start + together] for start in range(0, len(sights), together)]
-    found: dict[Track, list[Looked]] = {}
+    found: dict[Track, list[ObservedBody]] = {}
     seen = chain.from_iterable(look_in_batches([film.small_view for film in films], batches, device))
     for track, look in zip(tracks, seen, strict=True):
         found.setdefault(track, []).append(look)
@@ -126,13 +127,13 @@ def _beside(films: Sequence[SeenFilm], looks: _Looks, one: int, other: int) -> P
     return min(found, key=lambda places: places.energy, default=nowhere)
 
 
-def moments_of(films: Sequence[SeenFilm], seen: Sequence[Sequence[Looked]]) -> Moments:
+def moments_of(films: Sequence[SeenFilm], seen: Sequence[Sequence[ObservedBody]]) -> Moments:
     """Moments of one person, who was looked at in each of the films."""
     looks = [replace(look, sight=replace(look.sight, view=view)) for view, each in enumerate(seen) for look in each]
     return Moments.of(_scene(films, looks), looks)
 
 
-def _scene(films: Sequence[SeenFilm], looks: Sequence[Looked]) -> Scene:
+def _scene(films: Sequence[SeenFilm], looks: Sequence[ObservedBody]) -> Scene:
     views, sights = [film.small_view for film in films], [look.sight for look in looks]
     times = uneven_times(films, range(1 + max(sight.frame for sight in sights)))
     return Scene(views, sights, films[0].people.rate, times=times)

@@ -8,7 +8,8 @@ from dataclasses import replace
 import torch
 
 from ..inputs.scene import Scene, Sight, View
-from ..solve.scene.looks import Looked, look_in_batches, looked_at_together
+from ..solve.mesh.observed_body import ObservedBody
+from ..solve.scene.looks import look_in_batches, looked_at_together
 
 _Block = tuple[int, int, int]  # a person, a view, and which block of frames
 
@@ -33,9 +34,9 @@ class FilmLooks:
     ) -> None:
         self._views, self._sights, self._device = views, sights, device
         self._length = looked_at_together(device)
-        self._blocks: dict[_Block, dict[int, Looked]] = {}
+        self._blocks: dict[_Block, dict[int, ObservedBody]] = {}
 
-    def of(self, scene: Scene, people: Sequence[int], frames: Sequence[int]) -> list[Looked]:
+    def of(self, scene: Scene, people: Sequence[int], frames: Sequence[int]) -> list[ObservedBody]:
         """Looks at a scene's sights, in the order of people, frames and views.
 
         Args:

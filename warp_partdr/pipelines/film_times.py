@@ -18,7 +18,7 @@ from ..inputs.frame_times import is_even
 from ..networks.regression.landmarks import LANDMARKS
 from ..networks.regression.predicted import posed_landmarks
 from ..solve.ellipsoids.stages import Progress
-from ..solve.scene.looks import Looked
+from ..solve.mesh.observed_body import ObservedBody
 from .film_cameras import look_at_frames, moments_of, spread
 from .matched_times import match_films, nearest_frames
 from .same_people import check_each_film
@@ -100,7 +100,7 @@ def _offset(films: tuple[SeenFilm, SeenFilm], place: int, device: torch.device |
     return rough + min(energies, key=energies.__getitem__)
 
 
-def _poses(looks: Sequence[Looked], step: int) -> np.ndarray:
+def _poses(looks: Sequence[ObservedBody], step: int) -> np.ndarray:
     """Landmarks in the pelvis' own axes [m], of every ``step``-th frame, NaN where there is no look, shape (T, 3 L)."""
     places = [look.sight.frame // step for look in looks]
     poses = np.full((max(places) + 1, 3 * len(LANDMARKS)), np.nan)

@@ -18,7 +18,7 @@ from ...inputs.keypoints import person_height
 from ...models.anny import anny
 from ...render.mesh import draw_mesh
 from ...solve.scene.fitting import SceneFit
-from ...solve.scene.start import time_shares
+from ...solve.scene.smoothing import time_shares
 from ..synthetic.people import anny_mesh
 from ..synthetic.scene_people import LABELS, SceneSample, depths_of
 from .scoring import Pixels, Score, scoring_classes

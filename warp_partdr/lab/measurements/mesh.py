@@ -24,11 +24,12 @@ from ...models.anny import anny
 from ...solve.ellipsoids.fitting import fit_body
 from ...solve.ellipsoids.options import FitOptions
 from ...solve.ellipsoids.result import FitResult
-from ...solve.mesh import mesh_energy as mesh_energy_module
-from ...solve.mesh import mesh_stage
-from ...solve.mesh.mesh_energy import gather_starts, mesh_energy
+from ...solve.mesh import gather, mesh_stage, steps
+from ...solve.mesh.energy import mesh_energy
+from ...solve.mesh.gather import gather_starts
 from ...solve.mesh.mesh_options import MeshOptions
 from ...solve.mesh.mesh_stage import refine_meshes
+from ...solve.mesh.observed_body import ObservedBody
 from ...solve.mesh.steps import find_steps
 from ..clocks import Step, StepClock, synchronize
 from ..evaluation.partbench.samples import make_sample
@@ -37,10 +38,10 @@ from ..tables import FigureTable
 
 _STEPS = (
     Step(mesh_stage, "gather_starts", "starts"),
-    Step(mesh_energy_module, "pose_from_ellipbody", "starts, poses"),
-    Step(mesh_energy_module, "gather_keypoints", "starts, keypoints"),
-    Step(mesh_energy_module, "gather_spreads", "starts, spreads"),
-    Step(mesh_stage, "find_steps", "steps found or captured"),
+    Step(gather, "pose_from_ellipbody", "starts, poses"),
+    Step(gather, "gather_aims", "starts, keypoints and depths"),
+    Step(gather, "gather_turn_spreads", "starts, spreads of turns"),
+    Step(steps, "find_steps", "steps found or captured"),
     Step(CapturedStep, "replay", "steps"),
     Step(mesh_stage, "ungrown", "whole mesh"),
     Step(mesh_stage, "measure_parameters", "measured"),
@@ -68,9 +69,9 @@ def measure_mesh(*, counts: Counts = (1, 8), device: Device = "auto") -> Iterato
     for people in counts:
         results = [several[index % len(several)] for index in range(people)]
         with one_torch_thread():
-            steps = _timed(_all_steps(results, options, where), where)
+            alone = _timed(_all_steps(results, options, where), where)
         whole = _timed(partial(refine_meshes, results, options=options), where)
-        table.add(people, whole.wall, whole.busy, steps.wall, steps.busy)
+        table.add(people, whole.wall, whole.busy, alone.wall, alone.busy)
         clock = StepClock(where, _STEPS)
         clock.measure(partial(refine_meshes, results, options=options))
         clocks.append(clock.table(f"{people} people", people))
@@ -109,11 +110,11 @@ def _all_steps(results: list[FitResult], options: MeshOptions, device: str) -> C
     model = anny(device)
     energy = mesh_energy(model, options, results[0].observation.label_set)
     with torch.no_grad():
-        people = gather_starts(energy, model, results)
-    steps = find_steps(energy, people, options)
+        people = gather_starts(energy, model, [ObservedBody.of_fit(each) for each in results])
+    found = find_steps(energy, people)
 
     def run() -> None:
         for _ in range(options.iterations):
-            steps.step(0.5)
+            found.step(0.5)
 
     return run

@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from statistics import median
-from typing import Annotated, Any
+from typing import Annotated
 
 import torch
 from cyclopts import Parameter
@@ -22,12 +22,14 @@ from ...inputs.scene import Scene
 from ...interop.torch_threads import one_torch_thread
 from ...models.anny import anny
 from ...solve.ellipsoids.fitting import fit_body
-from ...solve.mesh.mesh_energy import gather_starts, mesh_energy
+from ...solve.mesh.energy import mesh_energy
+from ...solve.mesh.gather import gather_starts
 from ...solve.mesh.mesh_options import MeshOptions
+from ...solve.mesh.observed_body import ObservedBody
 from ...solve.mesh.steps import Steps, find_steps
-from ...solve.scene.fitting import scene_energy
 from ...solve.scene.looks import look_at
 from ...solve.scene.options import SceneOptions
+from ...solve.scene.plan import plan_scene
 from ...solve.scene.start import gather_scene
 from ..clocks import synchronize
 from ..options import Device
@@ -69,31 +71,29 @@ def measure_scene_steps(
     yield f"One person: {times}, ratio {scene / mesh:.2f}"
 
 
-def _scene_steps(people: int, frames: int, device: torch.device) -> Steps[Any, Any]:
-    """Steps of a number of people in a number of frames."""
+def _scene_steps(people: int, frames: int, device: torch.device) -> Steps:
+    """Steps of so many people in so many frames."""
     model, options = anny(device), SceneOptions(mesh=_MESH)
     one = make_views(3, 1).scene
     sights = [replace(one.sights[0], person=p, frame=t) for p in range(people) for t in range(frames)]
     scene = Scene(one.views, sights)
     looks = look_at(scene, device)
-    labels = looks[0].seen.label_set
-    assert labels is not None
-    energy = scene_energy(mesh_energy(model, options.mesh, labels), options, (tuple(range(people)),), labels.num_groups)
+    plan = plan_scene(scene, looks, model, options)
     with torch.no_grad():
-        return find_steps(energy, gather_scene(energy, model, scene, looks), options.mesh)
+        return find_steps(plan.energy, gather_scene(plan, looks))
 
 
-def _mesh_steps(device: torch.device) -> Steps[Any, Any]:
+def _mesh_steps(device: torch.device) -> Steps:
     """Steps of the mesh stage of one person."""
     model, scene = anny(device), make_views(3, 1).scene
     sight, camera = scene.sights[0], scene.views[0].camera
     fit = fit_body(sight.keypoints, sight.parts, quality="fast", device=str(device), camera=camera)
     energy = mesh_energy(model, _MESH, fit.observation.label_set)
     with torch.no_grad():
-        return find_steps(energy, gather_starts(energy, model, [fit]), _MESH)
+        return find_steps(energy, gather_starts(energy, model, [ObservedBody.of_fit(fit)]))
 
 
-def _seconds_of(device: str, *ways: Steps[Any, Any]) -> list[float]:
+def _seconds_of(device: str, *ways: Steps) -> list[float]:
     """Median seconds of all steps of each, in turn, after a first run."""
     found: list[list[float]] = [[] for _ in ways]
     for _ in range(1 + _REPEATS):

@@ -23,9 +23,9 @@ from ...models.anny import anny
 from ...models.measuring import statures
 from ...models.model import Detailed
 from ...render.mesh import draw_mesh
+from ...solve.mesh.observed_body import ObservedBody
 from ...solve.scene.depth_order import grown
-from ...solve.scene.looks import Looked
-from ...solve.scene.start import time_shares
+from ...solve.scene.smoothing import time_shares
 from . import people
 from .mocap import Clip
 from .noise import LEVELS, Level, noisy_keypoints, noisy_labels
@@ -88,7 +88,7 @@ def depths_of(scene: Scene, joints: np.ndarray) -> np.ndarray:
     return scene.views[0].to_camera(middles)[:, 2].numpy()
 
 
-def in_wrong_order(sample: SceneSample, looks: Sequence[Looked]) -> list[Looked]:
+def in_wrong_order(sample: SceneSample, looks: Sequence[ObservedBody]) -> list[ObservedBody]:
     """Sights of a pair with the one behind in front: each grows about the camera, and so looks alone as before."""
     front = int(sample.order[0])
     away = {look.sight.person: _distance(look) for look in looks}
@@ -99,10 +99,10 @@ def in_wrong_order(sample: SceneSample, looks: Sequence[Looked]) -> list[Looked]
     return [grown(look, factor if look.sight.person == front else 1 / factor) for look in looks]
 
 
-def _distance(look: Looked) -> float:
+def _distance(look: ObservedBody) -> float:
     """Distance of the pelvis from the camera, along its view [m]."""
-    assert look.seen.lens is not None
-    return float(look.seen.lens[0] / look.body.log_scale.exp())
+    assert look.observation.lens is not None
+    return float(look.observation.lens[0] / look.body.log_scale.exp())
 
 
 def make_views(index: int, num_views: int, level: str = "realistic") -> SceneSample:

@@ -28,7 +28,7 @@ from ...networks.regression.uncertainty import Uncertainty
 from ...render.renderers import RendererEllipsoids
 from .batch import Batch
 from .energy import SEG, Energy, Weights
-from .refine import descend
+from .refine import refine_unchecked
 from .stepper import Descent
 from .tables import LANDMARK_NAMES
 
@@ -105,14 +105,14 @@ def repair_depth_orders(
     asked = owners.unique()
     both, people = BodyParameters.joined([bodies.select(asked), flips]), torch.cat([asked, owners])
     of_bodies = energy.select(people)
-    losses = descend(both, of_bodies, Descent(iterations=0)).terms[SEG.name]
+    losses = refine_unchecked(both, of_bodies, Descent(iterations=0)).terms[SEG.name]
     own = losses.new_zeros(count).index_copy(0, asked, losses[: len(asked)])
     worth = (losses <= own[people] * (1 - _WORTH_REFINING))[len(asked) :]
     if not worth.any():
         return bodies, orders
     doubted = torch.isin(asked, owners[worth])
     some = torch.cat([doubted, worth]).nonzero()[:, 0]
-    refined = descend(both.select(some), of_bodies.select(some), Descent(_ITERATIONS, _RATE))
+    refined = refine_unchecked(both.select(some), of_bodies.select(some), Descent(_ITERATIONS, _RATE))
     chosen = torch.arange(count)
     totals, flip = refined.energy.tolist(), (some - len(asked)).tolist()
     rows_of: dict[int, list[int]] = {}

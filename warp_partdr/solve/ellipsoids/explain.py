@@ -14,7 +14,7 @@ from ...inputs.keypoints import Keypoints2D
 from ...inputs.observation import REFERENCE_SIZE, Observation, observe
 from ...inputs.part_labels import PartLabels
 from ...render.renderers import Renderer, RendererEllipsoids, RendererMesh
-from ..mesh.mesh_energy import drawn_vertices
+from ..mesh.drawn_model import drawn_vertices
 from ..mesh.mesh_options import MeshOptions
 from .far_people import shows_parts
 from .options import FitOptions, stages_of

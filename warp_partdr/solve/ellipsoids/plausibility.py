@@ -16,7 +16,7 @@ from ...inputs.observation import REFERENCE_SIZE, resize_nearest
 from ...inputs.observations import Observations
 from ...render.ellipsoids import draw_ellipsoids
 from .energy import SEG, Energy
-from .refine import descend
+from .refine import refine_unchecked
 from .result import FitResult
 from .stepper import Descent
 
@@ -49,7 +49,7 @@ def far_bodies(
         Warnings of the bodies that are too far, by their rows; no other rows.
     """
     energy = Energy(observations, JUDGED_SIZE, prior=prior)
-    terms = descend(bodies, energy, Descent(iterations=0)).terms
+    terms = refine_unchecked(bodies, energy, Descent(iterations=0)).terms
     offs = terms["proj"] / energy.weights.proj / energy.votes.sum(1)
     bad, wrongs = ~(offs < MOST_OFF), None
     if energy.target is not None:

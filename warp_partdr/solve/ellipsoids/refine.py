@@ -59,10 +59,10 @@ def refine(
             raise ValueError(f"energy: observations of {people} people; expected {expected}")
     BodyParameters.free(frozen)
     start.check_finite()
-    return descend(start, energy, Descent(iterations, learning_rate, tuple(frozen)), on_iteration)
+    return refine_unchecked(start, energy, Descent(iterations, learning_rate, tuple(frozen)), on_iteration)
 
 
-def descend(
+def refine_unchecked(
     start: BodyParameters,
     energy: Energy | EnergyFunction,
     descent: Descent,

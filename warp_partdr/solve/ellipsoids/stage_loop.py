@@ -14,7 +14,7 @@ from ...body.pose_prior import PosePrior
 from ...inputs.observations import Observations
 from .energy import Energy
 from .options import FitOptions
-from .refine import descend
+from .refine import refine_unchecked
 from .stages import OUTLINE, Progress, Stage
 from .start_search import distinct
 from .stepper import Descent, EnergyFunction
@@ -90,7 +90,7 @@ def refine_stages(
             assert progress is not None
             progress(name, before + iteration, total)
 
-        refined = descend(
+        refined = refine_unchecked(
             bodies,
             first_energy(energy) if first_energy is not None and index == 0 else energy,
             Descent(stage.iterations, stage.learning_rate, stage.frozen),

@@ -5,7 +5,6 @@ Learning rates, bounds of sizes and the result are those of ``captured`` as well
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
@@ -13,7 +12,7 @@ import torch
 
 from ...body.parameters import BodyParameters
 from ...errors import check_type
-from ...interop.adam import Adam
+from ...interop.adam import Adam, cosine_share
 from ...interop.checks import FLOATS, check_steps, check_tensor
 from ...interop.movable import Movable
 
@@ -61,8 +60,7 @@ class Refined(Movable):
 
 def rate_share(step: int, iterations: int) -> float:
     """Share of the learning rate at a step: from 1 to ``FINAL_RATE`` along a cosine, then constant."""
-    course = min(step, iterations) / max(iterations, 1)
-    return FINAL_RATE + (1 - FINAL_RATE) * (1 + math.cos(math.pi * course)) / 2
+    return cosine_share(step, iterations, FINAL_RATE)
 
 
 def size_bounds(name: str, device: torch.device | str) -> tuple[torch.Tensor, torch.Tensor]:

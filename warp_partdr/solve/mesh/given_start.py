@@ -22,7 +22,7 @@ from ..ellipsoids.options import FitOptions
 from ..ellipsoids.result import FitResult
 from ..ellipsoids.stages import Progress
 from .mesh_options import MeshOptions
-from .mesh_stage import MeshFit, measure_parameters, refine_meshes
+from .mesh_stage import CropPositions, MeshFit, measure_parameters, refine_meshes
 
 _SURE = 0.5  # confidence of a given body's own keypoints, where nobody has seen others
 _NO_STAGES = FitOptions(guess_camera=False, stages=(), search=())
@@ -92,7 +92,7 @@ def begin_at(result: FitResult, body: Registered, camera: Camera) -> tuple[FitRe
         weak = seen.to_weak(pelvis)
     else:
         weak = replace(seen, translation=seen.translation + seen.scale[:, None] * pelvis[:, :2])
-    place = (weak.scale / (size / 2)).log(), weak.translation / (size / 2) - 1
-    parameters, moves = measure_parameters(body, *place, result.observation.lens)
+    origin = CropPositions((weak.scale / (size / 2)).log(), weak.translation / (size / 2) - 1, result.observation.lens)
+    parameters, moves = measure_parameters(body, origin)
     result = replace(result, parameters=parameters, before_outline=None, uncertainty=None, depth_order=None)
     return result, body.moved(-moves)

@@ -18,10 +18,11 @@ from ...interop.graph_cache import Launch
 from ...interop.layouts import Tensors
 from ...interop.operation import Gradients, Operation
 from ...kernels import landmark_costs as kernels
+from .tensors import NamedTensors
 
 
 @dataclass(frozen=True)
-class LandmarkAims:
+class LandmarkAims(NamedTensors):
     """Places where landmarks of M views of bodies should be.
 
     Attributes:

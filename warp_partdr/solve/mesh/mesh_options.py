@@ -80,8 +80,7 @@ class MeshOptions:
         """Distance of the whole model's skin from the one drawn, 2 % of it aside: half a drawn pixel at most [m]."""
         return DEFAULT_TOLERANCE * _SHOWN / self.size
 
-    def factors(self, apart: float, size: int) -> dict[str, float]:
-        """Weights of costs by name, where parts are kept ``apart`` so much and labels drawn in crops of a side [px]."""
-        own = {"proj": self.proj, "depth": self.depth, "turns": self.turns, "shape": self.shape / 2}
-        seg = self.seg * (REFERENCE_SIZE / size) ** 2
-        return own | {"clothes": self.clothes or 0.0, "apart": apart, "seg": seg}
+    @property
+    def drawn_seg(self) -> float:
+        """Weight of a pixel of L_seg as labels are drawn."""
+        return self.seg * (REFERENCE_SIZE / self.size) ** 2

@@ -33,12 +33,12 @@ from ...models.resizing import resize_shapes
 from ...render.mesh import PartImage, draw_mesh
 from ..ellipsoids.result import FitResult
 from ..ellipsoids.stages import Progress
-from ..ellipsoids.stepper import rate_share
+from .energy import MeshEnergy, mesh_energy
+from .gather import gather_starts
 from .given_poses import GivenPoses
-from .mesh_energy import MeshEnergy, gather_starts, mesh_energy
 from .mesh_options import MeshOptions
-from .mesh_unknowns import Starts, Unknowns
-from .steps import Steps, find_steps
+from .observed_body import ObservedBody
+from .steps import RefinedPeople, refine_starts
 
 
 @dataclass(frozen=True)
@@ -142,16 +142,16 @@ def refine_meshes(
     found: dict[int, MeshFit] = {}
     done, total = 0, options.iterations * len(batches)
 
-    def step(iteration: int) -> None:
+    def tell(iterations: int) -> None:
         if progress is not None:
-            progress("mesh", done + iteration + 1, total)
+            progress("mesh", done + iterations, total)
 
     for (energy, _), places in batches.items():
         assert model is not None
         some, given = [results[place] for place in places], None
         if starts is not None:
-            given = GivenPoses.of([starts[place] for place in places], energy.turning)
-        found |= zip(places, _refine_batch(energy, model, some, given, step), strict=True)
+            given = GivenPoses.of([starts[place] for place in places], energy.drawn.turning)
+        found |= zip(places, _refine_batch(energy, model, some, given, tell), strict=True)
         done += options.iterations
     return [found[place] for place in range(len(results))]
 
@@ -171,44 +171,39 @@ def _refine_batch(
     model: DetailedModel,
     results: Sequence[FitResult],
     given: GivenPoses | None,
-    told: Callable[[int], None],
+    progress: Callable[[int], None],
 ) -> list[MeshFit]:
-    started, iterations = time.perf_counter(), energy.options.iterations
+    started = time.perf_counter()
     with torch.no_grad():
-        people = gather_starts(energy, model, results, given)
-    steps = find_steps(energy, people, energy.options)
-    for iteration in range(iterations):
-        steps.step(rate_share(iteration, iterations))
-        told(iteration)
+        people = gather_starts(energy, model, [ObservedBody.of_fit(each) for each in results], given)
+    refined = refine_starts(energy, people, progress)
     with torch.no_grad():
-        return _finish(energy, model, people, steps, results, given, started)
+        return _finish(energy, model, refined, results, given, started)
 
 
 def _finish(
     energy: MeshEnergy,
     model: DetailedModel,
-    people: Starts,
-    steps: Steps[Starts, Unknowns],
+    refined: RefinedPeople,
     results: Sequence[FitResult],
     given: GivenPoses | None,
     started: float,
 ) -> list[MeshFit]:
     """Detailed bodies where their cameras see them, and EllipBodies measured from them."""
-    found = steps.unknowns
-    terms = {name: term.clone() for name, term in steps.terms.items()}
-    shape, rotations, translation = energy.whole_pose(model, people, found)
+    people, found, terms = refined.people, refined.unknowns, refined.terms
+    shape, rotations, translation = energy.drawn.whole_pose(model, people, found)
     log_scale = found.log_scale
     if any(result.stature is not None for result in results):
         shape, shares = _resized(model, shape, results)
         translation, log_scale = translation * shares[:, None], log_scale - shares.log()
     if given is not None:
-        rotations = given.whole(rotations[:, energy.turning])
+        rotations = given.whole(rotations[:, energy.drawn.turning])
     bodies = ungrown(model, shape, rotations, translation, terms)
     numbers = {name: term.tolist() for name, term in terms.items()}
     energies = [{name: values[place] for name, values in numbers.items()} for place in range(len(results))]
-    where = log_scale, found.shift, people.lens
+    origins = CropPositions(log_scale, found.shift, people.lens)
     try:
-        fits = mesh_fits(bodies, where, bounded(found.clothes), results, energies)
+        fits = mesh_fits(bodies, origins, bounded(found.clothes), results, energies)
     except ValueError as error:
         told = f"learning_rate: {energy.options.learning_rate}; the mesh stage went astray ({error})"
         raise InputError(f"{told}; expected a smaller rate, or smaller weights of its terms") from error
@@ -229,9 +224,24 @@ def _resized(
     return resize_shapes(model, shape, wanted)
 
 
+@dataclass(frozen=True)
+class CropPositions:
+    """Positions of B points as the cameras of their crops see them.
+
+    Attributes:
+        log_scale: As of ``BodyParameters``, like ``shift``, shape (B,).
+        shift: Shape (B, 2).
+        lens: Lenses of the cameras as of ``Observation``, shape (B, 3); None: weak perspective.
+    """
+
+    log_scale: torch.Tensor
+    shift: torch.Tensor
+    lens: torch.Tensor | None
+
+
 def mesh_fits(
     bodies: Registered,
-    where: tuple[torch.Tensor, torch.Tensor, torch.Tensor | None],
+    origins: CropPositions,
     clothes: torch.Tensor,
     results: Sequence[FitResult],
     energies: Sequence[dict[str, float]],
@@ -240,7 +250,7 @@ def mesh_fits(
 
     Args:
         bodies: About the origin.
-        where: Of the origin, ``log_scale`` (B,) and ``shift`` (B, 2) in the crops of the results, and their lenses.
+        origins: Positions of the origin in the crops of the results.
         clothes: Thicknesses [m], shape (B, 8).
         results: The fits that they went on from.
         energies: Weighted terms by name; of a person without any, the result's stay.
@@ -248,16 +258,16 @@ def mesh_fits(
     Raises:
         ValueError: If a number is not finite.
     """
-    seen, pelvises = measure_parameters(bodies, *where)
-    there, _ = place_bodies(seen, seen.posed(), where[2], REFERENCE_SIZE)
+    measured, pelvises = measure_parameters(bodies, origins)
+    there, _ = place_bodies(measured, measured.posed(), origins.lens, REFERENCE_SIZE)
     bodies = bodies.moved(there.joints[:, 0] - pelvises)
-    check_finite(vertices=bodies.detailed.vertices, scale=seen.log_scale.exp(), shift=seen.shift)
+    check_finite(vertices=bodies.detailed.vertices, scale=measured.log_scale.exp(), shift=measured.shift)
     fits: list[MeshFit] = []
     for place, (result, energy) in enumerate(zip(results, energies, strict=True)):
         own = slice(place, place + 1)
         ellipbody = replace(
             result,
-            parameters=seen.select(own),
+            parameters=measured.select(own),
             before_outline=None,
             energy=energy or result.energy,
             stage_seconds=dict(result.stage_seconds),
@@ -266,11 +276,15 @@ def mesh_fits(
     return fits
 
 
-def measure_parameters(
-    bodies: Registered, log_scale: torch.Tensor, shift: torch.Tensor, lens: torch.Tensor | None
-) -> tuple[BodyParameters, torch.Tensor]:
-    """EllipBodies of detailed bodies about the origin, which is seen at ``log_scale`` and ``shift``; their pelvises."""
+def measure_parameters(bodies: Registered, origins: CropPositions) -> tuple[BodyParameters, torch.Tensor]:
+    """EllipBodies measured from detailed bodies about the origin, whose position is known, and their pelvises."""
     orientation, pelvises, turns, lengths, thicknesses = measure_ellipbody(bodies)
-    sizes = lengths, thicknesses, log_scale, shift
-    measured = BodyParameters(rotation_to_6d(orientation), rotation_to_axis_angle(turns), *sizes)
-    return move_pelvises(measured, lens, pelvises), pelvises
+    measured = BodyParameters(
+        orientation=rotation_to_6d(orientation),
+        rotations=rotation_to_axis_angle(turns),
+        lengths=lengths,
+        thicknesses=thicknesses,
+        log_scale=origins.log_scale,
+        shift=origins.shift,
+    )
+    return move_pelvises(measured, origins.lens, pelvises), pelvises

@@ -19,8 +19,8 @@ from ...inputs.scene import Scene
 from ...models.measuring import statures
 from ...models.model import DetailedModel
 from ...models.registration import shape_from_lengths
+from ..mesh.observed_body import ObservedBody
 from .depth_order import grown
-from .looks import Looked
 
 # Of 600 people of PartBench's kind, whom no level has, in motion that networks learn from (scripts/learn_sizes.py): the
 # true logarithm changes by 1 / (a + b / n) where the mean of n looks changes by 1, about this sum of lengths [m].
@@ -30,8 +30,8 @@ _ROUNDED = 1e-6  # of it, by which times are rounded
 
 
 def of_one_size(
-    model: DetailedModel, scene: Scene, looks: Sequence[Looked], stature: float | None = None
-) -> list[Looked]:
+    model: DetailedModel, scene: Scene, looks: Sequence[ObservedBody], stature: float | None = None
+) -> list[ObservedBody]:
     """Sights in which everybody has one size: the known one, or the most probable where one camera sees many frames.
 
     Args:
@@ -48,8 +48,8 @@ def of_one_size(
 
 
 def alike_sizes(
-    scene: Scene, looks: Sequence[Looked], stature: float | None = None, model: DetailedModel | None = None
-) -> list[Looked]:
+    scene: Scene, looks: Sequence[ObservedBody], stature: float | None = None, model: DetailedModel | None = None
+) -> list[ObservedBody]:
     """Sights in which everybody has one size, whatever sees them; known shapes count if there is their model."""
     if stature is not None:
         return [grown(look, stature / float(bone_statures(look.body.lengths))) for look in looks]
@@ -62,7 +62,7 @@ def stretch(count: int) -> float:
     return max(1.0, 1 / (_SHRUNK + _NOISE / count))
 
 
-def _target(model: DetailedModel | None, scene: Scene, person: int, looks: Sequence[Looked]) -> float:
+def _target(model: DetailedModel | None, scene: Scene, person: int, looks: Sequence[ObservedBody]) -> float:
     """Logarithm of the size that a person's sights are to have."""
     own = [look for look in looks if look.sight.person == person]
     mean = sum(map(_size, own)) / len(own)
@@ -76,6 +76,6 @@ def _target(model: DetailedModel | None, scene: Scene, person: int, looks: Seque
     return mean + (stretch(len(times)) - 1) * (mean - math.log(_MIDDLE))
 
 
-def _size(look: Looked) -> float:
+def _size(look: ObservedBody) -> float:
     """Logarithm of the sum of a body's lengths [m]."""
     return math.log(float(look.body.lengths.sum()))

@@ -11,17 +11,17 @@ from ...errors import InputError
 from ...inputs.observation import CROP_MARGIN
 from ...inputs.person import person_crop
 from ...render.part_mesh import MAX_LABEL
-from .looks import Looked
+from ..mesh.observed_body import ObservedBody
 
 Clusters = tuple[tuple[int, ...], ...]  # each person in one, ascending
 
 
-def find_clusters(looks: Sequence[Looked], num_people: int) -> Clusters:
+def find_clusters(looks: Sequence[ObservedBody], num_people: int) -> Clusters:
     """People who are drawn together: whose boxes overlap in any picture, and whoever overlaps these, and so on."""
     if num_people == 1:
         return ((0,),)
     near = np.eye(num_people, dtype=bool)
-    of_picture: dict[tuple[int, int], list[Looked]] = {}
+    of_picture: dict[tuple[int, int], list[ObservedBody]] = {}
     for look in looks:
         of_picture.setdefault((look.sight.frame, look.sight.view), []).append(look)
     for group in of_picture.values():
@@ -69,7 +69,7 @@ def slots_of(clusters: Clusters, num_people: int, device: torch.device) -> tuple
     return torch.from_numpy(slots).to(device), torch.from_numpy(places).to(device)
 
 
-def _box(look: Looked) -> list[float]:
+def _box(look: ObservedBody) -> list[float]:
     """Box of the person in the picture with a margin, left, top, right, bottom [px]."""
     evidence = look.evidence
     groups = np.zeros((1, 1), dtype=np.uint8) if evidence.groups is None else evidence.groups

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import torch
 
@@ -18,27 +17,22 @@ from ...interop.gradient_mode import with_gradients
 from ...interop.movable import Movable
 from ...interop.torch_threads import one_torch_thread
 from ...models.anny import anny
-from ...models.capsules import measure_capsules
 from ...models.clothes import bounded
 from ...models.measuring import statures
 from ...models.model import DetailedModel
 from ...models.registration import Registered, ungrown
 from ...models.resizing import resize_before
-from ...render.part_mesh import PartMesh
 from ..ellipsoids.stages import Progress
-from ..ellipsoids.stepper import rate_share
-from ..mesh.mesh_energy import MeshEnergy, mesh_energy
-from ..mesh.mesh_unknowns import Unknowns
-from ..mesh.steps import find_steps
+from ..mesh.observed_body import ObservedBody
+from ..mesh.starts import StandingFeet, Starts
+from ..mesh.steps import RefinedPeople, refine_starts
 from .clip_sizes import of_one_size
-from .clusters import Clusters, check_room, find_clusters
 from .depth_order import LEAST_GAIN, exchange, order_people
-from .energy import SceneEnergy, SceneStarts
-from .feet import FEET
 from .ground import Grounded, stand_on_ground
 from .impossible import impossible_people
-from .looks import Looked, look_at
+from .looks import look_at
 from .options import SceneOptions
+from .plan import ScenePlan, plan_scene
 from .start import gather_scene
 
 
@@ -96,7 +90,7 @@ def fit_scene(
     model: DetailedModel | None = None,
     device: torch.device | str = "cpu",
     progress: Progress | None = None,
-    looks: Sequence[Looked] | None = None,
+    looks: Sequence[ObservedBody] | None = None,
 ) -> SceneFit:
     """Fit detailed bodies to a scene: one shape a person, a pose a frame, places in the world.
 
@@ -132,36 +126,19 @@ def fit_scene(
     if looks is None:
         tell("network", 0, 1)
         looks = look_at(scene, where)
-    label_set = next((look.seen.label_set for look in looks if look.seen.label_set is not None), None)
-    one, clusters = mesh_energy(model, options.mesh, label_set), find_clusters(looks, scene.num_people)
-    if one.mesh is not None and label_set is not None:
-        check_room(clusters, label_set.num_groups)
-    energy = scene_energy(one, options, clusters, label_set.num_groups if label_set else 0)
+    plan = plan_scene(scene, looks, model, options)
     with torch.no_grad():
         if options.one_size or options.stature is not None:
             looks = of_one_size(model, scene, looks, options.stature)
-        looks, grounded = stand_on_ground(energy, model, scene, looks)
-        if options.exchanges:
-            people, looks = order_people(energy, model, scene, looks)
-        else:
-            people = gather_scene(energy, model, scene, looks)
+        looks, grounded = stand_on_ground(plan, looks)
     warnings = _warnings(looks)
     looked = time.perf_counter()
-    best = _refine(energy, _held(people, grounded), looks, tell)
-    # What is refined fits the order it stands in, so in one frame the other order is refined, too, before they compare.
-    least_gain = LEAST_GAIN if scene.num_frames > 1 else -math.inf
-    for _ in range(1, scene.num_people if options.exchanges else 1):
-        with torch.no_grad():
-            exchanged = exchange(energy, best.people, best.unknowns, best.looks, least_gain)
-            if exchanged is None:
-                break
-            people = gather_scene(energy, model, scene, exchanged)
-        other = _refine(energy, _held(people, grounded), exchanged, tell)
-        if other.total >= best.total:
-            break
-        best = other
+    best = _refine(plan, looks, grounded, lambda done: tell("scene", done, options.mesh.iterations))
     with torch.no_grad():
-        shape, rotations, positions = energy.whole_pose(model, best.people, best.unknowns)
+        drawn, pelvises = plan.energy.drawn, plan.energy.place(best.people, best.unknowns).pelvises
+        assert pelvises is not None
+        shape, rotations, translation = drawn.whole_pose(model, best.people, best.unknowns)
+        positions = translation + pelvises
         if options.stature is not None:
             first, positions = resize_before(model, shape[:1], positions, options.stature, scene.views[0].eye)
             shape = first.expand_as(shape)
@@ -169,43 +146,39 @@ def fit_scene(
         clothes = bounded(best.unknowns.clothes)
     seconds = {"network": looked - started, "scene": time.perf_counter() - looked}
     ground = None if grounded is None else grounded.ground
-    fit = SceneFit(scene, bodies, clothes, best.terms, seconds, warnings, ground)
+    fit = SceneFit(scene, bodies, clothes, best.energies, seconds, warnings, ground)
     return replace(fit, warnings=(*warnings, *_impossible(fit)))
 
 
-@dataclass(frozen=True)
-class _Refined:
-    """Bodies of a refinement, what it started from, and its terms before the last step."""
-
-    people: SceneStarts
-    looks: Sequence[Looked]
-    unknowns: Unknowns
-    terms: dict[str, float]
-
-    @property
-    def total(self) -> float:
-        """The energy."""
-        return sum(self.terms.values())
-
-
-def _held(people: SceneStarts, grounded: Grounded | None) -> SceneStarts:
+def _held(people: Starts, grounded: Grounded | None) -> Starts:
     """People whose feet are held to the ground, if there is one."""
     if grounded is None:
         return people
     plane = people.shape.new_tensor([*grounded.ground.normal, grounded.ground.offset])
-    return replace(people, ground=plane, standing=people.shape.new_tensor(grounded.shares))
+    return replace(people, feet=StandingFeet(plane, people.shape.new_tensor(grounded.shares)))
 
 
-def _refine(energy: SceneEnergy, people: SceneStarts, looks: Sequence[Looked], tell: Progress) -> _Refined:
-    options = energy.options.mesh
-    steps = find_steps(energy, people, options)
-    for iteration in range(options.iterations):
-        steps.step(rate_share(iteration, options.iterations))
-        tell("scene", iteration + 1, options.iterations)
+def _refine(
+    plan: ScenePlan, looks: Sequence[ObservedBody], grounded: Grounded | None, progress: Callable[[int], None]
+) -> RefinedPeople:
+    """People in the best of the orders in depth that are tried."""
+    options, scene = plan.options, plan.scene
     with torch.no_grad():
-        found = {name: value.clone() for name, value in vars(steps.unknowns).items()}
-    terms = {name: float(term.sum()) for name, term in steps.terms.items()}
-    return _Refined(people, looks, Unknowns(**found), terms)
+        people, looks = order_people(plan, looks) if options.exchanges else (gather_scene(plan, looks), looks)
+    best = refine_starts(plan.energy, _held(people, grounded), progress)
+    # What is refined fits the order it stands in, so in one frame the other order is refined, too, before they compare.
+    least_gain = LEAST_GAIN if scene.num_frames > 1 else -math.inf
+    for _ in range(1, scene.num_people if options.exchanges else 1):
+        with torch.no_grad():
+            exchanged = exchange(plan, best.people, best.unknowns, looks, least_gain)
+            if exchanged is None:
+                break
+            people = gather_scene(plan, exchanged)
+        other = refine_starts(plan.energy, _held(people, grounded), progress)
+        if sum(other.energies.values()) >= sum(best.energies.values()):
+            break
+        best, looks = other, exchanged
+    return best
 
 
 def _impossible(fit: SceneFit) -> list[str]:
@@ -218,24 +191,10 @@ def _impossible(fit: SceneFit) -> list[str]:
     return impossible_people(dict(enumerate(fit.statures.tolist())), dict(enumerate(far)))
 
 
-def _warnings(looks: Sequence[Looked]) -> tuple[str, ...]:
+def _warnings(looks: Sequence[ObservedBody]) -> tuple[str, ...]:
     """Faults of sights, each sentence once, with the first sight that it is about."""
     first: dict[str, str] = {}
     for look in looks:
         for warning in look.evidence.warnings:
             first.setdefault(warning, f"person {look.sight.person}, frame {look.sight.frame}, view {look.sight.view}")
     return tuple(f"{where}: {warning}" for warning, where in first.items())
-
-
-@lru_cache(maxsize=8)
-def scene_energy(one: MeshEnergy, options: SceneOptions, clusters: Clusters, groups: int) -> SceneEnergy:
-    """Energy of people drawn together so, whose labels are of G groups; kept, for captured graphs belong to it."""
-    mesh: PartMesh | None = None
-    if one.mesh is not None and (most := max(map(len, clusters))) > 1:
-        mesh = one.mesh.repeated(most, groups, one.first or one.model.num_vertices)
-    num_people = sum(map(len, clusters))
-    several = num_people > 1 and options.apart > 0
-    capsules = measure_capsules(one.model) if several else one.capsules if num_people == 1 else None
-    names = one.model.landmark_names
-    feet = torch.tensor([names.index(name) for name in FEET], device=one.ends.device)
-    return SceneEnergy(one, clusters, mesh, capsules, feet, options)

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...inputs.keypoints import Keypoints2D
-from ...inputs.scene import Ground, Scene
-from ...models.model import DetailedModel
+from ...inputs.scene import Ground
+from ..mesh.feet import FEET
+from ..mesh.observed_body import ObservedBody
 from .depth_order import grown
-from .energy import SceneEnergy, SceneStarts
-from .feet import FEET
-from .looks import Looked
+from .plan import ScenePlan
 from .start import gather_scene
 
 _ANKLES = ("left_ankle", "right_ankle")
@@ -121,23 +120,22 @@ def _shares(bodies: Standing, off: np.ndarray, normal: np.ndarray, offset: float
     return bodies.seen * _STANDING * stands / (_STANDING * stands + (1 - _STANDING) / _ELSEWHERE)
 
 
-def stand_on_ground(
-    energy: SceneEnergy, model: DetailedModel, scene: Scene, looks: Sequence[Looked]
-) -> tuple[list[Looked], Grounded | None]:
+def stand_on_ground(plan: ScenePlan, looks: Sequence[ObservedBody]) -> tuple[list[ObservedBody], Grounded | None]:
     """Sights whose bodies grew, and the ground in the world; None where it can't tell anything.
 
     Several views know the depth, people whose shapes are known do not grow, and of one person on any ground all sizes
     are as good.
     """
+    scene = plan.scene
     alone = scene.num_people == 1 and scene.ground is None
-    if not energy.options.ground or len(scene.views) > 1 or scene.shapes or alone:
+    if not plan.options.ground or len(scene.views) > 1 or scene.shapes or alone:
         return list(looks), None
     view = scene.views[0]
     turn, move = (each.double().cpu().numpy() for each in (view.rotation, view.translation))
     eye = -turn.T @ move
     given = scene.ground
     about = None if given is None else Ground(given.normal, -float(given.heights(eye)))
-    bodies = _standing(energy, gather_scene(energy, model, scene, looks), scene, looks, eye)
+    bodies = _standing(plan, looks, eye)
     if not bodies.seen.any():
         return list(looks), None
     found = find_ground(bodies, turn.T @ [0.0, -1.0, 0.0], about)
@@ -146,12 +144,11 @@ def stand_on_ground(
     return grew, Grounded(ground, found.sizes, found.shares)
 
 
-def _standing(
-    energy: SceneEnergy, people: SceneStarts, scene: Scene, looks: Sequence[Looked], eye: np.ndarray
-) -> Standing:
+def _standing(plan: ScenePlan, looks: Sequence[ObservedBody], eye: np.ndarray) -> Standing:
     """Bodies where the fit starts, about the eye of the one camera."""
-    names = energy.one.model.landmark_names
-    points = energy.landmarks(people, energy.at_rest(people)).double().cpu().numpy() - eye
+    scene, people = plan.scene, gather_scene(plan, looks)
+    names = plan.energy.drawn.model.landmark_names
+    points = plan.energy.place(people, people.at_rest()).points.double().cpu().numpy() - eye
     seen = np.zeros(len(points))
     for look in looks:
         seen[look.sight.person * scene.num_frames + look.sight.frame] = feet_seen(look.sight.keypoints)

@@ -3,50 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 
 import torch
 
 from ...body.lens import turn_to_rays
-from ...body.parameters import BodyParameters
-from ...cameras import Crop
 from ...errors import InputError
 from ...inputs.evidence import Evidence, weigh_evidence
-from ...inputs.observation import Observation, crop_evidence
+from ...inputs.observation import crop_evidence
 from ...inputs.scene import Scene, Sight, View
 from ...interop.torch_threads import one_torch_thread
 from ...kernels.launch import get_num_threads, run_slices
 from ...networks.regression.checkpoint import packaged_network
 from ...networks.regression.label_network import LabelNetwork
 from ...networks.regression.predict import ask_about_each
-from ...networks.regression.uncertainty import Uncertainty
+from ..mesh.observed_body import ObservedBody
 
 _TOGETHER = {"cpu": 8, "cuda": 64}  # sights that the network looks at at a time; on the CPU, on each thread
 
 
-@dataclass(frozen=True)
-class Looked:
-    """A sight that the network looked at.
-
-    Attributes:
-        sight: The sight.
-        evidence: What is believed of it.
-        seen: The same in a crop.
-        crop: The crop.
-        body: The network's body, as the crop's camera sees it, B = 1.
-        uncertainty: How sure it is.
-    """
-
-    sight: Sight
-    evidence: Evidence
-    seen: Observation
-    crop: Crop
-    body: BodyParameters
-    uncertainty: Uncertainty | None
-
-
-def look_at(scene: Scene, device: torch.device | str) -> list[Looked]:
+def look_at(scene: Scene, device: torch.device | str) -> list[ObservedBody]:
     """Bodies that the network sees in each sight, in the order of people, frames and views."""
     sights = sorted(scene.sights, key=lambda sight: (sight.person, sight.frame, sight.view))
     together = looked_at_together(device)
@@ -61,10 +38,10 @@ def looked_at_together(device: torch.device | str) -> int:
 
 def look_in_batches(
     views: Sequence[View], batches: Sequence[Sequence[Sight]], device: torch.device | str
-) -> list[list[Looked]]:
+) -> list[list[ObservedBody]]:
     """Bodies that the network sees in each sight, of one batch after another; on the CPU, threads share them."""
     network, on_cpu = packaged_network(str(device)), torch.device(device).type == "cpu"
-    found: list[list[Looked]] = [[] for _ in batches]
+    found: list[list[ObservedBody]] = [[] for _ in batches]
 
     @one_torch_thread()
     @torch.no_grad()
@@ -79,7 +56,7 @@ def look_in_batches(
 
 def _look(
     views: Sequence[View], sights: Sequence[Sight], network: LabelNetwork, device: torch.device | str
-) -> list[Looked]:
+) -> list[ObservedBody]:
     """Look at sights in one batch."""
     evidence = [_weighed(sight) for sight in sights]
     pairs = [
@@ -93,7 +70,7 @@ def _look(
     for place, (sight, each, (seen, crop)) in enumerate(zip(sights, evidence, pairs, strict=True)):
         own = slice(place, place + 1)
         unsure = None if said.uncertainty is None else said.uncertainty.select(own)
-        found.append(Looked(sight, each, seen, crop, bodies.select(own), unsure))
+        found.append(ObservedBody(sight, each, seen, crop, bodies.select(own), unsure))
     return found
 
 

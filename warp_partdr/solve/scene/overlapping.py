@@ -9,15 +9,15 @@ import torch
 
 from ...body.lens import seen_at
 from ...cameras import Perspective
-from ...inputs.scene import Scene, Sight, View
+from ...inputs.scene import Scene, View
 from ...models.model import DetailedModel
 from ..ellipsoids.result import FitResult
 from ..ellipsoids.stages import Progress
 from ..mesh.mesh_options import MeshOptions
-from ..mesh.mesh_stage import MeshFit, mesh_fits, refine_meshes
+from ..mesh.mesh_stage import CropPositions, MeshFit, mesh_fits, refine_meshes
+from ..mesh.observed_body import ObservedBody
 from .clusters import Clusters, find_clusters, fits_in_labels, of_several
 from .fitting import fit_scene
-from .looks import Looked
 from .options import SceneOptions
 
 
@@ -54,7 +54,9 @@ def overlapping(results: Sequence[FitResult]) -> Clusters:
     """Places of people who may hide one another, where labels of one set can tell: all of them before a camera."""
     if len(results) < 2 or not isinstance(results[0].camera, Perspective):
         return ()
-    found = of_several(find_clusters([_looked(each, place) for place, each in enumerate(results)], len(results)))
+    found = of_several(
+        find_clusters([ObservedBody.of_fit(each, place) for place, each in enumerate(results)], len(results))
+    )
     return tuple(members for members in found if _alike([results[place] for place in members]))
 
 
@@ -63,19 +65,12 @@ def _alike(results: Sequence[FitResult]) -> bool:
     return len(sets) > 1 and all(each == sets[0] for each in sets) and fits_in_labels(len(results), sets[0].num_groups)
 
 
-def _looked(result: FitResult, person: int) -> Looked:
-    """A fit as what was seen of one of a scene's people."""
-    evidence, body = result.evidence, result.before_outline or result.parameters
-    sight = Sight(evidence.keypoints, evidence.picture, person)
-    return Looked(sight, evidence, result.observation, result.crop, body, result.uncertainty)
-
-
 def _fit_together(
     results: Sequence[FitResult], model: DetailedModel | None, options: MeshOptions, progress: Progress | None
 ) -> list[MeshFit]:
     camera = results[0].camera
     assert isinstance(camera, Perspective)
-    looks = [_looked(each, person) for person, each in enumerate(results)]
+    looks = [ObservedBody.of_fit(each, person) for person, each in enumerate(results)]
     # No ground: of a photo, it is found of everybody (``results.scene_places``).
     together, device = SceneOptions(mesh=options, ground=0.0), results[0].parameters.shift.device
     scene = Scene([View(camera)], [look.sight for look in looks])
@@ -83,10 +78,10 @@ def _fit_together(
     with torch.no_grad():
         lens = torch.stack([each.observation.lens for each in results if each.observation.lens is not None])
         pelvises = fit.landmarks(("pelvis",))[:, 0, 0]
-        where = *seen_at(pelvises, lens), lens
+        origins = CropPositions(*seen_at(pelvises, lens), lens)
         bodies = fit.bodies.moved(-pelvises)
         losses = {name: lens.new_tensor(len(lens) * [value]) for name, value in fit.energy.items()}
-        fits = mesh_fits(replace(bodies, losses=losses), where, fit.clothes, results, len(lens) * [fit.energy])
+        fits = mesh_fits(replace(bodies, losses=losses), origins, fit.clothes, results, len(lens) * [fit.energy])
     for each in fits:
         each.ellipbody.stage_seconds["mesh"] = fit.seconds["scene"] / len(fits)
     return fits
