@@ -122,6 +122,23 @@ def test_many_people_are_cut_out_as_each_alone(size: int, device: str, rng: np.r
     }
 
 
+def test_probabilities_are_cut_out_where_they_are_wanted() -> None:
+    """Of labels whose sides are exchanged, too."""
+    keypoints, parts = example()
+    people = []
+    for groups in (parts.groups, mirrored(parts.label_set)[parts.groups]):
+        maps = (groups == np.arange(parts.label_set.num_groups + 1)[:, None, None]).astype(np.float32)
+        people.append(PicturePerson(keypoints, PartLabels(parts.label_set, groups, maps=0.9 * maps)))
+    found = cut_out_people(people, "cpu", 128, probabilities=True)
+    for person, cut in zip(people, found, strict=True):
+        assert isinstance(cut, CutPerson)
+        assert cut.observation.maps is not None
+        assert_cut_as_alone(cut, evidence_of(person), None, size=128)
+    (plain,) = cut_out_people(people[:1], "cpu", 128)
+    assert isinstance(plain, CutPerson)
+    assert plain.observation.maps is None
+
+
 def test_people_in_parts_of_the_batch_are_the_same(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory holds a few at a time."""
     people = people_of_all_kinds(rng, 12)

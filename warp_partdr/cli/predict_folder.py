@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..errors import printable
+from ..errors import InputError, printable
 from ..inputs.part_labels import read_photo
 from ..inputs.photo_files import LeftOut
 from .options import CameraOptions, people_at_a_time, say_people
 
 if TYPE_CHECKING:
     from ..cameras import Perspective
+    from ..inputs.cut_people import CutPerson
     from ..inputs.sample import Sample
 
 
@@ -47,8 +48,9 @@ def predict_folder(
         typer.echo(f"partdr: {left_out}", err=True)
     cameras = [_camera(view, sample) for sample in samples]
 
-    from ..inputs.evidence import weigh_evidence
-    from ..inputs.observation import crop_evidence, observe, usual_lens
+    from ..inputs.cut_out import cut_out_people
+    from ..inputs.evidence import PicturePerson
+    from ..inputs.observation import observe
     from ..interop.devices import choose_device
     from ..networks.regression.checkpoint import load_label_network
     from ..networks.regression.predict import predict_bodies
@@ -68,20 +70,20 @@ def predict_folder(
     report: dict[str, Any] = {"network": None if network is None else str(network), "people": names}
     with PictureProgress(len(samples)) as progress, replacing(out, PREDICTIONS_REPORT, report) as temporary:
         for start in range(0, len(samples), together):
-            some, theirs = samples[start : start + together], cameras[start : start + together]
+            some = samples[start : start + together]
+            people = [
+                PicturePerson(sample.keypoints, sample.parts, sample.others, camera)
+                for sample, camera in zip(some, cameras[start : start + together], strict=True)
+            ]
             started = time.perf_counter()
-            evidence = [weigh_evidence(sample.keypoints, sample.parts, sample.others)[0] for sample in some]
-            if not view.given:
-                theirs = [usual_lens(each) for each in evidence]
-            pairs = zip(evidence, theirs, strict=True)
-            seen = [crop_evidence(each, device=where, camera=camera) for each, camera in pairs]
+            cut = list(map(_usable, cut_out_people(people, where, probabilities=True)))
             sizes = [image_size(sample.keypoints, sample.parts, None) for sample in some]
             read = time.perf_counter()
-            files = predict_files(seen, sizes, model)
+            files = predict_files([(each.observation, each.crop) for each in cut], sizes, model)
             reading, predicting = reading + read - started, predicting + time.perf_counter() - read
-            for sample, each, file in zip(some, evidence, files, strict=True):
+            for sample, each, file in zip(some, cut, files, strict=True):
                 file.save(temporary / f"{sample.name}.npz")
-                for warning in each.warnings:
+                for warning in each.evidence.warnings:
                     progress.say(f"partdr: warning: {sample.name}: {warning}")
             progress(_file(some[-1]).name, len(some))
     typer.echo(
@@ -91,13 +93,27 @@ def predict_folder(
     typer.echo(f"{out} holds a body of each: N.npz")
 
 
+def _usable(cut: CutPerson | InputError) -> CutPerson:
+    """A person who could be cut out.
+
+    Raises:
+        InputError: The person's, if not.
+    """
+    if isinstance(cut, InputError):
+        raise cut
+    return cut
+
+
 def _file(sample: Sample) -> Path:
     assert isinstance(sample.picture, Path)  # of a folder
     return sample.picture
 
 
 def _camera(view: CameraOptions, sample: Sample) -> Perspective | None:
-    """The camera of a sample's picture, if it is known."""
+    """The camera of a sample's picture: a usual one if it is not known, but the picture's size is."""
+    from ..cameras import UsualLens
+
     if not view.given:
-        return None
+        size = sample.keypoints.image_size if sample.parts is None else sample.parts.groups.shape
+        return None if size is None else UsualLens.of_size((size[0], size[1]))
     return view.read(read_photo(_file(sample)).shape[:2], _file(sample))

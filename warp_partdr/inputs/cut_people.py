@@ -25,7 +25,7 @@ class CutPerson:
 
     Attributes:
         evidence: Keypoints and warnings; its labels aren't looked at and may be left out, to save memory.
-        observation: Keypoints and labels in the crop; no probabilities.
+        observation: Keypoints and labels in the crop; stacked, it loses probabilities.
         crop: Place of the crop in the picture.
     """
 
