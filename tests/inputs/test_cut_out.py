@@ -154,9 +154,9 @@ def test_people_in_parts_of_the_batch_are_the_same(rng: np.random.Generator, mon
 
 @pytest.mark.parametrize("with_mask", [False, True])
 def test_pixels_beside_the_bones_of_a_tiny_person_are_theirs(with_mask: bool, device: str) -> None:
-    """A person 4 px tall, in a picture that shows nobody else."""
+    """A person 2 px tall, in a picture that shows nobody else."""
     keypoints, parts = example("full1")
-    zoom = np.float32(4 / np.ptp(keypoints.points[keypoints.visible, 1]))
+    zoom = np.float32(2 / np.ptp(keypoints.points[keypoints.visible, 1]))
     tiny = Keypoints2D(keypoints.skeleton, keypoints.points * zoom + np.float32(8), keypoints.confidence)
     shown = np.ones((20, 20), dtype=np.uint8)
     person = masked(tiny, shown) if with_mask else PicturePerson(tiny, PartLabels(parts.label_set, shown))
