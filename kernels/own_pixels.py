@@ -190,8 +190,6 @@ def is_others(bodies: BodyArrays, n: int, x: wp.float64, y: wp.float64) -> bool:
         bone = bodies.bones[n, s]
         if bone[6] >= wp.float64(0.0) and may_be_within(bone, bone[11], x, y):
             own = wp.min(own, square_from(bone, x, y))
-    if own > reach:
-        return True
     return wp.sqrt(own) > wp.sqrt(other)
 
 

@@ -276,7 +276,7 @@ def assert_cut_as_alone(
     assert evidence.warnings == alone.warnings
     assert (observation.landmarks, observation.marks) == (seen.landmarks, seen.marks)
     assert observation.label_set == seen.label_set
-    for name in ("points", "confidence", "labels", "lens"):
+    for name in ("points", "confidence", "labels", "lens", "maps", "known"):
         ours, theirs = getattr(observation, name), getattr(seen, name)
         assert (ours is None) == (theirs is None), name
         if ours is not None:

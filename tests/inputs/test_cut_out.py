@@ -122,6 +122,23 @@ def test_many_people_are_cut_out_as_each_alone(size: int, device: str, rng: np.r
     }
 
 
+def test_probabilities_are_cut_out_where_they_are_wanted() -> None:
+    """Of labels whose sides are exchanged, too."""
+    keypoints, parts = example()
+    people = []
+    for groups in (parts.groups, mirrored(parts.label_set)[parts.groups]):
+        maps = (groups == np.arange(parts.label_set.num_groups + 1)[:, None, None]).astype(np.float32)
+        people.append(PicturePerson(keypoints, PartLabels(parts.label_set, groups, maps=0.9 * maps)))
+    found = cut_out_people(people, "cpu", 128, probabilities=True)
+    for person, cut in zip(people, found, strict=True):
+        assert isinstance(cut, CutPerson)
+        assert cut.observation.maps is not None
+        assert_cut_as_alone(cut, evidence_of(person), None, size=128)
+    (plain,) = cut_out_people(people[:1], "cpu", 128)
+    assert isinstance(plain, CutPerson)
+    assert plain.observation.maps is None
+
+
 def test_people_in_parts_of_the_batch_are_the_same(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory holds a few at a time."""
     people = people_of_all_kinds(rng, 12)
@@ -137,9 +154,9 @@ def test_people_in_parts_of_the_batch_are_the_same(rng: np.random.Generator, mon
 
 @pytest.mark.parametrize("with_mask", [False, True])
 def test_pixels_beside_the_bones_of_a_tiny_person_are_theirs(with_mask: bool, device: str) -> None:
-    """A person 4 px tall, in a picture that shows nobody else."""
+    """A person 2 px tall, in a picture that shows nobody else."""
     keypoints, parts = example("full1")
-    zoom = np.float32(4 / np.ptp(keypoints.points[keypoints.visible, 1]))
+    zoom = np.float32(2 / np.ptp(keypoints.points[keypoints.visible, 1]))
     tiny = Keypoints2D(keypoints.skeleton, keypoints.points * zoom + np.float32(8), keypoints.confidence)
     shown = np.ones((20, 20), dtype=np.uint8)
     person = masked(tiny, shown) if with_mask else PicturePerson(tiny, PartLabels(parts.label_set, shown))

@@ -26,8 +26,16 @@ from .evidence import (
     weigh_people,
 )
 from .keypoints import LARGEST_PLACE
-from .observation import LABEL_SIZE, WeighedPerson, boxes_in_picture, crop_squares, observe_together
+from .observation import (
+    LABEL_SIZE,
+    WeighedPerson,
+    boxes_in_picture,
+    crop_squares,
+    observe_together,
+    with_probabilities,
+)
 from .own_pixels import Mask, Windows, extents, no_label_along_bones
+from .part_labels import PartLabels
 from .person import person_labels
 
 _PIXELS = {"cpu": 2**24, "cuda": 2**26}  # of pictures that are looked at together
@@ -37,17 +45,22 @@ Found = dict[int, CutPerson | InputError]
 
 @one_torch_thread()
 def cut_out_people(
-    people: Sequence[PicturePerson], device: torch.device | str, label_size: int = LABEL_SIZE
+    people: Sequence[PicturePerson],
+    device: torch.device | str,
+    label_size: int = LABEL_SIZE,
+    *,
+    probabilities: bool = False,
 ) -> list[CutPerson | InputError]:
     """Cut people out of pictures, those of part labels and of masks; or tell what is wrong with them.
 
-    The evidence is without labels of the picture, and observations without probabilities. Where sides of labels and
+    The evidence is without labels of the picture. Where sides of labels and
     keypoints differ, the keypoints are believed. Somebody of whom a mask shows nothing has keypoints alone.
 
     Args:
         people: They may share pictures.
         device: Device of the observations.
         label_size: Side of the labels' crops [px], of which ``LABEL_SIZE`` is an odd multiple.
+        probabilities: Observations have those of the labels, too.
 
     Returns:
         Each person, or the error that ``weigh_evidence`` raises for them.
@@ -74,7 +87,8 @@ def cut_out_people(
             found |= zip(places, _cut_keypoints([usable[place] for place in places], device), strict=True)
             continue
         for some in _shares(places, usable, _PIXELS[device.type]):
-            found |= zip(some, _cut_labels([usable[place] for place in some], device, label_size), strict=True)
+            cut = _cut_labels([usable[place] for place in some], device, label_size, probabilities)
+            found |= zip(some, cut, strict=True)
     return [found[place] for place in range(len(people))]
 
 
@@ -162,7 +176,9 @@ def _cut_keypoints(people: Sequence[PicturePerson], device: torch.device) -> lis
     return [CutPerson(*each) for each in observe_together(weighed, middles, halves, device)]
 
 
-def _cut_labels(people: Sequence[PicturePerson], device: torch.device, label_size: int) -> list[CutPerson | InputError]:
+def _cut_labels(
+    people: Sequence[PicturePerson], device: torch.device, label_size: int, probabilities: bool
+) -> list[CutPerson | InputError]:
     """Cut out people with one skeleton, of pictures with one label set or with masks, that memory holds."""
     labels = _label_set(people[0])
     assert labels is not None
@@ -176,6 +192,7 @@ def _cut_labels(people: Sequence[PicturePerson], device: torch.device, label_siz
         size = LABEL_SIZE, LABEL_SIZE
         targets = weighed.pixels.targets(*boxes, size, every=LABEL_SIZE // label_size).unbind()
     cut: list[WeighedPerson] = []
+    maps: dict[int, np.ndarray] = {}
     for n, (person, target) in enumerate(zip(people, targets, strict=True)):
         warnings = weighed.warnings[n]
         if limbs := weighed.swapped[n]:
@@ -185,11 +202,18 @@ def _cut_labels(people: Sequence[PicturePerson], device: torch.device, label_siz
             warnings = (*warnings, exchanged_warning(limbs, whole=whole))
         points = windows.points[n, windows.confidence[n] > 0]
         cut.append(WeighedPerson(person.keypoints, points, windows.crop(n), target, labels, warnings, person.camera))
+        if probabilities and isinstance(person.pixels, PartLabels) and person.pixels.maps is not None:
+            every = person.pixels.maps
+            maps[n] = every[exchanged_groups(labels, limbs, whole=weighed.whole[n])[: len(every)]] if limbs else every
     there = np.flatnonzero(along)
     found: list[CutPerson | InputError] = [no_label_along_bones()] * len(people)
     own = observe_together([cut[n] for n in there], middles[there], halves[there], device) if len(there) else []
     for n, each in zip(there.tolist(), own, strict=True):
-        found[n] = CutPerson(*each)
+        evidence, observation, crop = each
+        if n in maps:
+            box = (*boxes[0][n].tolist(), *boxes[1][n].tolist())
+            observation = with_probabilities(observation, maps[n], box)
+        found[n] = CutPerson(evidence, observation, crop)
     hidden = [n for n in np.flatnonzero(~along).tolist() if isinstance(people[n].pixels, Mask)]
     if hidden:
         for n, alone in zip(hidden, _cut_keypoints([people[n] for n in hidden], device), strict=True):

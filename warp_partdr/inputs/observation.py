@@ -19,7 +19,7 @@ from .evidence import Evidence, weigh_evidence
 from .keypoints import Keypoints2D
 from .own_pixels import Windows
 from .part_labels import PartLabels
-from .person import crop_boxes, crop_nearest
+from .person import Box, crop_boxes, crop_nearest
 
 REFERENCE_SIZE = 256  # [px], the paper's image size; losses are stated for it
 CROP_MARGIN = 0.1  # of the person's extent, on each side
@@ -130,16 +130,12 @@ def crop_evidence(
     """
     middles, halves = crop_squares(*evidence.extents())
     low, high = boxes_in_picture(evidence.windows, middles, halves)
-    labels = maps = known = None
+    labels = None
     if evidence.picture is not None:
         (x0, y0), (x1, y1) = low[0].tolist(), high[0].tolist()
         size, every = (LABEL_SIZE, LABEL_SIZE), LABEL_SIZE // label_size
         target = evidence.target(size, (x0, y0, x1, y1), every=every, trust_background=trust_background)
         labels = torch.from_numpy(target).to(device)
-        if evidence.picture.maps is not None:
-            seen = crop_nearest(evidence.picture.maps, (x0, y0, x1, y1), size, step=every, fill=0.0)
-            known = torch.from_numpy(np.where(target == IGNORE, 0.0, seen.sum(0)).astype(np.float32)).to(device)
-            maps = torch.from_numpy(np.ascontiguousarray(seen[1:])).to(device)
     weighed = WeighedPerson(
         keypoints=evidence.keypoints,
         points=evidence.windows.points[0, evidence.keypoints.visible],
@@ -150,7 +146,23 @@ def crop_evidence(
         camera=camera,
     )
     ((_, observation, crop),) = observe_together([weighed], middles, halves, device)
-    return replace(observation, maps=maps, known=known), crop
+    if evidence.picture is not None and evidence.picture.maps is not None:
+        observation = with_probabilities(observation, evidence.picture.maps, (*low[0].tolist(), *high[0].tolist()))
+    return observation, crop
+
+
+def with_probabilities(observation: Observation, maps: np.ndarray, box: Box) -> Observation:
+    """Returns a copy with the probabilities of its groups, of a picture's (G + 1, H, W), in a box of the picture."""
+    assert observation.labels is not None
+    step = LABEL_SIZE // observation.labels.shape[-1]
+    seen = crop_nearest(maps, box, (LABEL_SIZE, LABEL_SIZE), step=step, fill=0.0)
+    target, device = observation.labels.cpu().numpy(), observation.labels.device
+    known = np.where(target == IGNORE, 0.0, seen.sum(0)).astype(np.float32)
+    return replace(
+        observation,
+        maps=torch.from_numpy(np.ascontiguousarray(seen[1:])).to(device),
+        known=torch.from_numpy(known).to(device),
+    )
 
 
 def boxes_in_picture(windows: Windows, middles: np.ndarray, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
