@@ -39,11 +39,7 @@ class CutPerson:
 
     Attributes:
         evidence: Keypoints and warnings; its labels aren't looked at and may be left out, to save memory.
-<<<<<<< HEAD
         observation: Keypoints and labels in the crop.
-=======
-        observation: Keypoints and labels in the crop; stacked, it loses probabilities.
->>>>>>> pixels
         crop: Place of the crop in the picture.
     """
 
