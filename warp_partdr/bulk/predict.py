@@ -9,20 +9,20 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import groupby, islice
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..cameras import Perspective
+from ..cameras import Perspective, UsualLens
 from ..errors import InputError
-from ..inputs.cut_people import CutPeople, CutPerson
+from ..inputs.cut_out import cut_out_people
+from ..inputs.cut_people import CutPeople, CutPerson, stack_alike
 from ..inputs.cuts import cuts_sentence
-from ..inputs.evidence import weigh_evidence
+from ..inputs.evidence import PicturePerson
 from ..inputs.films import film_facts
 from ..inputs.frame_times import time_warnings, usual_rate
-from ..inputs.observation import crop_evidence, usual_lens
 from ..inputs.part_labels import photo_warnings, read_photo
 from ..inputs.sample import Sample
 from ..networks.detection.film_people import areas, follow_people, lasting, shots_between
@@ -383,15 +383,14 @@ def predict_samples(
     """
     size, network = pictures_at_a_time(predictor.device), 0.0
     cuts = (
-        _cut_sample(sample, usual=cameras is None, camera=None if cameras is None else cameras[index])
-        for index, sample in enumerate(samples)
+        _cut_samples(samples[start : start + size], None if cameras is None else cameras[start : start + size])
+        for start in range(0, len(samples), size)
     )
     with people_pool(predictor) as pool:
-        first = _cut_sample(samples[0], usual=cameras is None, camera=None).people[0][1]
+        first = _cut_samples(samples[:1], None if cameras is None else cameras[:1]).people[0][1]
         pool.submit(predictor.bodies, first.to(predictor.device)).result()  # what is set up once counts for no speed
         began = time.perf_counter()
-        groups = (islice(cuts, size) for _ in range(0, len(samples), size))
-        for rows in group_rows(predictor, pool, groups, passed):
+        for rows in group_rows(predictor, pool, ([cut] for cut in cuts), passed):
             for row in rows.each():
                 if "error" in row:
                     raise InputError(f"{row['picture']}: {row['error']}")
@@ -403,12 +402,26 @@ def predict_samples(
     return SampleSpeeds(len(samples) / network, len(samples) / seconds)
 
 
-def _cut_sample(sample: Sample, *, usual: bool, camera: Perspective | None) -> Cut:
-    """The person of a sample, cut out before a camera, or before a usual lens."""
-    evidence = weigh_evidence(sample.keypoints, sample.parts, sample.others)[0]
-    observation, crop = crop_evidence(evidence, camera=usual_lens(evidence) if usual else camera)
-    height, width = image_size(sample.keypoints, sample.parts, None)
-    rows = PeopleRows.of([{"picture": sample.name, "person": 0, "height": height, "width": width}])
-    people = CutPeople.of([CutPerson(evidence, observation, crop)])
-    name = sample.picture.name if isinstance(sample.picture, Path) else sample.name
-    return Cut((name,), rows, [(np.array([0]), people)])
+def _usual_camera(sample: Sample) -> UsualLens | None:
+    """A usual lens for a sample's picture, whose size its labels or its keypoints' file may tell."""
+    size = sample.keypoints.image_size if sample.parts is None else sample.parts.groups.shape
+    return None if size is None else UsualLens.of_size((size[0], size[1]))
+
+
+def _cut_samples(samples: Sequence[Sample], cameras: Sequence[Perspective | None] | None) -> Cut:
+    """The people of samples, cut out before their cameras, or before usual lenses."""
+    rows: list[Row] = []
+    people: list[PicturePerson] = []
+    names: list[str] = []
+    for index, sample in enumerate(samples):
+        height, width = image_size(sample.keypoints, sample.parts, None)
+        camera = _usual_camera(sample) if cameras is None else cameras[index]
+        people.append(PicturePerson(sample.keypoints, sample.parts, sample.others, camera))
+        rows.append({"picture": sample.name, "person": 0, "height": height, "width": width})
+        names.append(sample.picture.name if isinstance(sample.picture, Path) else sample.name)
+    cut: list[CutPerson] = []
+    for sample, found in zip(samples, cut_out_people(people, "cpu", probabilities=True), strict=True):
+        if isinstance(found, InputError):
+            raise InputError(f"{sample.name}: {found}")
+        cut.append(found)
+    return Cut(tuple(names), PeopleRows.of(rows), [(np.array(own), some) for own, some in stack_alike(cut)])
