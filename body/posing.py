@@ -171,7 +171,7 @@ def _rotation_matrices(rotation: torch.Tensor) -> torch.Tensor:
     return rotation_from_6d(rotation) if rotation.shape[-1] == 6 else rotation_from_axis_angle(rotation)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Bones(OperationWithTwin):
     """Fields of ``Posed`` from the arguments of ``pose``."""
 
@@ -191,7 +191,7 @@ class _Bones(OperationWithTwin):
         return plain_posing.pose_bones_by_torch(global_orient, translation, rotations, lengths, thicknesses)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Vertices(OperationWithTwin):
     """Vertices (B, P, N, 3) of ellipsoids, from their centres, axes and semi-axes."""
 

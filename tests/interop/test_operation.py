@@ -24,7 +24,7 @@ def scale(vectors: wp.array[wp.vec3], numbers: wp.array[float], power: float, fo
     found[b] = wp.pow(numbers[b], power) * vectors[b]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scaled(Operation):
     """Vectors (B, 3) times a power of a number for each body, (B,): the example that ``operation`` shows."""
 

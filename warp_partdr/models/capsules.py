@@ -128,7 +128,7 @@ def _prepare_placed_adjoint(inputs: Tensors, outputs: Tensors, joints: Fixed) ->
     return partial(kernels.launch_place_capsules_adjoint, rest, frames, carried, adjoint, (by_rest, by_frames))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _OverlapCost(Operation):
     """Cost and gradient at once: both need the nearest points."""
 

@@ -66,7 +66,7 @@ def _tree(parents: tuple[int, ...], device: str) -> Any:
     return kernels.make_joint_tree(parents, device)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Chain(OperationWithTwin):
     parents: tuple[int, ...]
 

@@ -32,7 +32,7 @@ def map_joints(
     return _Mapped(parents)(rotations, translation, rest)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Mapped(OperationWithTwin):
     parents: tuple[int, ...]
 

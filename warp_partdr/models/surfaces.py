@@ -150,7 +150,7 @@ def registration_costs(
     return fit, penetration
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _VertexCosts(Operation):
     """Both costs, shape (2, B), and their gradients at once."""
 

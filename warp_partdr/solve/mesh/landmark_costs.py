@@ -64,7 +64,7 @@ def landmark_costs(landmarks: torch.Tensor, camera: Camera, aims: LandmarkAims) 
     return seen, deep
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _LandmarkCosts(Operation):
     """Both costs of each view, shape (M, 2)."""
 

@@ -53,7 +53,7 @@ def place_people(vertices: torch.Tensor, pelvises: torch.Tensor, views: PictureV
     return _Placed(size)(vertices, pelvises, *vars(views).values())[0]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Placed(Operation):
     size: int
     name = "place_people"
