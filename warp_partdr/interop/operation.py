@@ -1,8 +1,8 @@
 """Kernels as operations of torch, each declared once: what it launches, and what its gradient launches.
 
 An operation is a class. Its fields are the options of a call, and a call takes tensors alone. Two operations are never
-compared (``eq=False``): torch.compile before torch 2.13 hashes an object before it has its fields. Vectors (B, 3) times a
-power of a number for each body, (B,)::
+compared (``eq=False``): torch.compile before torch 2.13 hashes an object before it has its fields. An example are
+vectors (B, 3) times a power of a number for each body, (B,)::
 
     @dataclass(frozen=True, eq=False)
     class _Scaled(Operation):
