@@ -43,8 +43,9 @@ Examples: `partdr predict photo.jpg`; `partdr predict pictures`; `partdr predict
 PATH is a photo, a film, or a folder of them. People are found, and followed through films, which need PyAV
 (`pip install av`). Or it is a folder of N.jpg or N.png with your own N.keypoints.json and, for all or
 none, N.parts.png: the largest person of each is taken; without --labels, labels.json there says what the labels are.
-With --focal or --fov, one camera took all pictures, or with `--focal exif` each its own. Without, a usual lens is
-assumed for each. Bodies stand in metres before the camera; with an assumed lens distances are rough.
+With --focal or --fov, one camera took all pictures, or with `--focal exif` each its own. Bodies then stand in metres
+before the camera. Without, a usual lens is assumed where keypoints were given, and distances are rough; people who are
+found have a camera of weak perspective.
 
 **Results** in --out: N.personK.npz for each person of N.jpg, largest first, as body.npz of `partdr fit` (`partdr
 register` clothes it); of a film, one with all frames of that person, most seen first; N.npz where keypoints were given;

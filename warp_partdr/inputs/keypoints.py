@@ -85,6 +85,22 @@ def _check_size(size: Sequence[SupportsIndex]) -> tuple[int, int]:
     return height, width
 
 
+def confident(self) -> np.ndarray:
+    """Mask of the keypoints of confidence 0.3 and more, or of all visible ones if none has that, shape (J,)."""
+    return confident(self.confidence[None])[0]
+
+
+def _check_size(size: Sequence[SupportsIndex]) -> tuple[int, int]:
+    """Size (H, W) of a picture as two ints; InputError if these are none."""
+    try:
+        height, width = (check_whole("image_size", side, 1, LARGEST_PLACE) for side in size)
+    except (TypeError, ValueError):  # also if they are not two
+        raise InputError(
+            f"image_size: {shown(size)}; expected (H, W) in whole pixels, up to {LARGEST_PLACE:g}"
+        ) from None
+    return height, width
+
+
 def measure_heights(people: Sequence[Keypoints2D]) -> None:
     """Measure ``person_height`` and ``confident`` of many people beforehand: together it takes a tenth of the time."""
     for form in {keypoints.skeleton for keypoints in people}:
