@@ -85,32 +85,6 @@ def _check_size(size: Sequence[SupportsIndex]) -> tuple[int, int]:
     return height, width
 
 
-def confident(self) -> np.ndarray:
-    """Mask of the keypoints of confidence 0.3 and more, or of all visible ones if none has that, shape (J,)."""
-    return confident(self.confidence[None])[0]
-
-
-def _check_size(size: Sequence[SupportsIndex]) -> tuple[int, int]:
-    """Size (H, W) of a picture as two ints; InputError if these are none."""
-    try:
-        height, width = (check_whole("image_size", side, 1, LARGEST_PLACE) for side in size)
-    except (TypeError, ValueError):  # also if they are not two
-        raise InputError(
-            f"image_size: {shown(size)}; expected (H, W) in whole pixels, up to {LARGEST_PLACE:g}"
-        ) from None
-    return height, width
-
-
-def measure_heights(people: Sequence[Keypoints2D]) -> None:
-    """Measure ``person_height`` and ``confident`` of many people beforehand: together it takes a tenth of the time."""
-    for form in {keypoints.skeleton for keypoints in people}:
-        alike = [keypoints for keypoints in people if keypoints.skeleton == form]
-        confidence = np.stack([each.confidence for each in alike])
-        heights = person_heights(form, np.stack([each.points for each in alike]), confidence)
-        for keypoints, height, sure in zip(alike, heights.tolist(), confident(confidence), strict=True):
-            keypoints.__dict__.update(_height=height, confident=sure)  # as ``cached_property`` keeps them
-
-
 def confident(confidence: np.ndarray) -> np.ndarray:
     """``Keypoints2D.confident`` of several people: confidences (N, J) to flags (N, J)."""
     sure = confidence >= MIN_CONFIDENCE
