@@ -59,7 +59,7 @@ def example() -> Found:
     found: Found = {}
     for start in get_args(Start):
         for quality in get_args(Quality):
-            result = fit_body(keypoints, parts, options=FitOptions.at(quality, start))
+            result = fit_body(keypoints, parts, options=FitOptions.at(quality, start).with_outline())
             found |= _of_fit(f"{quality} from {start}", result)
     options = FitOptions.at("fast", "search").drawn_by(lambda old: RendererMesh(1, max_distance=old.max_distance))
     result = fit_body(keypoints, parts, options=options)

@@ -33,7 +33,6 @@ from warp_partdr import label_set, load_body, read_keypoints, skeleton
 from warp_partdr.cli import progress
 from warp_partdr.results import save
 from warp_partdr.solve.ellipsoids import stages
-from warp_partdr.solve.ellipsoids.stages import Stage
 
 files, run = commands.files, commands.run  # fixtures
 
@@ -254,10 +253,7 @@ def test_every_stage_is_told(run: Run, files: Path, monkeypatch: pytest.MonkeyPa
             told.append((stage, done, total))
 
     monkeypatch.setattr(progress, "FitProgress", Recorder)
-    # The mesh stage takes the body from before the outline stage, which is left out then.
-    monkeypatch.setitem(
-        stages.STAGES["network"], "balanced", (*QUICK_FIT.stages, Stage(stages.OUTLINE, 1, 3, 0.01, 64))
-    )
+    monkeypatch.setitem(stages.STAGES["network"], "balanced", QUICK_FIT.stages)
     assert run(f"fit {GOOD} --set mesh.iterations=7")[0] == 0
     expected = [*(stage.name for stage in QUICK_FIT.stages), "mesh", "writing results"]
     assert [name for name, _ in groupby(stage for stage, _, _ in told)] == expected

@@ -62,9 +62,9 @@ BAD_LINES: dict[str, tuple[str, list[str]]] = {  # name: (arguments, what the er
     ),
     "focal length and angle": (GOOD + " --focal 100 --fov 50", ["focal, fov", "one of the two"]),
     "a stage that the mesh stage replaces": (GOOD + " --set outline=labels-first", ["outline: ", "--model none"]),
-    "the same of a photo": ("photo.png --out out --set outline=false", ["outline: ", "--model none"]),
+    "the same of a photo": ("photo.png --out out --set outline=true", ["outline: ", "--model none"]),
     "a stage of labels without labels": (
-        "photo.png --keypoints k.json --out out --set outline=false",
+        "photo.png --keypoints k.json --out out --set outline=true",
         ["outline: settings of a stage that needs part labels"],
     ),
     "angle of view": (GOOD + " --fov 180", ["--fov: 180", "170"]),

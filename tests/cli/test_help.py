@@ -120,7 +120,10 @@ def test_a_process_ends_with_its_code_and_all_that_it_said(tmp_path: Path) -> No
         ("fit photo.png --set threads=some", "threads: 'some'; expected 0 or more"),
         ("scene photo.png p.png --set min_score=0.5", "min_score: 0.5, as a setting; expected the option --min-score"),
         ("fit --keypoints k.json --set outline=labels-first --set triangles=true", "labels-first"),
-        ("fit --keypoints k.json --set outline=thick", "outline: 'thick'; expected a table, false or 'labels-first'"),
+        (
+            "fit --keypoints k.json --set outline=thick",
+            "outline: 'thick'; expected true, false, a table or 'labels-first'",
+        ),
         (
             "fit --keypoints k.json --set triangles.subdivisions=4",
             "triangles.subdivisions: 4; expected 0 to 3, or auto",
@@ -199,7 +202,7 @@ def test_settings_reach_the_fit(options_of: Callable[[str], FitOptions]) -> None
         "trust_background = true\nseed = 3\n[weights]\nprior = 5\n[outline.weights]\nseg = 2.0\n"
         '["lift"]\nbodies = 4\n[search."labels, fine"]\nsize = 64\n'
     )
-    usual = FitOptions.at("accurate", "search")
+    usual = FitOptions.at("accurate", "search").with_outline()
 
     def weighed(stage: Stage) -> Stage:  # also those that have weights of their own
         return stage if stage.weights is None else replace(stage, weights=replace(stage.weights, prior=5.0))
@@ -233,7 +236,11 @@ def test_settings_reach_the_fit(options_of: Callable[[str], FitOptions]) -> None
 @pytest.mark.parametrize("quality", ["fast", "accurate"])
 def test_the_outline_stage_is_chosen(quality: str, options_of: Callable[[str], FitOptions]) -> None:
     usual = FitOptions.at(quality)
-    for setting, expected in (("false", usual.without_outline()), ("labels-first", usual.labels_first())):
+    for setting, expected in (
+        ("false", usual),
+        ("true", usual.with_outline()),
+        ("labels-first", usual.with_outline(labels_first=True)),
+    ):
         assert options_of(f"--quality {quality} --set outline={setting}") == expected
     assert options_of("--set search=[]").search == ()
 

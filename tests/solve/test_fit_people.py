@@ -60,7 +60,6 @@ def test_each_person_is_fitted_as_alone(options: FitOptions, fov: float | None, 
         assert fit.energy == pytest.approx(alone.energy, rel=1e-2, abs=0.05)
         assert fit.stages == alone.stages
         assert fit.depth_order == alone.depth_order
-        assert (fit.before_outline is None) == (alone.before_outline is None)
         assert [rows.shape for rows in fit.history] == [rows.shape for rows in alone.history]
         assert fit.warnings == alone.warnings
 

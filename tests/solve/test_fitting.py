@@ -78,7 +78,7 @@ def test_stages_hold_the_networks_depth_as_hard_as_it_is_sure(monkeypatch):
 
     monkeypatch.setattr(network_start, "ask_network", said)
     options = replace(FitOptions.at("balanced"), search=(), guess_camera=False)
-    *before, outline = options.stages
+    *before, outline = options.with_outline().stages
 
     def fitted(*stages):
         return fit_body(keypoints, parts, options=replace(options, stages=stages))
@@ -92,12 +92,17 @@ def test_stages_hold_the_networks_depth_as_hard_as_it_is_sure(monkeypatch):
     assert held.mean() < 0.6 * loose.mean()
 
 
-def test_the_last_stage_is_left_out_or_follows_the_outlines():
-    usual = FitOptions(trust_background=True)
-    assert usual.without_outline() == replace(usual, stages=usual.stages[:-1])
-    first = usual.labels_first()
-    assert first == replace(usual, stages=(*usual.stages[:-1], first.stages[-1]))
-    assert (first.stages[-1].name, first.stages[-1].renderer.gradient) == (usual.stages[-1].name, "coverage")
+@pytest.mark.parametrize("start", ["network", "search"])
+def test_a_stage_that_follows_the_outlines_is_added(start):
+    usual = replace(FitOptions.at("balanced", start), trust_background=True)
+    assert "outline" not in {stage.name for stage in usual.stages + usual.search}
+    usually, first = usual.with_outline(), usual.with_outline(labels_first=True)
+    for options in (usually, first):
+        assert options == replace(usual, stages=options.stages, search=options.search)
+        assert (options.stages[:-1], options.search[:-1]) == (usual.stages, usual.search)
+        assert (options.stages[-1].name, options.search[-1].name) == ("outline", "outline")
+    assert usually.stages[-1] != first.stages[-1]
+    assert replace(usual, search=()).with_outline().search == ()
 
 
 def test_labels_first_fills_the_labels_better():
@@ -109,6 +114,6 @@ def test_labels_first_fills_the_labels_better():
         shown = fit_body(keypoints, parts, options=chosen).draw(parts.groups.shape).labels[0].numpy()
         return (shown != parts.groups).mean()
 
-    *before, last = options.labels_first().stages
-    quick = replace(options, stages=(*before, replace(last, iterations=60)))
-    assert wrong(quick) < wrong(options.without_outline())
+    last = options.with_outline(labels_first=True).stages[-1]
+    quick = replace(options, stages=(*options.stages, replace(last, iterations=60)))
+    assert wrong(quick) < wrong(options)

@@ -137,18 +137,6 @@ def test_a_search_s_body_is_held_by_common_spreads(first):
     assert all(np.isfinite(term) for term in mesh.body.losses.values())
 
 
-def test_it_goes_on_from_where_the_outline_stage_began(sample):
-    options = FitOptions()
-    short = replace(options, stages=(options.stages[0], replace(options.stages[1], iterations=30)))
-    whole, before = (
-        fit_body(sample.keypoints, sample.parts, options=each) for each in (short, short.without_outline())
-    )
-    assert before.before_outline is None
-    names = ("left_knee", "right_wrist", "neck")
-    ends = [refine_mesh(each, options=QUICK_MESH).landmarks(names) for each in (whole, before)]
-    np.testing.assert_allclose(ends[0], ends[1], atol=1e-5)
-
-
 def test_ellipbody_is_measured_from_it(first):
     """Both are one body: joints, what the camera sees, and nothing that an edit would find unexplained."""
     mesh = refine_mesh(first, options=QUICK_MESH)

@@ -37,7 +37,7 @@ def stages_of_quality(quality: BulkQuality) -> FitOptions:
         return replace(FitOptions.at("fast"), stages=(), search=())
     if quality == "fast":
         return replace(FitOptions.at("fast"), search=())
-    return replace(FitOptions.at("balanced").without_outline(), landmarks="full", search=())
+    return replace(FitOptions.at("balanced"), landmarks="full", search=())
 
 
 def kept_label_size(options: FitOptions, network: LabelNetwork, *, meshes: bool) -> int:

@@ -24,7 +24,7 @@ registration.json; of films overlay.mp4, scene.glb, and a .npz, .glb and .bvh ea
 **Settings** (docs/fitting.md): `stature=1.78` (one person's height [m], in films too), `trust_background=true`,
 `landmarks=full` (of photos and films: quicker keypoints, farther from the truth), `weights.prior=5`, `labels.size=256`,
 `mesh.apart=0.1`, `threads=4`, `also=usdz,fbx` (more files; usda, too);
-`outline=false` (nearer joints), `outline=labels-first` (nearer outlines), both with --model none.
+`outline=true` (nearer outlines, farther joints), `outline=labels-first` (even more so), both with --model none.
 """
 
 

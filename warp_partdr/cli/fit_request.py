@@ -93,15 +93,15 @@ class FitRequest:
         return replace(options, guess_camera=False) if self.view.refused else options
 
     def options_before_mesh(self) -> FitOptions:
-        """Options of a fit that the mesh stage goes on from: without the outline stage, whose result it would not use.
+        """Options of a fit that the mesh stage goes on from, which excludes the outline stage: it would cost joints.
 
         Raises:
-            InputError: If that stage was changed, or another setting is wrong.
+            InputError: If that stage was asked for, or another setting is wrong.
         """
         from ..solve.ellipsoids.stages import OUTLINE
 
         options = self.fit_options()
         if OUTLINE in self.run.fit:
-            told = f"{OUTLINE}: settings of a stage that the mesh stage replaces"
+            told = f"{OUTLINE}: settings of a stage that costs joints, and that the mesh stage replaces"
             raise InputError(f"{told}; expected --keypoints, --parts and --model none with it")
-        return options.without_outline()
+        return options

@@ -113,7 +113,7 @@ def fit_photo(
     if camera is None and isinstance(photo, str | Path) and (focal := told_focal(photo)) is not None:
         camera = Perspective.of_picture(pixels.shape[:2], focal=focal)
     picture = Pyramid(pixels, device)
-    options = (options or FitOptions.at("balanced")).without_outline()
+    options = options or FitOptions.at("balanced")
     with told_as("photo", "photo" if pixels is photo else photo):
         found, owners = _everyone(picture, min_score, keypoints_from, options.landmarks)
     chosen = range(len(found)) if person is None else [person_place(person, len(found))]

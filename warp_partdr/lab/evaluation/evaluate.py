@@ -104,10 +104,12 @@ class Method:
         return score_fit(sample, name, result, seconds, vertices)
 
 
+# Ellipsoids are compared by how well they follow labels, too, which the outline stage is for.
+_OUTLINE = FitOptions().with_outline()
 METHODS: dict[str, Method] = {
     "keypoints only": Method(no_labels),
-    "full silhouette": Method(silhouette),
-    "parts": Method(),
+    "full silhouette": Method(silhouette, _OUTLINE),
+    "parts": Method(options=_OUTLINE),
 }
 
 

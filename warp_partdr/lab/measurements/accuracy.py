@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,15 +41,17 @@ from ..tables import Cell, FigureTable
 _LABELS = label_set("cdcl14")
 
 # What a fit gets to see, and how it goes. Joints are compared without the outline stage, which costs some accuracy.
+_OUTLINE = FitOptions().with_outline()
+_LABELS_FIRST = FitOptions().with_outline(labels_first=True)
 SUPERVISIONS: dict[str, Method] = {
     "keypoints only": Method(no_labels),
-    "silhouette, no outline": Method(silhouette, FitOptions().without_outline()),
-    "parts, no outline": Method(options=FitOptions().without_outline()),
-    "full silhouette": Method(silhouette),
-    "parts, background trusted": Method(options=FitOptions(trust_background=True)),
-    "parts, labels first": Method(options=FitOptions().labels_first()),
-    "the same, background trusted": Method(options=FitOptions(trust_background=True).labels_first()),
+    "silhouette": Method(silhouette),
     "parts": Method(),
+    "silhouette, outline": Method(silhouette, _OUTLINE),
+    "parts, outline, background trusted": Method(options=replace(_OUTLINE, trust_background=True)),
+    "parts, labels first": Method(options=_LABELS_FIRST),
+    "the same, background trusted": Method(options=replace(_LABELS_FIRST, trust_background=True)),
+    "parts, outline": Method(options=_OUTLINE),
     "mesh": Method(fit=fit_anny),
     "mesh, labels first": Method(fit=partial(fit_anny, mesh=MeshOptions(seg=1.0, iterations=150))),
 }

@@ -63,7 +63,7 @@ def measure_overlapping(*, people: People = range(100, 130), mask: bool = False)
 
 def _fitted(sample: SceneSample, mask: bool) -> list[FitResult]:
     """Fits of each person, from which mesh stages go on."""
-    options, camera = FitOptions.at("balanced").without_outline(), sample.scene.views[0].camera
+    options, camera = FitOptions.at("balanced"), sample.scene.views[0].camera
     found = []
     for sight in sample.scene.sights:
         parts = sight.parts

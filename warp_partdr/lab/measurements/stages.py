@@ -37,7 +37,12 @@ _MESH: dict[str, tuple[Callable[[PartLabels], PartLabels | None], Quality]] = {
     "mesh, silhouette alone": (silhouette, "balanced"),
     "mesh, keypoints alone": (no_labels, "balanced"),
 }
-_FITS = {_ALONE: FitOptions(stages=())} | {name: FitOptions.at(name) for name in ("fast", "balanced", "accurate")}
+_FITS = {
+    _ALONE: FitOptions(stages=()),
+    "fast": FitOptions.at("fast"),
+    "balanced": FitOptions.at("balanced"),
+    "balanced, outline": FitOptions.at("balanced").with_outline(),
+}
 _KEYPOINTS_ALONE = {f"{name}, keypoints alone": _FITS[name] for name in (_ALONE, "balanced")}
 _LEG_BONES = [
     (f"{side}_{start}", f"{side}_{end}")

@@ -33,7 +33,6 @@ class BatchFits(Sequence[FitResult]):
         misfits: Warnings of bodies by their rows; most have none.
         depth_orders: Limbs that were tried mirrored in depth.
         uncertainty: Uncertainty of the network about its bodies, B = N.
-        before_outline: Bodies where the outline stage began, B = N; None without that stage.
     """
 
     people: CutPeople
@@ -46,7 +45,6 @@ class BatchFits(Sequence[FitResult]):
     misfits: Mapping[int, list[str]]
     depth_orders: Sequence[DepthOrder | None]
     uncertainty: Uncertainty
-    before_outline: BodyParameters | None
 
     def __len__(self) -> int:
         """Number of people, N."""
@@ -77,7 +75,6 @@ class BatchFits(Sequence[FitResult]):
             warnings=self.warnings(row),
             depth_order=self.depth_orders[row],
             uncertainty=self.uncertainty.select(own),
-            before_outline=None if self.before_outline is None else self.before_outline.select(own),
             stature=observation.stature,
         )
 

@@ -226,19 +226,17 @@ def _fit_from_network(people: CutPeople, plan: _Plan) -> tuple[BatchFits, Observ
     )
     owners = torch.arange(len(people), device=start.bodies.shift.device)
     refined = refine_stages(start.bodies, owners, start.observations, stages, options, prior, progress=plan.progress)
-    bodies, before = refined.bodies, refined.before_outline
     fits = BatchFits(
         people=people,
         observations=start.observations,
         stages=stages,
-        parameters=sized(bodies, start.given.statures),
+        parameters=sized(refined.bodies, start.given.statures),
         energy={name: term.cpu().numpy() for name, term in refined.terms.items()},
         history=refined.history,
         stage_seconds=start.seconds | refined.seconds,
-        misfits=_warnings(bodies, start.given, people, prior),
+        misfits=_warnings(refined.bodies, start.given, people, prior),
         depth_orders=start.depth_orders,
         uncertainty=start.uncertainty,
-        before_outline=None if before is None else sized(before, start.given.statures),
     )
     return fits, start.given
 
@@ -273,7 +271,6 @@ def _search(people: CutPeople, observations: Observations, stages: Sequence[Stag
     warnings = _warnings(refined.bodies, observations, people, prior)
     statures, found = observations.statures, []
     parameters = sized(refined.bodies, statures)
-    before = None if refined.before_outline is None else sized(refined.before_outline, statures)
     for row, person in enumerate(people):
         own = slice(row, row + 1)
         found.append(
@@ -290,7 +287,6 @@ def _search(people: CutPeople, observations: Observations, stages: Sequence[Stag
                 start="search",
                 evidence=person.evidence,
                 warnings=(*person.evidence.warnings, *warnings.get(row, ())),
-                before_outline=None if before is None else before.select(own),
                 stature=observations[row].stature,
             )
         )

@@ -14,9 +14,7 @@ from ...networks.detection import LandmarkNetwork, check_landmark_network
 from ...render.renderers import Renderer, RendererEllipsoids
 from ..mesh.mesh_options import MeshOptions
 from .energy import Energy, Weights
-from .stages import OUTLINE, STAGES, Quality, Stage, Start
-
-_LABELS_FIRST = Stage(OUTLINE, 1, 1000, 0.01, 256, Weights(seg=1.0), RendererEllipsoids("coverage"))
+from .stages import LABELS_FIRST_STAGE, OUTLINE, OUTLINE_STAGES, STAGES, Quality, Stage, Start
 
 
 @dataclass(frozen=True)
@@ -104,16 +102,22 @@ class FitOptions:
             weights = replace(weights, seg=0.0)
         return Energy(observations, max(stage.size, 1), weights, prior, renderer=stage.renderer)
 
-    def labels_first(self) -> FitOptions:
-        """Options whose last stage follows the labels' outlines as far as it can, at the cost of the joints.
+    def with_outline(self, *, labels_first: bool = False) -> FitOptions:
+        """Add a last stage that follows the outlines of part labels, also to the search.
 
-        With the coverage gradient, whose steps lower the loss, and the default weights but for L_seg's, which is 1.
+        Outlines come nearer to the labels, and joints go farther from the truth. A detailed body follows outlines
+        without that cost, so that fits which a mesh stage goes on from (``refine_mesh``) should not have this stage.
+
+        Args:
+            labels_first: Follow the outlines as far as ellipsoids can, whatever it costs the joints.
+
+        Example:
+            >>> [stage.name for stage in FitOptions.at("fast").with_outline().stages]
+            ['labels', 'outline']
         """
-        return replace(self, stages=(*self.without_outline().stages, _LABELS_FIRST))
-
-    def without_outline(self) -> FitOptions:
-        """Options without the last stage: joints nearer to the truth, outlines farther from the labels."""
-        return replace(self, stages=tuple(stage for stage in self.stages if stage.name != OUTLINE))
+        last = LABELS_FIRST_STAGE if labels_first else OUTLINE_STAGES[self.start]
+        search = (*self.search, OUTLINE_STAGES["search"]) if self.search else ()
+        return replace(self, stages=(*self.stages, last), search=search)
 
 
 def stages_of(options: FitOptions, parts: PartLabels | LabelSet | None) -> tuple[Stage, ...]:
@@ -125,7 +129,7 @@ def stages_of(options: FitOptions, parts: PartLabels | LabelSet | None) -> tuple
     if options.start == "network":
         if parts is not None:
             return options.stages
-        return tuple(replace(stage, size=0) for stage in options.without_outline().stages)
+        return tuple(replace(stage, size=0) for stage in options.stages if stage.name != OUTLINE)
     stages = drawn_or_not(options.stages, parts)
     if not stages:
         raise ValueError("options.stages: none without labels; expected at least one of size 0")

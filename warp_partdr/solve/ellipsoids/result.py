@@ -43,7 +43,6 @@ class FitResult(Movable):
         warnings: Faults of the input or the body, a sentence each.
         depth_order: Limbs that were tried mirrored in depth; None of a search, or without labels.
         uncertainty: How sure the network was of its body, before any stage; None of a search.
-        before_outline: The body where the outline stage began, nearer in 3D; None without that stage.
         stature: The person's height that was given [m], which the body has; None: sizes are guessed.
     """
 
@@ -61,7 +60,6 @@ class FitResult(Movable):
     warnings: tuple[str, ...] = ()
     depth_order: DepthOrder | None = None
     uncertainty: Uncertainty | None = None
-    before_outline: BodyParameters | None = None
     stature: float | None = None
 
     @property

@@ -26,8 +26,8 @@ def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions
         options: What to begin with, such as ``FitOptions.at("fast")``.
         values: Fields of ``FitOptions``, all but ``start``; ``weights`` changes those of all stages, too. Under a
             stage's name, fields of that ``Stage``; under ``search``, the same for stages of the search. ``triangles``,
-            true or fields of ``RendererMesh``, draws ellipsoids by that in every stage. ``outline`` may also be false,
-            which leaves that stage out, or "labels-first" (``FitOptions.labels_first``).
+            true or fields of ``RendererMesh``, draws ellipsoids by that in every stage. ``outline``, true, fields of
+            its ``Stage`` or "labels-first", adds that stage (``FitOptions.with_outline``).
 
     Raises:
         InputError: If a key is unknown, or its value is wrong or excludes another one.
@@ -36,6 +36,8 @@ def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions
     if not isinstance(mesh := own.get(MESH, {}), Mapping):
         told = f"{MESH}: {shown(mesh)}; expected a table of the mesh stage"
         raise InputError(f"{told} (ellipsoids are drawn as a mesh by {TRIANGLES}=true)")
+    if OUTLINE in values:
+        options = _add_outline(options, values[OUTLINE], triangles=values.get(TRIANGLES, False) is not False)
     weights = own.get("weights", {})
     usual = read_section(Weights, weights, "weights", options.weights)
     options = replace(options, search=_weighed(options.search, weights))
@@ -46,12 +48,9 @@ def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions
     names = [stage.name for stage in options.stages]
     check_keys(values, dict.fromkeys([*_FIELDS, TRIANGLES, *names, OUTLINE]))
     tables = {name: value for name, value in values.items() if name not in _FIELDS}
-    triangles, outline = tables.pop(TRIANGLES, False), tables.get(OUTLINE, {})
-    if outline == LABELS_FIRST and triangles is not False:
-        told = f"{OUTLINE}: {LABELS_FIRST}, with {TRIANGLES}, which have no coverage gradient"
-        raise InputError(f"{told}; expected one of two")
-    if not isinstance(outline, Mapping):
-        options = _change_outline(options, tables.pop(OUTLINE))
+    triangles = tables.pop(TRIANGLES, False)
+    if not isinstance(tables.get(OUTLINE, {}), Mapping):  # true, false or labels-first, which change no field
+        del tables[OUTLINE]
     if triangles is not False:
         options = _draw_mesh(options, {} if triangles is True else triangles)
     return replace(options, stages=_change_stages(_weighed(options.stages, weights), tables, usual))
@@ -67,12 +66,15 @@ def _weighed(stages: tuple[Stage, ...], weights: object) -> tuple[Stage, ...]:
     )
 
 
-def _change_outline(options: FitOptions, outline: object) -> FitOptions:
+def _add_outline(options: FitOptions, outline: object, *, triangles: bool) -> FitOptions:
+    if outline == LABELS_FIRST and triangles:
+        message = f"{OUTLINE}: {LABELS_FIRST}, with {TRIANGLES}, which have no coverage gradient"
+        raise InputError(f"{message}; expected one of two")
     if outline is False:
-        return options.without_outline()
-    if outline == LABELS_FIRST:
-        return options.labels_first()
-    raise InputError(f"{OUTLINE}: {shown(outline)}; expected a table, false or {LABELS_FIRST!r}")
+        return options
+    if outline is True or outline == LABELS_FIRST or isinstance(outline, Mapping):
+        return options.with_outline(labels_first=outline == LABELS_FIRST)
+    raise InputError(f"{OUTLINE}: {shown(outline)}; expected true, false, a table or {LABELS_FIRST!r}")
 
 
 def _draw_mesh(options: FitOptions, values: object) -> FitOptions:

@@ -15,7 +15,7 @@ from ...inputs.observations import Observations
 from .energy import Energy
 from .options import FitOptions
 from .refine import refine_unchecked
-from .stages import OUTLINE, Progress, Stage
+from .stages import Progress, Stage
 from .start_search import distinct
 from .stepper import Descent, EnergyFunction
 
@@ -31,7 +31,6 @@ class RefinedStages:
         seconds: Wall time of each stage, of all people.
         finalists: Energies at the end of the last stage that compared several bodies of a person, best first; of each
             person.
-        before_outline: Bodies where the outline stage began, B = N; None without that stage.
     """
 
     bodies: BodyParameters
@@ -39,7 +38,6 @@ class RefinedStages:
     history: list[np.ndarray]
     seconds: dict[str, float]
     finalists: list[list[float]]
-    before_outline: BodyParameters | None
 
 
 def refine_stages(
@@ -71,7 +69,6 @@ def refine_stages(
     seconds: dict[str, float] = {}
     lineage: list[np.ndarray] = []  # energies of what is left and of its ancestors
     finalists: list[list[float]] = [[] for _ in range(count)]
-    before_outline: BodyParameters | None = None
     done, total = 0, sum(stage.iterations for stage in stages)
     for index, stage in enumerate(stages):
         started = time.perf_counter()
@@ -79,9 +76,6 @@ def refine_stages(
             kept = _best_of_each(bodies, energies, owners, count, stage.bodies)
             bodies, owners = bodies.select(kept), owners[kept]
             lineage = [rows[kept.cpu().numpy()] for rows in lineage]
-            before_outline = None if before_outline is None else before_outline.select(kept)
-        if stage.name == OUTLINE:
-            before_outline = bodies
         energy = options.energy(stage, observations, prior)
         if count > 1 and len(owners) > count:
             energy = energy.select(owners)
@@ -106,8 +100,7 @@ def refine_stages(
         winners = _best_of_each(bodies, energies, owners, count, 1)
         bodies, terms = bodies.select(winners), {name: term[winners] for name, term in terms.items()}
         lineage = [rows[winners.cpu().numpy()] for rows in lineage]
-        before_outline = None if before_outline is None else before_outline.select(winners)
-    return RefinedStages(bodies, terms, lineage, seconds, finalists, before_outline)
+    return RefinedStages(bodies, terms, lineage, seconds, finalists)
 
 
 def _best_of_each(

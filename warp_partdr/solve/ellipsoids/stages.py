@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 from ...body.parameters import BodyParameters
@@ -55,12 +55,6 @@ class Stage:
         BodyParameters.free(self.frozen)
 
 
-# Labels tell a body's outline better than its joints: where thighs end and torsos begin, label sets and ellipsoids
-# disagree. So the winner is chosen with labels and keypoints in balance, and only its last stage leans on the labels,
-# with keypoints, sizes and pose held harder too, and pixels acting on near edges alone.
-OUTLINE = "outline"
-OUTLINE_WEIGHTS = Weights(proj=3.0, seg=0.5, prior=10.0, length=1e-2, thickness=2e-3)
-
 _EDGES = RendererEllipsoids("edges")
 
 _SEARCH: dict[Quality, tuple[Stage, ...]] = {
@@ -69,7 +63,6 @@ _SEARCH: dict[Quality, tuple[Stage, ...]] = {
         Stage("keypoints", 64, 15, 0.05),
         Stage("labels, coarse", 8, 25, 0.03, 64, renderer=_EDGES),
         Stage("labels, fine", 2, 25, 0.02, 128, renderer=_EDGES),
-        Stage(OUTLINE, 1, 50, 0.01, 128, OUTLINE_WEIGHTS, renderer=_EDGES),
     ),
     "balanced": (
         Stage("lift", 256, 30, 0.1),
@@ -77,7 +70,6 @@ _SEARCH: dict[Quality, tuple[Stage, ...]] = {
         Stage("labels, coarse", 40, 25, 0.03, 64),
         Stage("labels, middle", 12, 25, 0.02, 128),
         Stage("labels, fine", 4, 50, 0.01, 256),
-        Stage(OUTLINE, 1, 250, 0.01, 256, OUTLINE_WEIGHTS, renderer=RendererEllipsoids(max_distance=2.0)),
     ),
     "accurate": (
         Stage("lift", 256, 30, 0.1),
@@ -85,27 +77,46 @@ _SEARCH: dict[Quality, tuple[Stage, ...]] = {
         Stage("labels, coarse", 64, 50, 0.03, 64, renderer=_EDGES),
         Stage("labels, middle", 24, 50, 0.02, 128, renderer=_EDGES),
         Stage("labels, fine", 8, 100, 0.01, 256, renderer=_EDGES),
-        Stage(OUTLINE, 1, 250, 0.01, 256, replace(OUTLINE_WEIGHTS, seg=0.7), renderer=_EDGES),
     ),
 }
 
 # From the network's body, a few iterations do; keypoints count less beside labels than in a search, and sizes are held
 # to what the network says. Neither labels nor keypoints hold depth, so bodies lean and limbs tilt to fill an outline,
-# and bones stretch to where label sets end parts. So depth is held as hard as the network is sure of it, and for an
-# outline the pose and keypoints more. (In a search it pays nothing: its depth is no better than an outline's.)
+# and bones stretch to where label sets end parts. So depth is held as hard as the network is sure of it.
+# (In a search this gains nothing: the depth of its bodies is no better than an outline's.)
 _NEAR = Weights(proj=0.3, prior=1.0, length=1e-2, thickness=2e-3, depth=1.0)
-_NEAR_OUTLINE = Weights(proj=2.5, seg=0.5, prior=10.0, length=2e-2, thickness=2e-3, depth=10.0)
-_NEAR_OUTLINE_FIRST = Weights(proj=4.0, seg=1.0, prior=10.0, length=3e-3, depth=30.0)
 
 _NETWORK: dict[Quality, tuple[Stage, ...]] = {
     "fast": (Stage("labels", 1, 50, 0.007, 128, _NEAR, renderer=_EDGES),),
-    "balanced": (
-        Stage("labels", 1, 50, 0.007, 192, _NEAR, renderer=_EDGES),
-        Stage(OUTLINE, 1, 300, 0.01, 192, _NEAR_OUTLINE, renderer=_EDGES),
-    ),
-    "accurate": (
-        Stage("labels", 1, 50, 0.007, 192, _NEAR, renderer=_EDGES),
-        Stage(OUTLINE, 1, 400, 0.01, 192, _NEAR_OUTLINE_FIRST, renderer=_EDGES),
-    ),
+    "balanced": (Stage("labels", 1, 50, 0.007, 192, _NEAR, renderer=_EDGES),),
+    "accurate": (Stage("labels", 1, 50, 0.007, 192, _NEAR, renderer=_EDGES),),
 }
 STAGES: dict[Start, dict[Quality, tuple[Stage, ...]]] = {"network": _NETWORK, "search": _SEARCH}
+
+# Labels tell a body's outline better than its joints: where thighs end and torsos begin, label sets and ellipsoids
+# disagree. So following the outline is a stage of its own, for those who want it. It leans on the labels, holds
+# keypoints, sizes and pose harder than other stages do, and after a network's body the depth too; pixels act on near
+# edges alone.
+OUTLINE = "outline"
+OUTLINE_STAGES: dict[Start, Stage] = {
+    "network": Stage(
+        OUTLINE,
+        1,
+        300,
+        0.01,
+        192,
+        Weights(proj=2.5, seg=0.5, prior=10.0, length=2e-2, thickness=2e-3, depth=10.0),
+        _EDGES,
+    ),
+    "search": Stage(
+        OUTLINE,
+        1,
+        250,
+        0.01,
+        256,
+        Weights(proj=3.0, seg=0.5, prior=10.0, length=1e-2, thickness=2e-3),
+        RendererEllipsoids(max_distance=2.0),
+    ),
+}
+# The coverage gradient's steps lower the loss of labels itself; the weights are the usual ones but for L_seg's.
+LABELS_FIRST_STAGE = Stage(OUTLINE, 1, 1000, 0.01, 256, Weights(seg=1.0), RendererEllipsoids("coverage"))

@@ -94,5 +94,5 @@ def begin_at(result: FitResult, body: Registered, camera: Camera) -> tuple[FitRe
         weak = replace(seen, translation=seen.translation + seen.scale[:, None] * pelvis[:, :2])
     origin = CropPositions((weak.scale / (size / 2)).log(), weak.translation / (size / 2) - 1, result.observation.lens)
     parameters, moves = measure_parameters(body, origin)
-    result = replace(result, parameters=parameters, before_outline=None, uncertainty=None, depth_order=None)
+    result = replace(result, parameters=parameters, uncertainty=None, depth_order=None)
     return result, body.moved(-moves)

@@ -92,7 +92,7 @@ def refine_mesh(
     """Refine a detailed body from a fit on, against the same labels and keypoints.
 
     Args:
-        result: Of ``fit_body``; it goes on from where the outline stage began, which costs joints.
+        result: Fit of ``fit_body``, best without an outline stage, which costs joints.
         model: On the result's device, float32; default Anny.
         options: Iterations, size and weights.
         progress: Told the stage, how many iterations are done and how many there are.
@@ -268,7 +268,6 @@ def mesh_fits(
         ellipbody = replace(
             result,
             parameters=measured.select(own),
-            before_outline=None,
             energy=energy or result.energy,
             stage_seconds=dict(result.stage_seconds),
         )

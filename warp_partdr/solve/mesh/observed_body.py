@@ -35,7 +35,7 @@ class ObservedBody:
 
     @classmethod
     def of_fit(cls, result: FitResult, person: int = 0) -> ObservedBody:
-        """Person of a fit of ellipsoids; a fit of the mesh goes on from where its outline stage began."""
-        evidence, body = result.evidence, result.before_outline or result.parameters
+        """Person of a fit of ellipsoids, from whose body a fit of the mesh starts."""
+        evidence = result.evidence
         sight = Sight(evidence.keypoints, evidence.picture, person)
-        return cls(sight, evidence, result.observation, result.crop, body, result.uncertainty)
+        return cls(sight, evidence, result.observation, result.crop, result.parameters, result.uncertainty)

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from typing import get_args
 
 import numpy as np
 import torch
@@ -18,7 +17,7 @@ from ....body.posing import LandmarkGather
 from ....body.skeletons import MPJPE_JOINTS
 from ....solve.ellipsoids.energy import Weights
 from ....solve.ellipsoids.options import FitOptions
-from ....solve.ellipsoids.stages import Progress, Quality
+from ....solve.ellipsoids.stages import Progress
 from ....solve.ellipsoids.stepper import Refinement
 from ...evaluation.evaluate import Method, evaluate
 from ...evaluation.partbench.methods import METHODS
@@ -151,7 +150,11 @@ def _quality_jobs(plan: TradeoffPlan, report: TradeoffReport) -> Iterator[Job]:
     """Whole fits, one person at a time, so that none is slowed by another."""
 
     def work(level: str) -> None:
-        methods: dict[str, Method] = {quality: Method(options=FitOptions.at(quality)) for quality in get_args(Quality)}
+        methods: dict[str, Method] = {
+            "fast": Method(options=FitOptions.at("fast")),
+            "balanced": Method(options=FitOptions.at("balanced")),
+            "balanced, outline": Method(options=FitOptions.at("balanced").with_outline()),
+        }
         methods["mesh stage"] = METHODS["parts, Anny's mesh"]
         found = evaluate(partbench_samples(plan.fits, (level,)), methods, device=plan.device)
         report.qualities[level] = next(iter(found.pooled().values()))

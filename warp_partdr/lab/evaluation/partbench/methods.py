@@ -24,7 +24,8 @@ from ..evaluate import Method
 
 # A fit's own error is many times what more iterations would take off (1 to 3 mm of about 110 mm).
 _REGISTRATION = RegistrationOptions(RegistrationWeights.fitted(), iterations=40)
-_SEARCH = FitOptions.at("balanced", "search")
+_OUTLINE = FitOptions().with_outline()
+_SEARCH = FitOptions.at("balanced", "search").with_outline()
 
 
 def registered_vertices(result: FitResult) -> np.ndarray:
@@ -43,8 +44,8 @@ def fit_anny(
     device: str = "cpu",
     camera: Perspective | None = None,
 ) -> MeshFit:
-    """Fit EllipBody as ``fit_body`` does, but for its outline stage, and from there Anny (``refine_mesh``)."""
-    first = fit_body(keypoints, parts, others=others, options=options.without_outline(), device=device, camera=camera)
+    """Fit EllipBody as ``fit_body`` does, and from there Anny (``refine_mesh``)."""
+    first = fit_body(keypoints, parts, others=others, options=options, device=device, camera=camera)
     return refine_mesh(first, options=mesh)
 
 
@@ -59,8 +60,8 @@ _MESH = Method(fit=fit_anny, vertices=attrgetter("vertices"))
 _MESH_BY_PARTDR = MeshOptions(gradient="partdr", seg=0.03)  # which pulls about thrice as hard as "edges"
 METHODS: dict[str, Method] = {
     **{name: replace(method, vertices=registered_vertices) for name, method in (SUPERVISIONS | _STARTS).items()},
-    KNOWN_CAMERA: Method(camera=True, vertices=registered_vertices),
-    NO_FLIPS: Method(options=FitOptions(depth_flips=False), vertices=registered_vertices),
+    KNOWN_CAMERA: Method(options=_OUTLINE, camera=True, vertices=registered_vertices),
+    NO_FLIPS: Method(options=replace(_OUTLINE, depth_flips=False), vertices=registered_vertices),
     # Of the starts' stages, only the search's have PartDR's rule, and with it a z gradient.
     "search, no z gradient": Method(
         options=_SEARCH.drawn_by(lambda old: replace(old, depth_weight=0.0)), vertices=registered_vertices
