@@ -154,8 +154,9 @@ class CapturedRefinement:
         problem.bones, problem.locked = bone_arrays(where), sum(1 << part for part in LOCKED_PARTS)
         problem.half_size = energy.size / 2
         problem.lenses = warp_array(people.lenses, wp.vec3)
-        points, votes = warp_array(people.points, wp.vec2), warp_array(people.votes)
-        problem.landmarks = landmark_arrays(where, people.visible, points, votes)
+        points = warp_array(people.points, wp.vec2)
+        weights = warp_array(people.weights)
+        problem.landmarks = landmark_arrays(where, people.visible, points, weights)
         usual = (people.lengths, people.thicknesses, people.depths, people.depth_scales)
         problem.rules = rule_arrays(where, energy.prior, *map(warp_array, usual))
         problem.mixture = mixture_arrays(where, energy.prior)
@@ -296,13 +297,13 @@ def _rounded(count: int) -> int:
 
 def _find_captured(energy: Energy, people: Batch, descent: Descent, start: int) -> CapturedRefinement:
     """Refinement of a body of each person, captured before or now; ``start`` is the slice's, for each has its own."""
-    labels, count, device = energy.observations.label_set, len(people), people.votes.device
+    labels, count, device = energy.observations.label_set, len(people), people.weights.device
     kind = (
         *(energy.size, energy.weights, energy.prior, energy.renderer, energy.observations.lens is None),
         None if labels is None else tuple(labels.part_groups.tolist()),
         tuple(term.applies(energy) for term in TERMS),
     )
-    key = CapturedRefinement, start, kind, people.kind, descent
+    key = CapturedRefinement, start, kind, people.graph_key, descent
     num_bytes = count * (_BYTES_PER_BODY + (0 if people.targets is None else BYTES_PER_PIXEL * energy.size**2))
 
     def make() -> CapturedRefinement:

@@ -204,14 +204,14 @@ def _hidden_limbs(bodies: BodyParameters, people: Batch, labels: LabelSet | None
         return torch.zeros(count, len(_LIMBS), dtype=torch.bool, device=people.points.device)
     size, device = people.targets.shape[-1], people.points.device
     columns = _joint_columns(device)
-    points, votes = people.points.mT @ columns, people.votes @ columns  # (B, 2, joints), (B, joints)
+    points, weights = people.points.mT @ columns, people.weights @ columns  # (B, 2, joints), (B, joints)
     statures = bone_statures(bodies.lengths) * bodies.log_scale.exp()  # in the crop
     places = points.mT[:, :, None] + statures[:, None, None, None] * _DISC.to(statures)
     at = ((places + 1) * size / 2).floor().long()  # (B, joints, places, 2)
     inside = ((at >= 0) & (at < size)).all(-1).all(-1)
     x, y = at.clamp(0, size - 1).unbind(-1)
     shown = people.targets[torch.arange(count, device=device)[:, None, None], y, x]
-    known = inside & (votes > 0) & (shown != IGNORE).all(-1) & (shown[..., 0] != BACKGROUND)
+    known = inside & (weights > 0) & (shown != IGNORE).all(-1) & (shown[..., 0] != BACKGROUND)
     groups = torch.from_numpy(labels.part_groups[1:]).to(device)[_own_parts(device)]  # (joints, parts)
     nothing = (shown[..., None] != groups[:, None]).all(-1).all(-1)
     return (known & nothing).view(count, len(_LIMBS), 2).any(2)

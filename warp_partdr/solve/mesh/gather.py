@@ -19,7 +19,7 @@ from ...models.model import DetailedModel
 from ...models.pose import free_joints, pose_from_ellipbody
 from ...models.registration import shape_from_lengths
 from ...networks.regression.uncertainty import Uncertainty
-from ..ellipsoids.energy import split_votes
+from ..ellipsoids.energy import landmark_weights
 from .drawn_model import DrawnModel
 from .energy import MeshEnergy
 from .given_poses import GivenPoses
@@ -126,7 +126,7 @@ def _gather_keypoints(
     return (
         places,
         padded([each.points for each in seen]),
-        known * split_votes(padded([each.confidence for each in seen]), parts),
+        known * landmark_weights(padded([each.confidence for each in seen]), parts),
     )
 
 
