@@ -352,7 +352,9 @@ def _find_captured(energy: Energy, people: Batch, descent: Descent, start: int) 
     num_bytes = count * (_BYTES_PER_BODY + (0 if people.targets is None else BYTES_PER_PIXEL * energy.size**2))
 
     def make() -> CapturedRefinement:
-        one = energy.select(torch.zeros(1, dtype=torch.int64, device=device))  # without the people's pictures
+        one = energy.select(
+            torch.zeros(1, dtype=torch.int64, device=device)
+        )  # the kept graph keeps this energy alive, so it has no pictures
         return _capture(one, people.copied(), descent, count)
 
     captured = graphs.find(key, device, num_bytes, make, at_once=True)

@@ -55,7 +55,7 @@ _OVER_LIMITS = 0.1  # largest excess over joint limits by which a flip may be wo
 _LARGEST_MOVE = 5.0
 _BONE_POINTS = torch.linspace(-1.0, 1.0, 9)  # points along a bone, in halves of its length
 # Labels have much weight while flips are compared; otherwise keypoints, which do not see depth, would decide.
-FLIP_SIZE = 128  # [px], side of the crop in which flips are compared
+FLIP_SIZE = 128  # side of the crop in which flips are compared [px]
 _ITERATIONS, _RATE = 30, 0.02
 FLIP_WEIGHTS = Weights(seg=0.5, proj=0.05, prior=0.1)
 # Least share of the body's energy that a flip must save. With labels drawn from EllipBody, right flips save 6 to 70 %.

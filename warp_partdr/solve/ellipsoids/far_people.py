@@ -17,8 +17,8 @@ from ...body.labels import LabelSet
 from ...inputs.observations import Observations
 from ...networks.regression.predicted import Predicted
 
-MUCH_FARTHER = 2.0  # times the distance of an assumed lens; the lenses of usual photos differ by less
-_FARTHEST = 10.0  # [m]; from there on bodies look alike, so a predicted distance beyond it means nothing
+MUCH_FARTHER = 2.0  # factor of the distance that an assumed lens gives; lenses of usual photos differ by less
+_FARTHEST = 10.0  # largest distance that a prediction can tell; farther bodies look the same [m]
 
 
 def with_longer_lens(observations: Observations, predicted: Predicted) -> Observations | None:

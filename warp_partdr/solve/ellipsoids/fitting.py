@@ -130,8 +130,8 @@ def fit_people(people: Sequence[CutPerson], options: FitOptions, network: LabelN
     Args:
         people: People on the network's device. What is known of their cameras and statures stands in their
             observations; a lens that is assumed is lengthened for those who are far away.
-        options: Stages and weights, and if a search is tried for those who end far from what was seen;
-            ``options.stature`` and ``options.network`` are not looked at.
+        options: Stages and weights, and the search that is tried for people whose bodies end far from keypoints or
+            labels. ``options.stature`` and ``options.network`` are not used.
         network: Label network in evaluation mode.
 
     Returns:

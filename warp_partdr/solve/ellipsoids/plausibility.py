@@ -20,10 +20,10 @@ from .refine import refine_unchecked
 from .result import FitResult
 from .stepper import Descent
 
-JUDGED_SIZE = 128  # [px], side of the crop in which bodies are compared with labels in the end
+JUDGED_SIZE = 128  # side of the crop in which final bodies are compared with labels [px]
 # PartBench's hard people 60 to 119 end at 18 px, 0.31 and 0.37 at the worst. The first 20 end at 22 px at the worst.
 # Both were fitted with the default options.
-MOST_OFF = 25.0  # [px of a 256 px crop], mean distance of keypoints along both axes
+MOST_OFF = 25.0  # mean distance from keypoints along both axes [px of a crop of 256 px]
 MOST_WRONG = 0.4  # number of wrong pixels for each pixel of the person
 LEAST_PART_F1 = 0.35  # mean over the parts of the label set
 

@@ -115,8 +115,8 @@ class LiftEnergy:
         """Evaluate the weighted terms by name, shape (B,) each."""
         points = self._gather(parameters.posed()) * parameters.log_scale.exp()[:, None, None]
         if (lens := self._energy.observations.lens) is not None:
-            points = points @ ray_rotations(parameters, lens)  # as seen along the ray to the pelvis
-        points = points - points[:, :1] * points.new_tensor([0.0, 0.0, 1.0])  # depth counts from the hips
+            points = points @ ray_rotations(parameters, lens)  # targets are relative to the ray to the pelvis
+        points = points - points[:, :1] * points.new_tensor([0.0, 0.0, 1.0])  # depths are relative to the hips
         points = points + torch.nn.functional.pad(parameters.shift, (0, 1))[:, None]
         lift = ((points - self._targets).abs() * self._known).sum((1, 2)) * (REFERENCE_SIZE / 2)
         terms = self._energy(parameters)
@@ -150,7 +150,7 @@ def _depth_choices(
     """Depth of each joint relative to the hips, by name, for each combination [half-sides of the crop]."""
 
     def hidden(a: str, b: str) -> float:
-        """Depth between a bone's ends [crop units]; 0 if one is missing or the bone is seen in full length."""
+        """Depth between a bone's ends [half-sides of the crop]; 0 if an end is missing, or the bone lies across the view."""
         if a not in flat or b not in flat:
             return 0.0
         full = scale * np.linalg.norm(rest[a] - rest[b])

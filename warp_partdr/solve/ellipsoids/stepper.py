@@ -18,7 +18,7 @@ from ...interop.movable import Movable
 
 EnergyFunction = Callable[[BodyParameters], dict[str, torch.Tensor]]
 
-LEARNING_RATE = 1e-2  # the paper's
+LEARNING_RATE = 1e-2  # learning rate of the paper
 FINAL_RATE = 0.1  # share of the learning rate at the last step
 SHAPE_RATE = 0.3  # share of the learning rate of angles [rad] that lengths and thicknesses [m] have
 # Bounds of a body's sizes, as shares of the mean adult's. A torso's depth can't be seen from the front. Without bounds

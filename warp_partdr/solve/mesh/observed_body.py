@@ -1,4 +1,4 @@
-"""Person in a picture, with a body from which a fit of the mesh starts."""
+"""People in pictures, each with a body from which a fit of the mesh starts."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ class ObservedBody:
     """Person in a picture, and the body from which a fit starts.
 
     Attributes:
-        sight: Person, frame and view, with keypoints and labels as they were given.
-        evidence: Keypoints and labels after they were weighed (``weigh_evidence``).
-        observation: Keypoints and labels in the crop.
-        crop: Position of the crop in the picture.
-        body: Body from the network or from an earlier fit, as the crop's camera sees it, B = 1.
-        uncertainty: Uncertainty of the network about the body; None: the body is not from a network.
+        sight: Who is seen when and from where, with keypoints and labels as they were given.
+        evidence: What is believed of them.
+        observation: The same in a crop.
+        crop: The crop.
+        body: Body of the network or of an earlier fit, as the crop's camera sees it, B = 1.
+        uncertainty: How sure the network was of it; None: no network said so.
     """
 
     sight: Sight
@@ -35,12 +35,7 @@ class ObservedBody:
 
     @classmethod
     def of_fit(cls, result: FitResult, person: int = 0) -> ObservedBody:
-        """Take the person and the body from a fit of ellipsoids.
-
-        Args:
-            result: Fit of ellipsoids. If it has an outline stage, the body is the one where that stage began.
-            person: Index of the person.
-        """
+        """Person of a fit of ellipsoids; a fit of the mesh goes on from where its outline stage began."""
         evidence, body = result.evidence, result.before_outline or result.parameters
         sight = Sight(evidence.keypoints, evidence.picture, person)
         return cls(sight, evidence, result.observation, result.crop, body, result.uncertainty)
