@@ -150,7 +150,7 @@ def _depth_choices(
     """Depth of each joint relative to the hips, by name, for each combination [half-sides of the crop]."""
 
     def hidden(a: str, b: str) -> float:
-        """Depth between a bone's ends [half-sides of the crop]; 0 if an end is missing, or the bone lies across the view."""
+        """Depth between a bone's ends [half-sides of the crop]; 0 if an end is missing, or the bone lies across."""
         if a not in flat or b not in flat:
             return 0.0
         full = scale * np.linalg.norm(rest[a] - rest[b])
