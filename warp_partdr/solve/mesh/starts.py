@@ -26,13 +26,11 @@ _CLOTHES_RATE = 0.3
 class WorldViews(NamedTensors):
     """V cameras that share a world, and the crops in which they see bodies.
 
-    The position of each body is a position in one of its crops, which belongs to the body's home camera.
-
     Attributes:
-        rotations: Rotations from world to camera, shape (V, 3, 3).
-        translations: Translations from world to camera [m], shape (V, 3).
-        home_rotations: Rotations from world to each body's home camera, shape (N, 3, 3).
-        home_translations: Translations from world to that camera [m], shape (N, 3).
+        rotations: World to camera, shape (V, 3, 3).
+        translations: World to camera [m], shape (V, 3).
+        home_rotations: World to the camera in whose crop a body is placed, shape (N, 3, 3).
+        home_translations: World to that camera [m], shape (N, 3).
         focals: Focal lengths of the crops of ``REFERENCE_SIZE`` [px], shape (M, 2).
         centres: Principal points of these crops [px], shape (M, 2).
         observed: True if a view shows a body, shape (N, V), bool.
@@ -112,8 +110,8 @@ class Starts(NamedTensors):
         clothes: Thicknesses on parts ``CLOTHED``, before bounds [m], shape (P, 8).
         unknown: Number 1 for people whose shape and clothes are to be found, 0 for people with a known shape, shape
             (P, 1).
-        log_scale: Logarithms of the scale at the pelvises in the home cameras' crops, as in ``BodyParameters``, shape
-            (N,).
+        log_scale: Logarithms of the scale at the pelvises in the crops in which the bodies are placed, as in
+            ``BodyParameters``, shape (N,).
         shift: Positions of the pelvises in these crops, as in ``BodyParameters`` [half-sides of the crop], shape
             (N, 2).
         lens: Lenses of these crops, as in ``Observation``, shape (N, 3); None: weak perspective.
