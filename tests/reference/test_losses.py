@@ -63,7 +63,7 @@ def test_energy_is_the_books(device, path):
         maps = part_maps(parts[b].cpu().numpy().astype(int) - 1, groups, 14)
         l_seg = segmentation_loss(maps, maps_of(target, 14), target != IGNORE) * (REFERENCE_SIZE / SIZE) ** 2
         wanted = (numpy(seen.points) + 1) * REFERENCE_SIZE / 2
-        l_proj = projection_loss(numpy(points[b]), wanted, numpy(energy.votes[0]))
+        l_proj = projection_loss(numpy(points[b]), wanted, numpy(energy.landmark_weights[0]))
         l_l = size_loss(numpy(bodies.lengths[b]), numpy(seen.lengths))
         l_t = size_loss(numpy(bodies.thicknesses[b]), numpy(seen.thicknesses))
         of_each = [weights[name] * term for name, term in zip(weights, (l_seg, l_proj, l_l, l_t), strict=True)]

@@ -1,4 +1,4 @@
-"""The energy's votes and weights, labels made smaller, and what is not known of maps; terms are the book's."""
+"""The energy's weights, labels made smaller, and what is not known of maps; terms are the book's."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ def test_smaller_labels_are_those_under_pixel_centres():
 def test_landmarks_of_a_part_share_its_vote(device):
     """COCO's nose, eyes and ears are the head's: together they count as much as a knee."""
     seen = observation_of(walker(device))
-    votes = dict(zip(seen.landmarks, Energy(seen).votes[0].tolist(), strict=True))
+    weights = dict(zip(seen.landmarks, Energy(seen).landmark_weights[0].tolist(), strict=True))
     face = ["nose", "left_eye", "right_eye", "left_ear", "right_ear"]
-    assert [votes[name] for name in face] == pytest.approx([0.2] * 5)
-    assert votes["left_knee"] == votes["right_wrist"] == 1
+    assert [weights[name] for name in face] == pytest.approx([0.2] * 5)
+    assert weights["left_knee"] == weights["right_wrist"] == 1
     # those that are hardly seen do not count for more than they are sure
     faint = replace(seen, confidence=0.1 * seen.confidence)
-    assert Energy(faint).votes[0].tolist() == pytest.approx([0.1] * 17)
+    assert Energy(faint).landmark_weights[0].tolist() == pytest.approx([0.1] * 17)
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(Weights)])

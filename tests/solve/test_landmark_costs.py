@@ -15,11 +15,11 @@ VIEWS, LANDMARKS, KEYPOINTS, JOINTS = 5, 13, 8, 6
 
 
 def slow_costs(landmarks: torch.Tensor, camera: Camera, aims: LandmarkAims) -> tuple[torch.Tensor, torch.Tensor]:
-    marks = landmarks.gather(1, aims.places[..., None].expand(-1, -1, 3))
+    marks = landmarks.gather(1, aims.landmark_indices[..., None].expand(-1, -1, 3))
     apart = camera.project(marks)[..., :2] - (aims.points.double() + 1) * REFERENCE_SIZE / 2
     depths = landmarks[:, aims.ends, 2]
     moved = depths[:, 1:] - depths[:, :1] - aims.depths
-    return (apart.abs().sum(-1) * aims.votes).sum(1), (moved.square() * aims.depth_weights).sum(1)
+    return (apart.abs().sum(-1) * aims.weights).sum(1), (moved.square() * aims.depth_weights).sum(1)
 
 
 def case(*, perspective: bool) -> tuple[torch.Tensor, torch.Tensor, LandmarkAims]:
@@ -29,9 +29,9 @@ def case(*, perspective: bool) -> tuple[torch.Tensor, torch.Tensor, LandmarkAims
     focal = 300 + 100 * torch.rand(VIEWS, 2 if perspective else 1, generator=random).expand(-1, 2)
     cameras = torch.cat([focal, 128 + 20 * torch.randn(VIEWS, 2, generator=random)], dim=1)
     aims = LandmarkAims(
-        places=torch.randint(LANDMARKS, (VIEWS, KEYPOINTS), generator=random),
+        landmark_indices=torch.randint(LANDMARKS, (VIEWS, KEYPOINTS), generator=random),
         points=torch.randn(VIEWS, KEYPOINTS, 2, generator=random),
-        votes=torch.rand(VIEWS, KEYPOINTS, generator=random) * (torch.arange(KEYPOINTS) % 3 > 0),
+        weights=torch.rand(VIEWS, KEYPOINTS, generator=random) * (torch.arange(KEYPOINTS) % 3 > 0),
         ends=torch.randperm(LANDMARKS, generator=random)[: JOINTS + 1],
         depths=torch.randn(VIEWS, JOINTS, generator=random),
         depth_weights=10 * torch.rand(VIEWS, JOINTS, generator=random),
@@ -75,7 +75,7 @@ def test_what_lies_in_the_camera_has_finite_costs(device):
 def test_a_keypoint_on_its_landmark_costs_nothing():
     landmarks, cameras, aims = case(perspective=True)
     pictures = camera_of(cameras, perspective=True).project(landmarks)[..., :2] / (REFERENCE_SIZE / 2) - 1
-    exact = replace(aims, points=pictures.gather(1, aims.places[..., None].expand(-1, -1, 2)))
+    exact = replace(aims, points=pictures.gather(1, aims.landmark_indices[..., None].expand(-1, -1, 2)))
     seen, _ = landmark_costs(landmarks, camera_of(cameras, perspective=True), exact)
     assert seen.max() < 1e-3
 
@@ -101,7 +101,7 @@ def test_what_is_not_finite_stays_nan(perspective, device):
     """Landmarks and cameras: cost and gradient of their view, and of no other."""
     for broken in range(2):
         given = case(perspective=perspective)
-        voted = given[2].places[1, 1]  # by a keypoint with a vote
+        voted = given[2].landmark_indices[1, 1]  # by a keypoint with a weight
         moving = [each.clone().to(device) for each in given[:2]]
         moving[broken][(1, voted, 0) if broken == 0 else (1, 2)] = torch.nan
         moving = [each.requires_grad_() for each in moving]

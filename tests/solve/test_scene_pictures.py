@@ -29,9 +29,9 @@ def case(num_views: int, clusters: Clusters = ((0, 1),)) -> tuple[torch.Tensor, 
         translations=torch.tensor([0.0, 0.0, 4.0]) + 0.3 * moves[0],
         lenses=torch.tensor([2.0, 0.0, 0.0])
         + 0.3 * torch.randn(len(clusters) * FRAMES * num_views, 3, generator=random),
-        shown=shown,
+        observed=shown,
         slots=slots,
-        places=places,
+        person_slots=places,
     )
     vertices, pelvises = (torch.randn(bodies, *shape, 3, generator=random) for shape in ((VERTICES,), ()))
     return vertices, pelvises, views
@@ -47,7 +47,7 @@ def slow_pictures(vertices: torch.Tensor, pelvises: torch.Tensor, views: Picture
                 body = max(person, 0) * FRAMES + frame
                 seen = camera.project(((vertices[body] + pelvises[body]) @ turn.T + move)[None])[0]
                 hidden = seen.new_tensor([0.0, 0.0, -1.0]).expand_as(seen)
-                drawn.append(seen if person >= 0 and views.shown[body, view] else hidden)
+                drawn.append(seen if person >= 0 and views.observed[body, view] else hidden)
             rows.append(torch.cat(drawn))
     return torch.stack(rows)
 

@@ -36,9 +36,9 @@ def seen(vertices: torch.Tensor) -> torch.Tensor:
         rotations=random_turns(1, 3, 0.2)[0].float(),
         translations=torch.tensor([[0.0, 0.0, 4.0], [0.1, 0.0, 5.0], [0.0, 0.2, 6.0]]),
         lenses=torch.tensor([2.0, 0.0, 0.0]).expand(12, 3).contiguous(),
-        shown=torch.ones(BODIES, 3, dtype=torch.bool),
+        observed=torch.ones(BODIES, 3, dtype=torch.bool),
         slots=slots,
-        places=places,
+        person_slots=places,
     )
     return place_people(vertices, vertices.mean(1), views, 96)
 

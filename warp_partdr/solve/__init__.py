@@ -1,6 +1,6 @@
-"""The solver: bodies that explain what was seen (paper, section 3.4).
+"""Solver: it finds the bodies that explain observations (paper, section 3.4).
 
-* ``ellipsoids``: EllipBody before one observation, and many such fits side by side. ``fit_body`` is the entry.
-* ``mesh``: the mesh stage, which fits a detailed body from there. ``refine_mesh`` is the entry.
-* ``scene``: people in frames seen by cameras, as detailed bodies, refined together. ``fit_scene`` is the entry.
+* ``ellipsoids``: fits of EllipBody to the observation of one person, or of a batch of people. Begin with ``fit_body``.
+* ``mesh``: the mesh stage, which goes on from there with a detailed body. Begin with ``refine_mesh``.
+* ``scene``: joint refinement of detailed bodies of people in the frames of several cameras. Begin with ``fit_scene``.
 """

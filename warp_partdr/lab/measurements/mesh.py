@@ -40,7 +40,7 @@ _STEPS = (
     Step(mesh_stage, "gather_starts", "starts"),
     Step(gather, "pose_from_ellipbody", "starts, poses"),
     Step(gather, "gather_aims", "starts, keypoints and depths"),
-    Step(gather, "gather_turn_spreads", "starts, spreads of turns"),
+    Step(gather, "gather_turn_uncertainties", "starts, uncertainty of turns"),
     Step(steps, "find_steps", "steps found or captured"),
     Step(CapturedStep, "replay", "steps"),
     Step(mesh_stage, "ungrown", "whole mesh"),

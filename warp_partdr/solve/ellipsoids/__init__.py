@@ -1,1 +1,1 @@
-"""Fit of EllipBody: the energy before an observation, its minimisation, stages, starts, result and warnings."""
+"""Fit of EllipBody to an observation: the energy, its minimisation, stages, starts, the result and warnings."""

@@ -20,19 +20,19 @@ class Batch:
     """Observations of N people.
 
     Attributes:
-        points: Positions of ``LANDMARK_NAMES`` in crops of side 2, 0 where they are not seen, shape (N, L, 2).
-        votes: Weights of the landmarks, shape (N, L).
+        points: Positions of ``LANDMARK_NAMES`` in crops of side 2, 0 where they are not observed, shape (N, L, 2).
+        weights: Weights of the landmarks, 0 where they are not observed, shape (N, L).
         lengths: Expected lengths [m], shape (N, 12).
         thicknesses: Expected thicknesses [m], shape (N, 15).
-        depths: Expected depths of the parts' centres [m], shape (N, 20); 0 where they may be anywhere.
-        depth_scales: 1 / the uncertainty of these depths [1/m], shape (N, 20).
-        lenses: Focal lengths and principal points, shape (N, 3); 0 without.
+        depths: Expected depths of the parts' centres [m], shape (N, 20); 0 if none are expected.
+        depth_scales: Inverse of the uncertainty of the expected depths [1/m], shape (N, 20).
+        lenses: Focal lengths and principal points in the crops' coordinates, shape (N, 3); 0 if there are no lenses.
         targets: Label images, shape (N, size, size), uint8; None if nothing is drawn.
-        visible: Names of the landmarks that anybody has.
+        visible: Names of the landmarks that at least one person has.
     """
 
     points: torch.Tensor
-    votes: torch.Tensor
+    weights: torch.Tensor
     lengths: torch.Tensor
     thicknesses: torch.Tensor
     depths: torch.Tensor
@@ -43,52 +43,52 @@ class Batch:
 
     @classmethod
     def of(cls, energy: Energy) -> Batch:
-        """Make the arrays of the people whose energy this is."""
+        """Make the arrays from the observations of an energy."""
         people = energy.observations
         columns = _landmark_indices(people.marks, people.points.device)
-        votes = people.points.new_zeros(len(people), len(LANDMARK_NAMES))
-        votes[:, columns] = energy.votes
-        points = votes.new_zeros(*votes.shape, 2)
+        weights = people.points.new_zeros(len(people), len(LANDMARK_NAMES))
+        weights[:, columns] = energy.landmark_weights
+        points = weights.new_zeros(*weights.shape, 2)
         points[:, columns] = people.points
         return cls(
             points=points,
-            votes=votes,
+            weights=weights,
             lengths=energy.usual_lengths,
             thicknesses=energy.usual_thicknesses,
-            depths=votes.new_zeros(len(people), NUM_PARTS) if energy.depths is None else energy.depths,
+            depths=weights.new_zeros(len(people), NUM_PARTS) if energy.depths is None else energy.depths,
             depth_scales=energy.depth_scales,
-            lenses=votes.new_zeros(len(people), 3) if people.lens is None else people.lens,
+            lenses=weights.new_zeros(len(people), 3) if people.lens is None else people.lens,
             targets=energy.target,
             visible=frozenset(np.array(people.marks)[people.visible.any(axis=0)].tolist()),
         )
 
     def __len__(self) -> int:
         """Number of people, N."""
-        return len(self.votes)
+        return len(self.weights)
 
     @property
-    def kind(self) -> Hashable:
-        """Numbers, pictures and landmarks: batches that agree in it can take one another's place in a graph."""
+    def graph_key(self) -> Hashable:
+        """Key of a captured graph: one graph serves all batches with the same landmarks, arrays and shapes."""
         return self.visible, tuple((name, tuple(each.shape)) for name, each in self._named().items())
 
     def tensors(self) -> list[torch.Tensor]:
-        """All that a refinement reads."""
+        """List all tensors of the batch."""
         return list(self._named().values())
 
     def copied(self) -> Batch:
-        """Copies of these, which nobody else changes."""
+        """Copy the batch with all its tensors."""
         return replace(self, **{name: each.clone() for name, each in self._named().items()})
 
     def _named(self) -> dict[str, Any]:
         return {name: each for name, each in vars(self).items() if torch.is_tensor(each)}
 
     def select(self, rows: torch.Tensor | slice) -> Batch:
-        """Some of the people; one may come several times."""
+        """Select some of the people; a person may come several times."""
         return replace(self, **{name: each[rows] for name, each in self._named().items()})
 
 
 @lru_cache(maxsize=256)
 def _landmark_indices(marks: tuple[str, ...], device: torch.device) -> torch.Tensor:
     """Index of each mark in ``LANDMARK_NAMES``, shape (L,)."""
-    with torch.inference_mode(False):  # kept for calls outside of it, too
+    with torch.inference_mode(False):  # the cached tensor also serves calls outside of inference mode
         return torch.tensor([LANDMARK_NAMES.index(mark) for mark in marks], device=device)

@@ -1,4 +1,4 @@
-"""Second stage of the paper as a captured Warp graph: ``refine`` without torch inside the loop."""
+"""Second stage of the paper as a captured Warp graph, whose loop doesn't need torch; ``refine`` uses it."""
 
 from __future__ import annotations
 
@@ -40,28 +40,30 @@ from .energy import TERMS, Energy
 from .stepper import LEARNING_RATE, SHAPE_RATE, SIZES, Descent, Refined, rate_share, size_bounds
 from .tables import LANDMARK_NAMES, bone_arrays, landmark_arrays, mixture_arrays, rule_arrays
 
-_WIDTHS = [math.prod(shape) for shape in ROW.values()]  # of a body's parameters as they follow one another in a row
+# Numbers of columns of a body's parameters, which follow one another in a row.
+_WIDTHS = [math.prod(shape) for shape in ROW.values()]
 
-_BYTES_PER_BODY = 2**15  # of a kept graph, beside pictures, on the CPU, where nobody counts
+# Memory of a kept graph for one body, beside its pictures. On the CPU this estimate stands for a count of the memory.
+_BYTES_PER_BODY = 2**15
 
 
 class CapturedRefinement:
-    """Minimise an energy from B starts side by side, as ``refine`` does, in fixed buffers.
+    """Minimiser of an energy from B starts as a batch, in fixed buffers; ``refine`` uses it.
 
-    An iteration is the renderer's launches and one more. They are captured once and replayed, and the host waits for
-    nothing in between. A run repeats bit for bit.
+    The kernels of an iteration draw, compare and step. They are captured once and replayed, and the host waits for
+    nothing in between. Runs with the same input give the same bits.
 
     Args:
-        energy: Energy of N people; body b has the observation of number b % N.
-        batch_size: B, the number of bodies refined at once.
-        iterations: Steps of Adam.
-        learning_rate: As in ``refine``.
-        frozen: As in ``refine``.
-        people: The energy's arrays, if they are made already; they may be replaced (``take``).
+        energy: Energy of N people; body b has observation b % N.
+        batch_size: Number of bodies that are refined at once, B.
+        iterations: Number of steps of Adam.
+        learning_rate: Learning rate at the first step, which ``refine`` describes.
+        frozen: Names of ``BodyParameters`` that stay as they start.
+        people: Arrays of the energy, if they are made already; ``take`` can replace them.
 
     Raises:
-        ValueError: If the energy sees probabilities, or draws a mesh, or ``frozen`` names what is no parameter, or all
-            of them.
+        ValueError: If the energy has label probabilities or draws a mesh, or if ``frozen`` has an unknown name, or the
+            names of all parameters.
     """
 
     def __init__(
@@ -75,7 +77,8 @@ class CapturedRefinement:
         people: Batch | None = None,
     ) -> None:
         free = BodyParameters.free(frozen)
-        iterations, batch_size = check_steps(iterations, learning_rate), check_whole("batch_size", batch_size, 0)
+        iterations = check_steps(iterations, learning_rate)
+        batch_size = check_whole("batch_size", batch_size, 0)
         self._energy = energy
         self._device = energy.observations.points.device
         if energy.with_probabilities:
@@ -84,18 +87,22 @@ class CapturedRefinement:
             raise ValueError(f"energy: {energy.renderer}; expected exact ellipsoids, ``refine`` takes others")
         self._people = people = people or Batch.of(energy)
 
-        # What the host reads or writes, in torch's memory.
+        # The host reads and writes these buffers, so they are in torch's memory.
         buffer = partial(torch.zeros, device=self._device)
         rows = batch_size, sum(_WIDTHS)
-        self._parameters, self._gradient, self._best = buffer(rows), buffer(rows), buffer(rows)
-        self._best_energy, self._best_terms = buffer(batch_size), buffer(batch_size, NUM_TERMS)
+        self._parameters = buffer(rows)
+        self._gradient = buffer(rows)
+        self._best = buffer(rows)
+        self._best_energy = buffer(batch_size)
+        self._best_terms = buffer(batch_size, NUM_TERMS)
         self._history = buffer(iterations + 1, batch_size)
-        # At rate 0, after the last step, the energy is looked at once more.
+        # After the last step, one more iteration at rate 0 evaluates the energy of the last state.
         shares = [rate_share(step, iterations) for step in range(iterations)]
         self._rates = [learning_rate * share for share in (*shares, 0.0)]
-        with on_torch_stream(self._device, torch_memory=True) as where:  # a graph's budget counts it
-            self._state = self._make_state(where)
-            self._problem = self._make_problem(where, people, free)
+        # In torch's memory, the arrays count in the budget of kept graphs.
+        with on_torch_stream(self._device, torch_memory=True) as device_name:
+            self._state = self._make_state(device_name)
+            self._problem = self._make_problem(device_name, people, free)
             self._renderer = self._make_renderer(people)
             self._drawn = Drawn() if self._renderer is None else self._renderer.drawn
         if batch_size > 0:
@@ -103,8 +110,9 @@ class CapturedRefinement:
             self._graph = capture_graph(self.iterate, self._device)
 
     def _make_renderer(self, people: Batch) -> CapturedEllipsoids | None:
-        """Renderer that draws the posed ellipsoids and compares them with label images; None if there are none."""
-        renderer, label_set = self._energy.renderer, self._energy.observations.label_set
+        """Make the renderer that compares posed ellipsoids with label images; None if there are no images."""
+        renderer = self._energy.renderer
+        label_set = self._energy.observations.label_set
         if people.targets is None or label_set is None:
             return None
         assert isinstance(renderer, RendererEllipsoids)
@@ -112,62 +120,83 @@ class CapturedRefinement:
         perspective = self._energy.observations.lens is not None
         return CapturedEllipsoids(renderer, labels, people.targets, self._state.ellipsoids, perspective)
 
-    def _make_state(self, where: str) -> State:
-        """Allocate the bodies' state."""
-        batch, prior = len(self._parameters), self._energy.prior
+    def _make_state(self, device_name: str) -> State:
+        """Allocate the state of the bodies on a Warp device."""
+        batch = len(self._parameters)
+        prior = self._energy.prior
 
         def zeros(*shape: int, dtype: Any = float) -> wp.array:
-            return wp.zeros((batch, *shape), dtype=dtype, device=where)
+            return wp.zeros((batch, *shape), dtype=dtype, device=device_name)
 
         state = State()
         state.iteration = zeros(dtype=int)
         state.bodies, state.gradient = _bodies(self._parameters), _bodies(self._gradient)
         rows = state.rows
-        rows.parameters, rows.gradient, rows.best = map(warp_array, (self._parameters, self._gradient, self._best))
-        rows.first_moment, rows.second_moment = zeros(sum(_WIDTHS)), zeros(sum(_WIDTHS))
+        rows.parameters = warp_array(self._parameters)
+        rows.gradient = warp_array(self._gradient)
+        rows.best = warp_array(self._best)
+        rows.first_moment = zeros(sum(_WIDTHS))
+        rows.second_moment = zeros(sum(_WIDTHS))
         records = state.records
         records.better = zeros(dtype=int)
-        records.energy, records.terms = warp_array(self._best_energy), warp_array(self._best_terms, Terms)
+        records.energy = warp_array(self._best_energy)
+        records.terms = warp_array(self._best_terms, Terms)
         records.history = warp_array(self._history)
 
-        state.turns, state.orientations = zeros(NUM_PARTS, dtype=wp.mat33), zeros(dtype=wp.mat33)
+        state.turns = zeros(NUM_PARTS, dtype=wp.mat33)
+        state.orientations = zeros(dtype=wp.mat33)
         state.roots = zeros(dtype=wp.vec3)
         ellipsoids = state.ellipsoids
-        ellipsoids.centres, ellipsoids.axes = zeros(NUM_PARTS, dtype=wp.vec3), zeros(NUM_PARTS, dtype=wp.mat33)
-        ellipsoids.semi_axes, ellipsoids.camera = zeros(NUM_PARTS, dtype=wp.vec3), zeros(dtype=wp.vec4)
-        components, directions = mixture_arrays(where, prior).means.shape
+        ellipsoids.centres = zeros(NUM_PARTS, dtype=wp.vec3)
+        ellipsoids.axes = zeros(NUM_PARTS, dtype=wp.mat33)
+        ellipsoids.semi_axes = zeros(NUM_PARTS, dtype=wp.vec3)
+        ellipsoids.camera = zeros(dtype=wp.vec4)
+        components, directions = mixture_arrays(device_name, prior).means.shape
         likelihood = state.likelihood
         likelihood.directions = zeros(directions, dtype=wp.vec3)
         likelihood.slopes = zeros(components, directions, dtype=wp.vec3)
-        likelihood.exponents, likelihood.shares = zeros(components), zeros(components)
+        likelihood.exponents = zeros(components)
+        likelihood.shares = zeros(components)
         likelihood.log_density = zeros()
         state.pulls = zeros(len(LANDMARK_NAMES), dtype=Pull)
-        state.drawn, state.drawn_cost = zeros(NUM_PARTS, NUM_SUMS), zeros()
+        state.drawn = zeros(NUM_PARTS, NUM_SUMS)
+        state.drawn_cost = zeros()
         state.pushes = zeros(NUM_PARTS, dtype=wp.vec3)
-        state.wrenches, state.costs = zeros(NUM_PARTS, dtype=Wrench), zeros(NUM_PARTS, dtype=Terms)
+        state.wrenches = zeros(NUM_PARTS, dtype=Wrench)
+        state.costs = zeros(NUM_PARTS, dtype=Terms)
         state.loads = zeros(NUM_PARTS + 1, dtype=Load)
         return state
 
-    def _make_problem(self, where: str, people: Batch, free: Collection[str]) -> Problem:
-        """Set up the problem's constants, those of the N observations among them."""
-        energy, problem = self._energy, Problem()
-        problem.bones, problem.locked = bone_arrays(where), sum(1 << part for part in LOCKED_PARTS)
+    def _make_problem(self, device_name: str, people: Batch, free: Collection[str]) -> Problem:
+        """Collect the constants of the problem, among them the N observations, on a Warp device."""
+        energy = self._energy
+        problem = Problem()
+        problem.bones = bone_arrays(device_name)
+        problem.locked = sum(1 << part for part in LOCKED_PARTS)
         problem.half_size = energy.size / 2
         problem.lenses = warp_array(people.lenses, wp.vec3)
-        points, votes = warp_array(people.points, wp.vec2), warp_array(people.votes)
-        problem.landmarks = landmark_arrays(where, people.visible, points, votes)
-        usual = (people.lengths, people.thicknesses, people.depths, people.depth_scales)
-        problem.rules = rule_arrays(where, energy.prior, *map(warp_array, usual))
-        problem.mixture = mixture_arrays(where, energy.prior)
-        problem.weights, problem.step_rule = _term_weights(energy), _step_rule(self._rates, free, self._device)
+        points = warp_array(people.points, wp.vec2)
+        weights = warp_array(people.weights)
+        problem.landmarks = landmark_arrays(device_name, people.visible, points, weights)
+        problem.rules = rule_arrays(
+            device_name,
+            energy.prior,
+            lengths=warp_array(people.lengths),
+            thicknesses=warp_array(people.thicknesses),
+            depths=warp_array(people.depths),
+            depth_scales=warp_array(people.depth_scales),
+        )
+        problem.mixture = mixture_arrays(device_name, energy.prior)
+        problem.weights = _term_weights(energy)
+        problem.step_rule = _step_rule(self._rates, free, self._device)
         return problem
 
     def iterate(self) -> None:
-        """Launch one iteration on Warp's current stream: draw, compare, step; what ``refine`` replays.
+        """Launch one iteration on Warp's current stream: draw, compare, step.
 
-        After ``iterations`` of them the last one repeats, at rate 0: it leaves the bodies where they are.
+        ``refine`` replays it as a graph. After all ``iterations`` its rate is 0, and the bodies stay.
         """
-        # The prior looks at poses alone, so it needs no picture.
+        # The prior reads poses alone, so it can run beside the renderer.
         launch_side_by_side(self._draw, partial(launch_compare, self._problem, self._state))
         launch_step(self._problem, self._state, self._drawn)
 
@@ -177,7 +206,7 @@ class CapturedRefinement:
 
     @torch.no_grad()
     def take(self, people: Batch) -> None:
-        """Take other people from now on, who are alike: as many, with the same landmarks and pictures' size."""
+        """Replace the people by others; their ``graph_key`` must be the same."""
         torch._foreach_copy_(self._people.tensors(), people.tensors())
 
     @torch.no_grad()
@@ -192,11 +221,16 @@ class CapturedRefinement:
                 wp.capture_launch(graph)
 
     def _rewind(self) -> None:
-        """Start again from the parameters as they are."""
+        """Launch the start of a run: the first iteration begins at the parameters as they are."""
         launch_start(self._problem, self._state)
 
     def evaluate(self, bodies: BodyParameters) -> tuple[torch.Tensor, torch.Tensor]:
-        """Energy of bodies, (B,), by a refinement of 0 steps; their numbers and its gradient as ``Buffers.numbers``."""
+        """Evaluate the energy of bodies by a refinement of 0 steps.
+
+        Returns:
+            Energy of the bodies, shape (B,); and one row of numbers as ``LabelLoss`` takes it: the parameters of all
+            bodies, then the gradient.
+        """
         self._put(bodies)
         self._replay(self._rewind_graph)
         self._replay(self._graph)
@@ -206,8 +240,9 @@ class CapturedRefinement:
         """Refine B bodies.
 
         Args:
-            start: B bodies.
-            on_iteration: Called with the number of steps asked for; on CUDA the device may be behind.
+            start: B bodies from which the refinement starts.
+            on_iteration: Function that is called with the number of steps that are launched; a CUDA device may not have
+                finished them.
 
         Raises:
             ValueError: If a shape, dtype or device is wrong.
@@ -236,7 +271,7 @@ class CapturedRefinement:
 
 
 def can_capture(energy: Energy) -> bool:
-    """True if the kernels have all that an energy asks for: labels, not probabilities, and exact ellipsoids."""
+    """Return True if the kernels can evaluate an energy: it has labels, not probabilities, and exact ellipsoids."""
     drawn = energy.target is None or isinstance(energy.renderer, RendererEllipsoids)
     return not energy.with_probabilities and drawn
 
@@ -248,9 +283,15 @@ def refine_captured(
     *,
     on_iteration: Callable[[int], None] | None = None,
 ) -> Refined:
-    """Refine by captured graphs, a thread's bodies by one.
+    """Refine bodies by captured graphs. On the CPU, each thread refines a slice of the bodies with one graph.
 
-    Where each body has an observation of its own, graphs are kept for the next batch that is alike.
+    If each body has an observation of its own, the graphs are kept for the next batch with the same ``graph_key``.
+
+    Args:
+        start: B bodies from which the refinement starts.
+        energy: Energy of one person, or of B people.
+        descent: Number and size of the steps.
+        on_iteration: Function that is called with the number of steps that the first slice has done.
     """
     device, count = start.shift.device, start.batch_size
     people = Batch.of(energy)
@@ -289,24 +330,31 @@ def _capture(energy: Energy, people: Batch, descent: Descent, batch_size: int) -
 
 
 def _rounded(count: int) -> int:
-    """Size of a batch that has a graph: rounded up by an eighth at most, so that few sizes occur."""
+    """Round the size of a batch up, by an eighth at most, so that few sizes of graphs occur."""
     step = 1 << max(count.bit_length() - 4, 0)
     return -(-count // step) * step
 
 
 def _find_captured(energy: Energy, people: Batch, descent: Descent, start: int) -> CapturedRefinement:
-    """Refinement of a body of each person, captured before or now; ``start`` is the slice's, for each has its own."""
-    labels, count, device = energy.observations.label_set, len(people), people.votes.device
+    """Find the kept refinement of one body of each person, or capture one.
+
+    Each slice of the bodies has a refinement of its own; ``start`` is the index of the slice's first body.
+    """
+    labels = energy.observations.label_set
+    count = len(people)
+    device = people.weights.device
     kind = (
         *(energy.size, energy.weights, energy.prior, energy.renderer, energy.observations.lens is None),
         None if labels is None else tuple(labels.part_groups.tolist()),
         tuple(term.applies(energy) for term in TERMS),
     )
-    key = CapturedRefinement, start, kind, people.kind, descent
+    key = CapturedRefinement, start, kind, people.graph_key, descent
     num_bytes = count * (_BYTES_PER_BODY + (0 if people.targets is None else BYTES_PER_PIXEL * energy.size**2))
 
     def make() -> CapturedRefinement:
-        one = energy.select(torch.zeros(1, dtype=torch.int64, device=device))  # a copy, which keeps nobody's pictures
+        one = energy.select(
+            torch.zeros(1, dtype=torch.int64, device=device)
+        )  # the kept graph keeps this energy alive, so it has no pictures
         return _capture(one, people.copied(), descent, count)
 
     captured = graphs.find(key, device, num_bytes, make, at_once=True)
@@ -317,7 +365,7 @@ def _find_captured(energy: Energy, people: Batch, descent: Descent, start: int) 
 
 
 def _join(parts: Sequence[Refined], count: int) -> Refined:
-    """Concatenate results of slices of a batch, of which the first so many bodies count."""
+    """Concatenate the results of a batch's slices, and keep the first ``count`` bodies."""
     names = parts[0].parameters.tensors()
     return Refined(
         BodyParameters(
@@ -330,7 +378,7 @@ def _join(parts: Sequence[Refined], count: int) -> Refined:
 
 
 def _split(rows: torch.Tensor) -> dict[str, torch.Tensor]:
-    """Views of rows by name, shaped as ``BodyParameters`` has them."""
+    """Split rows into views by name, with the shapes of ``BodyParameters``."""
     columns = rows.split(_WIDTHS, dim=1)
     return {name: part.reshape(len(rows), *shape) for (name, shape), part in zip(ROW.items(), columns, strict=True)}
 
@@ -352,16 +400,22 @@ def _term_weights(energy: Energy) -> Any:
 
 
 def _step_rule(rates: Sequence[float], free: Collection[str], device: torch.device) -> StepRule:
-    factors, lower, upper = (torch.full((1, sum(_WIDTHS)), value) for value in (0.0, -math.inf, math.inf))
+    width = sum(_WIDTHS)
+    factors = torch.zeros(1, width)
+    lower = torch.full((1, width), -math.inf)
+    upper = torch.full((1, width), math.inf)
     for name in free:
         _split(factors)[name].fill_(SHAPE_RATE if name in SIZES else 1.0)
         if name in SIZES:
-            for row, bound in zip((lower, upper), size_bounds(name, "cpu"), strict=True):
-                _split(row)[name].copy_(bound)
+            smallest, largest = size_bounds(name, "cpu")
+            _split(lower)[name].copy_(smallest)
+            _split(upper)[name].copy_(largest)
     schedule = [
         (rate / (1 - BETAS[0] ** step), math.sqrt(1 - BETAS[1] ** step)) for step, rate in enumerate(rates, start=1)
     ]
     rule = StepRule()
     rule.schedule = warp_array(torch.tensor(schedule, device=device), wp.vec2)
-    rule.rates, rule.lower, rule.upper = (warp_array(row[0].to(device)) for row in (factors, lower, upper))
+    rule.rates = warp_array(factors[0].to(device))
+    rule.lower = warp_array(lower[0].to(device))
+    rule.upper = warp_array(upper[0].to(device))
     return rule

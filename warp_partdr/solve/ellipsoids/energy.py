@@ -1,7 +1,8 @@
-"""Energy of a fit: L_proj + L_seg + L_l + L_t (paper, section 3.4), a pose prior, joint limits, a hold in depth.
+"""Energy of a fit: L_proj + L_seg + L_l + L_t (paper, section 3.4), a pose prior, joint limits, a term of depth.
 
-Units decide what the paper's weights 1 : 1e-2 : 1e-3 : 1e-3 mean. Here L_proj is in pixels of a crop of 256 px, L_seg
-in pixels of the same (whatever size is drawn), L_l, L_t and the hold in square millimetres, the prior in nats.
+The meaning of the paper's weights 1 : 1e-2 : 1e-3 : 1e-3 depends on the units of the terms. Here L_proj and L_seg are
+in pixels of a crop of 256 px, whatever size is drawn. L_l and L_t are in square millimetres. The prior is in nats. The
+term of depth is in squares of the uncertainty of depths, or in square millimetres if that is not known.
 """
 
 from __future__ import annotations
@@ -32,13 +33,22 @@ _MILLIMETRES = 1000.0
 
 
 class Term(NamedTuple):
-    """Term of the energy: the row of ``Weights`` beside its weight."""
+    """Term of the energy, which belongs to a field of ``Weights``.
 
-    name: str  # in ``Weights`` and in the energy's result
-    column: int  # in the kernels (``kernels.refine``)
-    value: Callable[[Energy, BodyParameters, Posed], torch.Tensor]  # before the weight, shape (B,)
+    Attributes:
+        name: Name in ``Weights`` and in the energy's result.
+        column: Column in the kernels (``kernels.refine``).
+        value: Function that gives the term before it is weighted, shape (B,).
+        applies: Function that tells if an energy has this term.
+        factor: Function that gives the factor of the weight. It brings ``value``, and the kernel's value, to the term's
+            unit.
+    """
+
+    name: str
+    column: int
+    value: Callable[[Energy, BodyParameters, Posed], torch.Tensor]
     applies: Callable[[Energy], bool]
-    factor: Callable[[Energy], float]  # of the weight; brings ``value`` and the kernel to the term's unit
+    factor: Callable[[Energy], float]
 
 
 def _term(
@@ -76,19 +86,20 @@ def _depth(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Te
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights of the energy's terms, a unit of each: the rows of the table ``TERMS``. The first four are the paper's.
+    """Weights of the energy's terms. Each field is a row of the table ``TERMS``; the first four terms are the paper's.
 
-    A new term is a row here with its torch function, and a device function of ``kernels.refine.rules``.
+    A new term needs a field here with its torch function, and a device function in ``kernels.refine.rules``.
 
     Attributes:
-        proj: Of L_proj [1/px of a crop of 256 px].
-        seg: Of L_seg [1/px of the same].
-        length: Of L_l [1/mm²].
-        thickness: Of L_t [1/mm²].
-        prior: Of the pose's negative log-likelihood [1/nat].
-        limits: Of the squared excess over joint limits [1/rad²].
-        depth: Of the squared distance from ``Energy.depths`` along z, in their spreads [1/spread²; 1/mm² without
-            spreads]; without depths it does nothing.
+        proj: Weight of L_proj [1/px of a crop of 256 px].
+        seg: Weight of L_seg [1/px of a crop of 256 px].
+        length: Weight of L_l [1/mm²].
+        thickness: Weight of L_t [1/mm²].
+        prior: Weight of the pose's negative log-likelihood [1/nat].
+        limits: Weight of the squared excess over joint limits [1/rad²].
+        depth: Weight of the squared distance from ``Energy.depths`` along z, divided by the squared uncertainty of
+            these depths [1]. If their uncertainty is not known, the distance is in mm [1/mm²]. Without depths the term
+            is left out.
     """
 
     proj: float = _term(
@@ -117,18 +128,20 @@ class Weights:
                 raise ValueError(f"{term.name}: {weight}; expected 0 or a positive number")
 
 
-def split_votes(confidence: torch.Tensor, parts: torch.Tensor) -> torch.Tensor:
-    """Weights of landmarks: those of a part share its vote, for ten keypoints of a face say little more than one.
+def landmark_weights(confidence: torch.Tensor, parts: torch.Tensor) -> torch.Tensor:
+    """Weights of landmarks: their confidence, where the landmarks of one part together weigh 1 at most.
+
+    Ten keypoints of a face say little more about the body than one.
 
     Args:
         confidence: Confidence in L landmarks of B people, shape (B, L).
-        parts: Part of the body that each lies on, 0 to 19, shape (B, L), int64.
+        parts: Part of the body that each landmark lies on, 0 to 19, shape (B, L), int64.
 
     Returns:
-        Shape (B, L).
+        Weights, shape (B, L).
     """
-    votes = confidence.new_zeros(len(confidence), NUM_PARTS).scatter_add(1, parts, confidence)
-    return confidence / votes.clamp_min(1.0).gather(1, parts)
+    sums = confidence.new_zeros(len(confidence), NUM_PARTS).scatter_add(1, parts, confidence)
+    return confidence / sums.clamp_min(1.0).gather(1, parts)
 
 
 TERMS = tuple(Term(row.name, *row.metadata["term"]) for row in fields(Weights))
@@ -140,24 +153,25 @@ class Energy:
     """Terms of the fit's energy for bodies of one person, or of N people.
 
     Args:
-        observation: Keypoints and labels of one person, whom all bodies are compared with; or of N people, of whom each
-            has one body.
+        observation: Keypoints and labels of one person, or of N people. All bodies are compared with the one person;
+            each of the N people has one body.
         size: Side of the drawn crop [px].
         weights: Weights of the terms.
-        prior: The pose prior.
-        renderer: Exact ellipsoids, or their mesh; a level that is "auto" is chosen for the first bodies that are drawn.
-            With a label set of one group no z gradient is looked for: nothing that shows hides something else.
+        prior: Prior of poses; None leaves out the prior and the joint limits.
+        renderer: Renderer of exact ellipsoids, or of their mesh. A level that is "auto" is chosen for the first bodies
+            that are drawn. With a label set of one group there is no z gradient: no group can hide another one.
 
     Attributes:
-        observations: The observation as a batch of one, or all of them.
-        votes: Weight of each landmark, shape (N, L).
+        observations: Observations as a batch; one observation is a batch of one.
+        landmark_weights: Weight of each landmark, shape (N, L).
         usual_lengths: Lengths at which L_l is 0 [m], shape (N, 12).
         usual_thicknesses: Thicknesses at which L_t is 0 [m], shape (N, 15).
-        depths: Depths along z at which the parts' centres are to stay, pelvis at 0 [m], shape (N, 20); None: anywhere.
-            Neither labels nor keypoints say so, and a body leans to fit an outline.
-        depth_scales: 1 / the observations' ``depth_spreads`` [1/m], 1 / 1 mm each without, shape (N, 20).
+        depths: Expected depths of the parts' centres along z, pelvis at 0 [m], shape (N, 20); None leaves the term out.
+            Labels and keypoints do not hold depths, so a body would lean to fit an outline.
+        depth_scales: Inverse of the uncertainty of the expected depths [1/m], ``1 / depth_spreads`` of the
+            observations, shape (N, 20). If that is not known, the uncertainty is 1 mm.
         target: Target labels, shape (N, size, size), uint8; None if nothing is drawn.
-        key: Key of this energy among others.
+        key: Object that identifies this energy in the cache of graphs.
     """
 
     observation: Observation | Observations
@@ -172,7 +186,9 @@ class Energy:
         given = self.observation
         self.observations = people = Observations.of([given]) if isinstance(given, Observation) else given
         count, device = len(people), people.points.device
-        self.votes = split_votes(people.confidence, _landmark_parts(people.landmarks, device).expand(count, -1))
+        self.landmark_weights = landmark_weights(
+            people.confidence, _landmark_parts(people.landmarks, device).expand(count, -1)
+        )
         mean = BodyParameters.mean(1, device=device)
         self.usual_lengths = mean.lengths.expand(count, -1) if people.lengths is None else people.lengths
         self.usual_thicknesses = (
@@ -195,14 +211,14 @@ class Energy:
         self._known = None if people.known is None else resize_nearest(people.known, self.size)
 
     def select(self, rows: torch.Tensor | slice) -> Energy:
-        """Return the energy of some of the N people, without the pictures from which targets were made.
+        """Select the energy of some of the N people, without the pictures from which the targets were made.
 
         Args:
-            rows: The person of each body, shape (B,); one may come several times.
+            rows: Person of each body, shape (B,); a person may come several times.
         """
         chosen = copy(self)
         chosen.observation = chosen.observations = self.observations.without_pictures().select(rows)
-        for name in ("votes", "usual_lengths", "usual_thicknesses", "depth_scales"):
+        for name in ("landmark_weights", "usual_lengths", "usual_thicknesses", "depth_scales"):
             setattr(chosen, name, getattr(self, name)[rows])
         for name in ("depths", "target", "_maps", "_known"):
             values = getattr(self, name)
@@ -212,7 +228,7 @@ class Energy:
 
     @property
     def with_probabilities(self) -> bool:
-        """True if bodies are compared with probabilities of labels."""
+        """True if bodies are compared with probabilities of labels instead of labels."""
         return self._maps is not None
 
     @cached_property
@@ -220,12 +236,12 @@ class Energy:
         return LandmarkGather(self.observations.marks, self.observations.points.device)
 
     def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
-        """Weighted terms by name, shape (B,) each."""
+        """Evaluate the weighted terms by name, shape (B,) each."""
         posed = parameters.posed()
         if self.target is None or self._maps is not None or self.observations.lens is not None:
             return self.terms(parameters, posed)
         found = self.terms(parameters, posed, [term.name for term in TERMS if term is not SEG])
-        # From the parameters, in one graph.
+        # The label loss is found from the parameters, so that posing and drawing are one graph.
         renderer = self._fix(parameters, posed)
         found[SEG.name] = self.weight(SEG) * renderer.crop_loss(parameters, self.target, part_labels=self._part_labels)
         return {term.name: found[term.name] for term in TERMS if term.name in found}
@@ -233,7 +249,7 @@ class Energy:
     def terms(
         self, parameters: BodyParameters, posed: Posed, names: Collection[str] | None = None
     ) -> dict[str, torch.Tensor]:
-        """Weighted terms of bodies that are posed already; ``names`` leaves the other terms out."""
+        """Evaluate the weighted terms of posed bodies by name, shape (B,) each; ``names`` leaves other terms out."""
         return {
             term.name: self.weight(term) * term.value(self, parameters, posed)
             for term in TERMS
@@ -241,17 +257,17 @@ class Energy:
         }
 
     def weight(self, term: Term) -> float:
-        """Factor of a term's value: weight times unit."""
+        """Factor of a term's value: its weight times the factor that brings the value to the term's unit."""
         weight: float = getattr(self.weights, term.name)
         return weight * term.factor(self)
 
     @property
     def scale_of_labels(self) -> float:
-        """Pixels of a 256 px crop in one of the drawn crop's."""
+        """Number of pixels of a crop of 256 px that one pixel of the drawn crop covers."""
         return (REFERENCE_SIZE / self.size) ** 2
 
     def segmentation(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
-        """L_seg against labels, or against probabilities where there are such [pixels], shape (B,)."""
+        """Evaluate L_seg against labels, or against probabilities if the energy has them [drawn px], shape (B,)."""
         renderer, labels = self._fix(parameters, posed), self._part_labels
         posed, camera = self.place(parameters, posed, self.size)
         if self._maps is None:
@@ -264,28 +280,31 @@ class Energy:
         return ((maps - self._maps).square() * self._known[:, None]).sum((1, 2, 3))
 
     def place(self, parameters: BodyParameters, posed: Posed, size: int) -> tuple[Posed, Camera]:
-        """Bodies before their camera, which draws the crop at ``size`` px: the observation's, or weak perspective."""
+        """Place bodies before the camera that draws the crop at ``size`` px.
+
+        The camera is the observation's, or weak perspective if the observation has no lens.
+        """
         return place_bodies(parameters, posed, self.observations.lens, size)
 
     def _fix(self, parameters: BodyParameters, posed: Posed) -> Renderer:
-        """Renderer with the level that the first bodies need."""
+        """Find the renderer with the level that the first bodies need; later calls use it again."""
         if self._fixed is None:
             self._fixed = self.renderer.fixed(*self.place(parameters, posed, self.size))
         return self._fixed
 
     def misses(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
-        """L1 distance of the keypoints [half-sides of the crop], weighted with their confidence, shape (B,)."""
+        """Evaluate the weighted sum of L1 distances from keypoints [half-sides of the crop], shape (B,)."""
         posed, camera = self.place(parameters, posed, 2)
         image = camera.project(self._gather(posed))[..., :2] - 1
-        return ((image - self.observations.points).abs().sum(-1) * self.votes).sum(1)
+        return ((image - self.observations.points).abs().sum(-1) * self.landmark_weights).sum(1)
 
     def reprojection(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
-        """Reprojection cost L_proj: ``misses`` in px of a 256 px crop, shape (B,)."""
+        """Evaluate the reprojection cost L_proj: ``misses`` in pixels of a crop of 256 px, shape (B,)."""
         return self.misses(parameters, posed) * (REFERENCE_SIZE / 2)
 
 
 @lru_cache(maxsize=256)
 def _landmark_parts(names: tuple[str, ...], device: torch.device) -> torch.Tensor:
     """Part that each landmark lies on, shape (L,), int64."""
-    with torch.inference_mode(False):  # kept for calls outside of it, too
+    with torch.inference_mode(False):  # the cached tensor also serves calls outside of inference mode
         return torch.from_numpy(landmark_points(names).parts[:, 0].astype(np.int64)).to(device)

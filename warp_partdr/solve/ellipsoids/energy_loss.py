@@ -1,4 +1,4 @@
-"""The energy of bodies with its gradient in one captured graph, for an optimiser of one's own."""
+"""Energy of bodies as a torch loss, for use in another optimiser; a captured graph finds it with its gradient."""
 
 from __future__ import annotations
 
@@ -14,19 +14,22 @@ from .energy import Energy
 
 
 def energy_loss(energy: Energy, bodies: BodyParameters) -> torch.Tensor:
-    """Sum of an energy's terms: segmentation, landmarks, sizes, prior, limits, depth.
+    """Sum the terms of an energy: segmentation, landmarks, sizes, prior, limits, depth.
 
-    The second call with an energy and a number of bodies is captured as a graph: the iteration of ``refine`` at rate 0.
-    The first call takes torch. So do energies that no graph serves: of label probabilities, of a mesh, and in float64.
+    The first call is evaluated by torch. The second call with the same energy and the same number of bodies is captured
+    as a graph, which is an iteration of ``refine`` at rate 0. Energies with label probabilities, with a mesh, or in
+    float64 have no graph; torch always evaluates them.
 
     Args:
-        energy: Energy of one person, or of B people, which must not be changed afterwards.
-        bodies: B bodies, whose tensors may require gradients; only first derivatives exist.
+        energy: Energy of one person, or of B people. It must not be changed afterwards, because graphs are kept by it.
+        bodies: B bodies, whose tensors may require gradients. Only first derivatives exist.
 
     Returns:
         The energy of each body, shape (B,).
     """
-    tensors, batch, captured = tuple(bodies.tensors().values()), bodies.batch_size, None
+    tensors = tuple(bodies.tensors().values())
+    batch = bodies.batch_size
+    captured = None
     served = can_capture(energy) and bodies.lengths.dtype == torch.float32 and not torch.compiler.is_compiling()
     if served and batch > 0:
         make = partial(CapturedRefinement, energy, batch, iterations=0)

@@ -1,4 +1,4 @@
-"""Report of what a fit models for one input, what it leaves out, and why: ``partdr fit --explain``."""
+"""Report about one input: what a fit models, what it leaves out, and why (``partdr fit --explain``)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Choice(NamedTuple):
-    """Aspect of the input: the share that a fit models, the one that it leaves out, if any, and the reason."""
+    """Aspect of the input: the share that a fit models, the share that it leaves out, and the reason."""
 
     what: str
     modelled: str
@@ -43,10 +43,17 @@ def explain(
     options: FitOptions | None = None,
     camera: Perspective | None = None,
 ) -> list[Choice]:
-    """Say what ``fit_body`` with the same arguments models.
+    """Describe what ``fit_body`` models with the same arguments.
+
+    Args:
+        keypoints: Keypoints of the person in the picture.
+        parts: Part labels of the picture; None: keypoints alone.
+        others: Keypoints of the other people in the picture.
+        options: Options of the fit.
+        camera: Camera of the picture, if it is known.
 
     Raises:
-        InputError: As ``fit_body``.
+        InputError: If ``fit_body`` would raise it.
     """
     options = options or FitOptions()
     observation, crop = observe(keypoints, parts, others=others, trust_background=options.trust_background)
@@ -68,7 +75,9 @@ def explain(
     drawn = [stage for stage in stages if stage.size > 0]
     if not drawn:
         return [*choices, Choice("part labels", "the start", "L_seg", "no stage draws")]
-    side, size, start = REFERENCE_SIZE / crop.zoom, np.array(parts.groups.shape), np.array([crop.top, crop.left])
+    side = REFERENCE_SIZE / crop.zoom
+    size = np.array(parts.groups.shape)
+    start = np.array([crop.top, crop.left])
     covered = np.prod(np.clip(start + side, 0, size) - np.clip(start, 0, size)) / size.prod()
     sizes = _list(sorted({stage.size for stage in drawn}))
     return [
@@ -88,7 +97,7 @@ def explain(
 
 
 def explain_mesh(model: DetailedModel, parts: PartLabels | None, options: MeshOptions) -> Choice:
-    """Say what of a detailed model ``partdr fit`` draws."""
+    """Describe how much of a detailed model ``partdr fit`` draws."""
     if parts is None:
         return Choice("detailed body", "a mesh put on the ellipsoids", "the mesh stage", "there are no labels")
     most, every = drawn_vertices(model, options), model.num_vertices

@@ -57,10 +57,11 @@ def fit_body(
         keypoints: The person's 2D keypoints in the picture.
         parts: The picture's part labels; None fits keypoints alone.
         others: Other people's keypoints, which keep their labels apart from the person's.
-        quality: "fast", "balanced" or "accurate": stages and picture sizes; docs/accuracy.md has what each gives.
+        quality: Quality "fast", "balanced" or "accurate": it chooses stages and picture sizes; docs/accuracy.md has
+            the accuracy of each.
         options: Stages and weights of your own, instead of those of ``quality``.
-        device: "cpu" or a CUDA device.
-        progress: Called with (stage name, iterations done, iterations in all).
+        device: Device of the fit, "cpu" or a CUDA device.
+        progress: Function that is called with (stage name, iterations done, iterations in all).
         camera: The picture's, such as ``Perspective.of_picture(size, focal=1500)``, with square pixels: the body then
             stands where it is seen, in metres from the camera. None: a usual lens (``FitOptions.guess_camera``), or a
             longer one where part labels show that the person is far away. Where neither labels nor
@@ -99,9 +100,9 @@ def fit_evidence(
     Args:
         readings: One reading of the evidence, or two of which the more plausible one is taken.
         options: Stages and weights.
-        device: "cpu" or a CUDA device.
-        progress: As of ``fit_body``.
-        camera: As of ``fit_body``.
+        device: Device of the fit, "cpu" or a CUDA device.
+        progress: Function that is called after each iteration, as for ``fit_body``.
+        camera: Camera of the picture, as for ``fit_body``.
         body: Body to begin from, B = 1, in the crop of ``crop_evidence``, instead of the network's, of which only its
             uncertainty is used then.
     """
@@ -129,8 +130,8 @@ def fit_people(people: Sequence[CutPerson], options: FitOptions, network: LabelN
     Args:
         people: People on the network's device. What is known of their cameras and statures stands in their
             observations; a lens that is assumed is lengthened for those who are far away.
-        options: Stages and weights, and if a search is tried for those who end far from what was seen;
-            ``options.stature`` and ``options.network`` are not looked at.
+        options: Stages and weights, and the search that is tried for people whose bodies end far from keypoints or
+            labels. ``options.stature`` and ``options.network`` are not used.
         network: Label network in evaluation mode.
 
     Returns:

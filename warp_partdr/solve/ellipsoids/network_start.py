@@ -1,4 +1,4 @@
-"""Start of a fit at the label network's bodies: its lenses, its doubts about keypoints, and the order in depth."""
+"""Start of a fit at the label network's bodies: longer lenses, doubted keypoints, and the order in depth."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class NetworkStart:
     """N bodies from which a fit begins.
 
     Attributes:
-        bodies: Bodies and their cameras in the crops.
+        bodies: Bodies and their cameras in the crops, B = N.
         given: Observations as they were given, perhaps with longer lenses.
-        observations: The same with the network's doubts about keypoints, and with expected sizes and depths.
+        observations: Observations with less confidence in doubted keypoints, and with expected sizes and depths.
         uncertainty: Uncertainty of the network about its bodies.
-        depth_orders: Limbs that were tried mirrored in depth, of each person; None where none can be.
-        seconds: Wall time of each step, of all people.
+        depth_orders: Limbs of each person that were tried mirrored in depth; None if that was not tried.
+        seconds: Wall time of each step for all people [s].
     """
 
     bodies: BodyParameters
@@ -55,17 +55,17 @@ def start_from_network(
     doubting: bool = True,
     flips: bool = True,
 ) -> NetworkStart:
-    """Ask the label network about N people, and begin where it sees them.
+    """Predict N people by the label network, and prepare a fit that begins at these bodies.
 
     Args:
-        observations: N people.
-        network: Label network in evaluation mode, on their device.
+        observations: Observations of N people.
+        network: Label network in evaluation mode, on the observations' device.
         prior: Prior of poses.
         options: Options of the fit.
-        bodies: Bodies to begin from instead; of the network's, only the uncertainty is used then.
-        longer_lenses: Lengthen an assumed lens where the network sees that a person is much farther away.
-        doubting: Give less confidence to keypoints that lie far from the network's body.
-        flips: Try limbs mirrored in depth, where labels show parts.
+        bodies: Bodies to begin from instead, B = N. Of the network's prediction, only the uncertainty is used then.
+        longer_lenses: True to lengthen an assumed lens if the network predicts that a person is much farther away.
+        doubting: True to give less confidence to keypoints that lie far from the network's body.
+        flips: True to try limbs mirrored in depth, if labels show parts.
     """
     seconds: dict[str, float] = {}
     started = time.perf_counter()
@@ -77,7 +77,7 @@ def start_from_network(
     observations = doubt_keypoints(given, predicted) if doubting else given
     observations = replace(observations, lengths=starts.lengths, thicknesses=starts.thicknesses)
     orders: Sequence[DepthOrder | None] = [None] * len(observations)
-    if flips and options.depth_flips and shows_parts(observations.label_set):  # within one part, nothing hides another
+    if flips and options.depth_flips and shows_parts(observations.label_set):  # in one mask, no part hides another
         started = time.perf_counter()
         # The network's uncertainty is about its own bodies.
         starts, orders = repair_depth_orders(
@@ -92,14 +92,14 @@ def start_from_network(
 def _predict(
     observations: Observations, network: LabelNetwork, options: FitOptions, *, longer_lenses: bool
 ) -> tuple[Observations, Predicted]:
-    """Ask about N people, and again about those who are far away, with a longer lens."""
+    """Predict N people, and predict those again who are far away, with a longer lens."""
     predicted = ask_network(observations, network, mirror=options.mirror, half=options.half)
     longer = with_longer_lens(observations, predicted) if longer_lenses else None
     if longer is not None:
         assert observations.lens is not None  # it was lengthened
         assert longer.lens is not None
         changed = (longer.lens != observations.lens).any(1).nonzero()[:, 0]
-        if observations.points.is_cuda:  # all of them again: for as many people as before, a captured graph is there
+        if observations.points.is_cuda:  # predict all again, because a captured graph exists for this number of people
             changed = torch.arange(len(observations), device=changed.device)
         again = ask_network(longer.select(changed), network, mirror=options.mirror, half=options.half)
         observations, predicted = longer, predicted.with_rows(changed, again)
@@ -109,12 +109,20 @@ def _predict(
 
 
 def turned_to_lenses(bodies: BodyParameters, observations: Observations) -> BodyParameters:
-    """Return bodies, which are made as if the camera looked at the person, before the cameras that are known."""
+    """Return the bodies turned to the rays of their lenses.
+
+    The network predicts bodies as if the camera looked straight at each person. Without lenses the bodies stay.
+    """
     return bodies if observations.lens is None else turn_to_rays(bodies, observations.lens)
 
 
 def sized(bodies: BodyParameters, statures: torch.Tensor | None) -> BodyParameters:
-    """Return bodies as tall as the people are known to be [m], 0 where it is not known, (N,); cameras see the same."""
+    """Return the bodies resized to known statures; the cameras see the same picture of them.
+
+    Args:
+        bodies: N bodies.
+        statures: Statures [m], 0 for people whose stature is not known, shape (N,); None: none is known.
+    """
     return bodies if statures is None else bodies.resized(_growth(bodies.lengths, statures))
 
 

@@ -22,25 +22,25 @@ class FitOptions:
     """Options of a fit.
 
     Attributes:
-        stages: In order. The first one of a search lifts its hypotheses into 3D; a network's body goes through all of
-            them, and stays as it is where there are none.
-        weights: Of the energy's terms, where a stage has none of its own.
+        stages: Stages in order. The first one of a search lifts its hypotheses into 3D. A network's body goes through
+            all of them, and stays as it is if there are none.
+        weights: Weights of the energy's terms, for stages that have none of their own.
         trust_background: Believe background where confident keypoints say that a limb is; else it is ignored there.
-        seed: Of the random choice of hypotheses, where there are too many.
-        start: "network": the label network's body; "search": many hypotheses.
+        seed: Seed of the random choice of hypotheses, if there are too many.
+        start: Start of the fit: "network" takes the label network's body, "search" takes many hypotheses.
         network: File of a label network of `partdr train`; None takes the packaged one.
         search: Stages of the search that is tried too where the network's body ends far from keypoints or labels; the
             lower energy wins. Empty: never.
         depth_flips: Try the network's body with limbs mirrored in depth, where parts overlap (``repair_depth_orders``).
-        guess_camera: Where no camera is known, assume a usual lens (``UsualLens``), if labels or
-            ``Keypoints2D.image_size`` tell the picture's size. Otherwise the camera is one of weak perspective. Where
-            part labels show that the person is much farther away, a longer lens (``with_longer_lens``).
+        guess_camera: True to assume a usual lens (``UsualLens``) if no camera is known, and labels or
+            ``Keypoints2D.image_size`` tell the picture's size. Otherwise the camera is one of weak perspective. If
+            part labels show that the person is much farther away, a longer lens is assumed (``with_longer_lens``).
         stature: The person's height, standing [m], which the body then has; one picture does not tell sizes. None: the
             network's guess. Of one person (``fit_body``, ``fit_photo``).
         mirror: Ask the network about the mirror image, too; without, it is asked in half the time.
         half: Ask it in bfloat16.
         landmarks: Network whose keypoints are taken where people are found in a photo (``find_people``).
-        mesh: Of the mesh stage, which follows in `partdr fit` and ``fit_photo``.
+        mesh: Options of the mesh stage, which follows in `partdr fit` and ``fit_photo``.
     """
 
     stages: tuple[Stage, ...] = STAGES["network"]["balanced"]

@@ -20,15 +20,16 @@ from .refine import refine_unchecked
 from .result import FitResult
 from .stepper import Descent
 
-JUDGED_SIZE = 128  # [px], side of the crop in which bodies are compared with labels in the end
-# PartBench's hard people 60 to 119 end at 18, 0.31 and 0.37 at the worst, the first 20 at 22 px (default fit).
-MOST_OFF = 25.0  # [px of a 256 px crop], mean distance of keypoints along both axes
-MOST_WRONG = 0.4  # wrong pixels a pixel of the person
-LEAST_PART_F1 = 0.35  # in the label set's own parts
+JUDGED_SIZE = 128  # side of the crop in which final bodies are compared with labels [px]
+# PartBench's hard people 60 to 119 end at 18 px, 0.31 and 0.37 at the worst. The first 20 end at 22 px at the worst.
+# Both were fitted with the default options.
+MOST_OFF = 25.0  # mean distance from keypoints along both axes [px of a crop of 256 px]
+MOST_WRONG = 0.4  # number of wrong pixels for each pixel of the person
+LEAST_PART_F1 = 0.35  # mean over the parts of the label set
 
-# Of the energy of a fit of quality "fast" [its unit]: a face that is surely seen while the head turns its back on the
-# camera. With 13 to 40, all of 98 fits chose rightly (PartBench's people 60 to 104, the packaged example, three photos,
-# which were looked at for this), with 0 to 10 all but two.
+# Penalty for a face that is surely visible while the head is turned away from the camera. It is added to the energy of
+# a fit of quality "fast". With 13 to 40, all of 98 fits chose the right evidence: PartBench's people 60 to 104, the
+# packaged example, and three photos, which were checked by eye. With 0 to 10, all but two did.
 _HIDDEN_FACE = 20.0
 _FACE = ("nose", "left_eye", "right_eye")
 _EARS = ("left_ear", "right_ear")
@@ -41,48 +42,53 @@ def far_bodies(
 
     Args:
         bodies: N bodies, one of each person.
-        observations: N people.
+        observations: Observations of the N people.
         prior: Prior of poses.
         form: Format of the keypoints.
 
     Returns:
-        Warnings of the bodies that are too far, by their rows; no other rows.
+        Warnings about the bodies that are too far, by their row. Other bodies have no entry.
     """
     energy = Energy(observations, JUDGED_SIZE, prior=prior)
     terms = refine_unchecked(bodies, energy, Descent(iterations=0)).terms
-    offs = terms["proj"] / energy.weights.proj / energy.votes.sum(1)
-    bad, wrongs = ~(offs < MOST_OFF), None
+    distances = terms["proj"] / energy.weights.proj / energy.landmark_weights.sum(1)
+    far = ~(distances < MOST_OFF)
+    wrong_shares = None
     if energy.target is not None:
-        wrongs = terms[SEG.name] / energy.weight(SEG) / (2 * person_pixels(energy.target))
-        bad |= ~(wrongs < MOST_WRONG)
-    rows = bad.nonzero()[:, 0]
-    shares = [None] * len(rows) if wrongs is None else wrongs[rows].tolist()
-    named = zip(rows.tolist(), offs[rows].tolist(), shares, strict=True)
-    return {row: describe_misfit(off, wrong, form) for row, off, wrong in named}
+        wrong_shares = terms[SEG.name] / energy.weight(SEG) / (2 * person_pixels(energy.target))
+        far |= ~(wrong_shares < MOST_WRONG)
+    rows = far.nonzero()[:, 0]
+    shares = [None] * len(rows) if wrong_shares is None else wrong_shares[rows].tolist()
+    figures = zip(rows.tolist(), distances[rows].tolist(), shares, strict=True)
+    return {row: distance_warnings(distance, share, form) for row, distance, share in figures}
 
 
 def person_pixels(target: torch.Tensor) -> torch.Tensor:
-    """Pixels of label images (..., N, N) that show the person, 1 at least, shape (...)."""
+    """Number of pixels of label images (..., N, N) that show the person, at least 1, shape (...)."""
     return ((target != BACKGROUND) & (target != IGNORE)).sum((-2, -1)).clamp_min(1)
 
 
-def describe_misfit(off: float, wrong: float | None, form: Skeleton) -> list[str]:
-    """Warnings of a body whose keypoints are ``off`` on average [px], and of ``wrong`` pixels a pixel of the person.
+def distance_warnings(distance: float, wrong_share: float | None, form: Skeleton) -> list[str]:
+    """Write the warnings about one body that may be too far from keypoints or labels.
 
-    ``form`` is the keypoints' format, which may be another of as many points.
+    Args:
+        distance: Mean distance of the body from keypoints, along both axes [px of a crop of 256 px].
+        wrong_share: Number of wrong pixels for each pixel of the person; None: there are no labels.
+        form: Format of the keypoints. The warning asks if they have another format with as many keypoints.
     """
-    told = []
-    if not off < MOST_OFF:
-        ends = f"the body ends {off:.0f} px of {REFERENCE_SIZE} from them; expected at most {MOST_OFF:g}"
+    warnings = []
+    if not distance < MOST_OFF:
+        ends = f"the body ends {distance:.0f} px of {REFERENCE_SIZE} from them; expected at most {MOST_OFF:g}"
         question = order_question(form)
-        told.append(f"keypoints: {ends}" if question is None else f"keypoints: {ends}; {question}")
-    if wrong is not None and not wrong < MOST_WRONG:
-        told.append(f"labels: {wrong:.2f} wrong pixels for each of the person's; expected at most {MOST_WRONG:g}")
-    return told
+        warnings.append(f"keypoints: {ends}" if question is None else f"keypoints: {ends}; {question}")
+    if wrong_share is not None and not wrong_share < MOST_WRONG:
+        wrong = f"{wrong_share:.2f} wrong pixels for each of the person's"
+        warnings.append(f"labels: {wrong}; expected at most {MOST_WRONG:g}")
+    return warnings
 
 
 def find_poor_labels(bodies: BodyParameters, observations: Observations) -> dict[int, list[str]]:
-    """Warnings of the bodies whose parts lie elsewhere than the labels, by their rows, of N people."""
+    """Find the bodies of N people whose parts lie elsewhere than the labels; return their warnings by row."""
     if observations.labels is None or observations.label_set is None:
         return {}
     placed = place_bodies(bodies, bodies.posed(), observations.lens, JUDGED_SIZE)
@@ -97,16 +103,16 @@ def find_poor_labels(bodies: BodyParameters, observations: Observations) -> dict
 
 
 def implausibility(result: FitResult) -> float:
-    """Energy of a fit, plus a penalty for a face that is seen through the back of the head.
+    """Energy of a fit, plus a penalty for a visible face while the head is turned away from the camera.
 
-    Seen in weak perspective, a person and the mirror image behind the picture's plane look the same but for what hides
-    what, and for the face.
+    In weak perspective, a person and the mirror image in depth look the same. Only the order of overlapping parts and
+    the face tell them apart.
     """
     keypoints = result.evidence.keypoints
     points = result.landmarks((*_FACE, *_EARS))
     forward = points[0] - points[len(_FACE) :].mean(axis=0)
     away = max(float(forward[2] / np.linalg.norm(forward)), 0.0)
     confidence = dict(zip(keypoints.format.landmarks, keypoints.confidence, strict=True))
-    # Formats with visibilities give 0.5 to what is guessed.
-    seen = np.mean([max(2.0 * float(confidence.get(name, 0.0)) - 1.0, 0.0) for name in _FACE])
-    return sum(result.energy.values()) + _HIDDEN_FACE * away * float(seen)
+    # Formats with visibilities give a confidence of 0.5 to keypoints that are guessed.
+    visible = np.mean([max(2.0 * float(confidence.get(name, 0.0)) - 1.0, 0.0) for name in _FACE])
+    return sum(result.energy.values()) + _HIDDEN_FACE * away * float(visible)

@@ -1,4 +1,4 @@
-"""Refinement of bodies from given starts: by one captured graph where it serves, else by autograd."""
+"""Refinement of bodies from given starts, by a captured graph if the energy has one, else by autograd."""
 
 from __future__ import annotations
 
@@ -22,32 +22,32 @@ def refine(
     frozen: Collection[str] = (),
     on_iteration: Callable[[int], None] | None = None,
 ) -> Refined:
-    """Minimise an energy from every start side by side (paper, section 3.4).
+    """Minimise an energy from B starts as a batch (paper, section 3.4).
 
-    An ``Energy`` of keypoints, or of labels drawn as exact ellipsoids, takes a captured graph (``CapturedRefinement``);
-    on the CPU, bodies are shared among threads (``set_num_threads``), with the same result to the bit. Against
-    probabilities, of a mesh, and any other function take autograd (``Refinement``).
+    A captured graph (``CapturedRefinement``) minimises an ``Energy`` of keypoints, or of labels drawn as exact
+    ellipsoids. On the CPU, bodies are shared among threads (``set_num_threads``), with the same result to the bit.
+    Autograd (``Refinement``) minimises an energy with label probabilities or with a mesh, and any other function.
 
     Args:
         start: B bodies; they do not influence one another.
         energy: An ``Energy`` of one person, or of B people, or a function that returns terms by name, shape (B,) each;
             their sum is minimised.
-        iterations: Steps of Adam.
-        learning_rate: Of angles [rad] and of the camera [half-sides of the crop]; shape moves at 0.3 of it. It falls
-            along a cosine to a tenth.
+        iterations: Number of steps of Adam.
+        learning_rate: Learning rate of angles [rad] and of the camera [half-sides of the crop] at the first step. It
+            falls along a cosine to a tenth. Lengths and thicknesses have 0.3 of it.
         frozen: Names of ``BodyParameters`` that stay as they start and get no gradient, such as ("lengths",
-            "thicknesses") of a person who was measured before.
-        on_iteration: Called with the number of steps done, for a progress bar.
+            "thicknesses") for a person who was measured before.
+        on_iteration: Function that is called with the number of steps done, for a progress bar.
 
     Returns:
-        The best state of each body, not the last: PartDR's estimate does not promise descent. Lengths stay within 60
-        and 140 % of the mean adult's, thicknesses within 40 and 160 %.
+        Best state of each body, which may not be the last: PartDR's estimate of the gradient does not always lead
+        downward. Lengths stay within 60 and 140 % of the mean adult's, thicknesses within 40 and 160 %.
 
     Raises:
-        TypeError: If ``start`` are no bodies, or ``energy`` is no function that returns terms.
-        ValueError: If a term has another shape, or none has a gradient; if ``frozen`` names what is no parameter, or
-            all of them; if ``iterations`` or ``learning_rate`` is out of range, if ``start`` holds NaN or infinity, or
-            if the energy is of neither one person nor B people.
+        TypeError: If ``start`` is not ``BodyParameters``, or ``energy`` is not a function that returns terms.
+        ValueError: If a term has another shape, or none has a gradient; if ``frozen`` has an unknown name, or the names
+            of all parameters; if ``iterations`` or ``learning_rate`` is out of range; if ``start`` holds NaN or
+            infinity; or if the energy is neither that of one person nor that of B people.
     """
     check_type("start", start, BodyParameters, "such as BodyParameters.mean(1)")
     if not callable(energy):
@@ -68,7 +68,7 @@ def refine_unchecked(
     descent: Descent,
     on_iteration: Callable[[int], None] | None = None,
 ) -> Refined:
-    """Refine as ``refine`` does, without its checks, for which a GPU would be waited for."""
+    """Refine bodies as ``refine`` does, without its checks, which would wait for a GPU."""
     if isinstance(energy, Energy) and can_capture(energy):
         return refine_captured(start, energy, descent, on_iteration=on_iteration)
     stepper = Refinement(

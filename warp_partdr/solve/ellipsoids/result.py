@@ -42,7 +42,7 @@ class FitResult(Movable):
         evidence: Keypoints and labels in the picture.
         warnings: Faults of the input or the body, a sentence each.
         depth_order: Limbs that were tried mirrored in depth; None of a search, or without labels.
-        uncertainty: How sure the network was of its body, before any stage; None of a search.
+        uncertainty: Uncertainty of the network about its body, before any stage; None after a search.
         stature: The person's height that was given [m], which the body has; None: sizes are guessed.
     """
 
@@ -91,7 +91,7 @@ class FitResult(Movable):
         """Draw the body's 20 parts in the full picture, or in another camera's.
 
         Args:
-            image_size: (H, W) [px].
+            image_size: Height and width (H, W) of the picture [px].
             renderer: Exact ellipsoids or a mesh, E3 by default.
             camera: Instead of the fit's.
 

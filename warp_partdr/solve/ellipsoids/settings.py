@@ -23,7 +23,7 @@ def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions
     """Options with some settings changed.
 
     Args:
-        options: What to begin with, such as ``FitOptions.at("fast")``.
+        options: Options to begin with, such as ``FitOptions.at("fast")``.
         values: Fields of ``FitOptions``, all but ``start``; ``weights`` changes those of all stages, too. Under a
             stage's name, fields of that ``Stage``; under ``search``, the same for stages of the search. ``triangles``,
             true or fields of ``RendererMesh``, draws ellipsoids by that in every stage. ``outline``, true, fields of

@@ -21,18 +21,18 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Stage:
-    """Stage of a fit: refine the remaining bodies, then keep the best.
+    """Stage of a fit: it refines the bodies that are left, and the next stage keeps the best of them.
 
     Attributes:
-        name: For the progress bar and the report.
-        bodies: Largest number of hypotheses that enter.
-        iterations: Steps of Adam.
-        learning_rate: Of these steps.
-        size: Side of the drawn crop [px]; 0 draws nothing and looks at keypoints alone.
-        weights: Of the energy's terms in this stage; None takes the fit's. Depth, which one body alone can
-            have held, is held to where the stage starts.
-        renderer: Exact ellipsoids or their mesh, with the options of the gradient.
-        frozen: Parameters that stay as they are, names of ``BodyParameters``.
+        name: Name in the progress bar and the report.
+        bodies: Largest number of hypotheses that enter the stage.
+        iterations: Number of steps of Adam.
+        learning_rate: Learning rate of the first step, which ``refine`` describes.
+        size: Side of the drawn crop [px]; 0 draws nothing, so that only keypoints count.
+        weights: Weights of the energy's terms in this stage; None takes the fit's. The term of depth holds only bodies
+            that begin at the network's, to the depths where they began.
+        renderer: Renderer of exact ellipsoids or of their mesh, with the options of its gradient.
+        frozen: Names of ``BodyParameters`` that stay as they are.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Stage:
             "size": check_whole("size", self.size, 0, math.isqrt(MAX_PICTURE) - 1),
             "iterations": check_steps(self.iterations, self.learning_rate),
         }
-        for name, value in whole.items():  # as ints, which JSON takes
+        for name, value in whole.items():  # JSON can hold ints, but not the integers of NumPy
             object.__setattr__(self, name, value)
         BodyParameters.free(self.frozen)
 

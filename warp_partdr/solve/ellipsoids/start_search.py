@@ -1,8 +1,9 @@
 """Search for a fit's start: 2D keypoints and bone lengths give many 3D hypotheses.
 
-Seen by a weak-perspective camera, a bone of known length points toward the viewer or away from it by as much as it
-looks too short (Taylor, 2000). Every combination is one hypothesis: each limb bone either way, the body turned either
-way, the trunk upright or leaning either way. Bones seen in full length have no second way.
+A bone of known length that looks too short in a weak-perspective camera points toward the camera or away from it, and
+its depth follows from how much too short it looks (Taylor, 2000). Each combination is one hypothesis: each limb bone
+either way, the body turned either way, the trunk upright or leaning either way. A bone that is seen in its full length
+has no depth, so it has only one way.
 """
 
 from __future__ import annotations
@@ -22,9 +23,10 @@ from ...inputs.keypoints import confident
 from ...inputs.observation import REFERENCE_SIZE, Observation
 from .energy import Energy
 
-AMBIGUOUS = 0.2  # share of a bone's length that must be hidden in depth for its two ways to differ
-SCALE_QUANTILE = 0.85  # of |bone in the picture| / length: most bones look too short, noise makes a few look too long
-_APART = 0.02  # [m] mean distance of joints
+AMBIGUOUS = 0.2  # least share of a bone's length in depth at which its two ways count as different
+# Quantile of |bone in the picture| / length. Most bones look too short; noise makes a few look too long.
+SCALE_QUANTILE = 0.85
+_APART = 0.02  # [m], least mean distance of the joints of two bodies that are distinct
 
 _LIMBS = tuple(
     (f"{side}_{start}", f"{side}_{end}")
@@ -38,7 +40,7 @@ _JOINTS = ("mid_hip", "neck", *dict.fromkeys(name for pair in (*_ACROSS, *_LIMBS
 
 
 def rest_positions(device: torch.device | str) -> dict[str, np.ndarray]:
-    """Joints of the mean adult in the rest pose, body frame [m]."""
+    """Positions of the mean adult's joints in the rest pose, in the body frame, by name, shape (3,) each [m]."""
     upright = replace(BodyParameters.mean(1, device=device), orientation=_BODY_FRAME.to(device))
     points = LandmarkGather(_JOINTS, device)(upright.posed())[0].cpu().numpy()
     return dict(zip(_JOINTS, points, strict=True))
@@ -49,7 +51,7 @@ class Hypotheses(NamedTuple):
 
     Attributes:
         bodies: Bodies in the mean pose, placed and turned, B of them.
-        targets: Positions of ``_JOINTS`` in crop coordinates, depth in the same unit, shape (B, J, 3).
+        targets: Positions of ``_JOINTS``, with depth, in crop coordinates (half-sides of the crop), shape (B, J, 3).
         known: True for the joints that are known, shape (J,), bool.
     """
 
@@ -61,7 +63,10 @@ class Hypotheses(NamedTuple):
 def hypothesize(observation: Observation, count: int, *, seed: int = 0) -> Hypotheses:
     """Make starts for a fit: cameras, orientations, and target depths of the joints.
 
-    At most ``count`` hypotheses: a random choice (``seed``) of all combinations where there are more.
+    Args:
+        observation: Keypoints of one person.
+        count: Largest number of hypotheses. If there are more combinations, a random choice of them is taken.
+        seed: Seed of the random choice.
     """
     rest = rest_positions(observation.points.device)
     flat = _joints_in_picture(observation)
@@ -91,21 +96,27 @@ def hypothesize(observation: Observation, count: int, *, seed: int = 0) -> Hypot
 
 
 class LiftEnergy:
-    """Energy of keypoints with a depth, which pulls bodies into their hypotheses, with pose prior and joint limits."""
+    """Energy that pulls the joints of each body to its hypothesis's positions and depths, beside the usual terms."""
 
     def __init__(self, energy: Energy, targets: torch.Tensor, known: torch.Tensor) -> None:
-        """Take target positions (B, J, 3) of B bodies, of which those that are ``known`` count, shape (B, J), bool."""
+        """Add the target positions of B bodies to an energy.
+
+        Args:
+            energy: Energy of the B bodies.
+            targets: Target positions in crop coordinates, shape (B, J, 3).
+            known: True for the joints whose target counts, shape (B, J), bool.
+        """
         self._energy = energy
         self._targets = targets
         self._known = known.float()[..., None]
         self._gather = LandmarkGather(_JOINTS, targets.device)
 
     def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
-        """Weighted terms by name, shape (B,)."""
+        """Evaluate the weighted terms by name, shape (B,) each."""
         points = self._gather(parameters.posed()) * parameters.log_scale.exp()[:, None, None]
         if (lens := self._energy.observations.lens) is not None:
-            points = points @ ray_rotations(parameters, lens)  # as seen along the ray to the pelvis
-        points = points - points[:, :1] * points.new_tensor([0.0, 0.0, 1.0])  # depth counts from the hips
+            points = points @ ray_rotations(parameters, lens)  # targets are relative to the ray to the pelvis
+        points = points - points[:, :1] * points.new_tensor([0.0, 0.0, 1.0])  # depths are relative to the hips
         points = points + torch.nn.functional.pad(parameters.shift, (0, 1))[:, None]
         lift = ((points - self._targets).abs() * self._known).sum((1, 2)) * (REFERENCE_SIZE / 2)
         terms = self._energy(parameters)
@@ -113,10 +124,10 @@ class LiftEnergy:
 
 
 def _joints_in_picture(observation: Observation) -> dict[str, np.ndarray]:
-    """Positions of the joints that hypotheses are made of, as far as keypoints show them, crop coordinates."""
+    """Positions of those ``_JOINTS`` that confident keypoints show, in crop coordinates, by name, shape (2,) each."""
     points = observation.points.cpu().numpy()
-    sure = confident(observation.confidence.cpu().numpy()[None])[0]
-    flat = {name: points[i] for i, name in enumerate(observation.landmarks) if sure[i]}
+    is_confident = confident(observation.confidence.cpu().numpy()[None])[0]
+    flat = {name: points[i] for i, name in enumerate(observation.landmarks) if is_confident[i]}
     for middle, (left, right) in zip(_TRUNK, _ACROSS, strict=True):
         if left in flat and right in flat:
             flat.setdefault(middle, (flat[left] + flat[right]) / 2)
@@ -124,22 +135,22 @@ def _joints_in_picture(observation: Observation) -> dict[str, np.ndarray]:
 
 
 def _estimate_scale(flat: dict[str, np.ndarray], rest: dict[str, np.ndarray]) -> float:
-    """Half-sides of the crop a metre."""
+    """Scale of the person in the crop [half-sides of the crop per metre]."""
     pairs = [pair for pair in (*_LIMBS, _TRUNK, *_ACROSS) if pair[0] in flat and pair[1] in flat]
     ratios = [np.linalg.norm(flat[a] - flat[b]) / np.linalg.norm(rest[a] - rest[b]) for a, b in pairs]
     if ratios and max(ratios) > 0:
         return float(np.quantile(ratios, SCALE_QUANTILE))
     extent = np.ptp(np.array(list(flat.values())), axis=0).max()
-    return max(float(extent), 0.1)  # nobody's limbs are seen: what is seen may be a metre
+    return max(float(extent), 0.1)  # without limbs, the extent of the joints is taken for a metre
 
 
 def _depth_choices(
     flat: dict[str, np.ndarray], rest: dict[str, np.ndarray], scale: float, count: int, seed: int
 ) -> list[dict[str, float]]:
-    """Depth of each joint under each combination, from the hips, in crop units."""
+    """Depth of each joint relative to the hips, by name, for each combination [half-sides of the crop]."""
 
     def hidden(a: str, b: str) -> float:
-        """Depth between a bone's ends [crop units]; 0 if one is missing or the bone is seen in full length."""
+        """Depth between a bone's ends [half-sides of the crop]; 0 if an end is missing, or the bone lies across."""
         if a not in flat or b not in flat:
             return 0.0
         full = scale * np.linalg.norm(rest[a] - rest[b])
@@ -170,7 +181,10 @@ def _depth_choices(
 
 
 def _turn_trunk(target: np.ndarray, known: np.ndarray, rest: dict[str, np.ndarray]) -> np.ndarray:
-    """Rotation that brings the rest pose's trunk nearest to the target's (Kabsch); facing the camera without one."""
+    """Find the rotation that brings the rest pose's trunk nearest to the target's trunk (Kabsch).
+
+    If fewer than three joints of the trunk are known, the body faces the camera.
+    """
     trunk = (_JOINTS.index(name) for name in ("left_hip", "right_hip", "left_shoulder", "right_shoulder", "neck"))
     index = [joint for joint in trunk if known[joint]]
     if len(index) < 3:
@@ -183,7 +197,7 @@ def _turn_trunk(target: np.ndarray, known: np.ndarray, rest: dict[str, np.ndarra
 
 
 def distinct(bodies: BodyParameters, energies: torch.Tensor, count: int) -> torch.Tensor:
-    """Indices of the ``count`` best bodies, best first; two whose joints are less than 2 cm apart are one."""
+    """Indices of the ``count`` best bodies, best first. Bodies whose joints are less than 2 cm apart count as one."""
     order = energies.argsort()
     joints = bodies.select(order).posed().joints.detach()
     distances = (joints[:, None] - joints[None]).norm(dim=-1).mean(-1).cpu().numpy()

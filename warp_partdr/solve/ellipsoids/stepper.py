@@ -1,6 +1,6 @@
-"""Second stage of the paper step by step: Adam on any energy, by autograd (section 3.4).
+"""Second stage of the paper (section 3.4) step by step: Adam minimises any energy by autograd.
 
-Learning rates, bounds of sizes and the result are those of ``captured`` as well.
+The module ``captured`` has the same learning rates and bounds of sizes, and gives the same type of result.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from ...interop.movable import Movable
 
 EnergyFunction = Callable[[BodyParameters], dict[str, torch.Tensor]]
 
-LEARNING_RATE = 1e-2  # the paper's
+LEARNING_RATE = 1e-2  # learning rate of the paper
 FINAL_RATE = 0.1  # share of the learning rate at the last step
-SHAPE_RATE = 0.3  # lengths and thicknesses in metres move this much slower than angles in radians
-# Shares of the mean adult's sizes that a body keeps within. A torso's depth can't be seen from the front, and would
-# take any value that fills a gap in the labels.
+SHAPE_RATE = 0.3  # share of the learning rate of angles [rad] that lengths and thicknesses [m] have
+# Bounds of a body's sizes, as shares of the mean adult's. A torso's depth can't be seen from the front. Without bounds
+# it would take any value that fills a gap in the labels.
 SIZES = {"lengths": (0.6, 1.4), "thicknesses": (0.4, 1.6)}
 
 
@@ -46,9 +46,9 @@ class Refined(Movable):
     """Result of a refinement.
 
     Attributes:
-        parameters: The best bodies seen, B of them.
-        energy: Their energy, shape (B,).
-        terms: Its weighted terms by name, shape (B,) each.
+        parameters: Best state of each body, B bodies.
+        energy: Energy of these bodies, shape (B,).
+        terms: Weighted terms of this energy by name, shape (B,) each.
         history: Energy before each iteration, shape (iterations, B).
     """
 
@@ -59,24 +59,24 @@ class Refined(Movable):
 
 
 def rate_share(step: int, iterations: int) -> float:
-    """Share of the learning rate at a step: from 1 to ``FINAL_RATE`` along a cosine, then constant."""
+    """Share of the learning rate at a step: it falls from 1 to ``FINAL_RATE`` along a cosine, then stays."""
     return cosine_share(step, iterations, FINAL_RATE)
 
 
 def size_bounds(name: str, device: torch.device | str) -> tuple[torch.Tensor, torch.Tensor]:
-    """Smallest and largest "lengths" or "thicknesses" [m], shape (1, 12) or (1, 15) each."""
+    """Bounds of "lengths" or "thicknesses" [m]: the smallest and the largest, shape (1, 12) or (1, 15) each."""
     low, high = SIZES[name]
     mean = BodyParameters.mean(1, device=device).tensors()[name]
     return low * mean, high * mean
 
 
 class Refinement:
-    """Optimiser of a batch of bodies by autograd; arguments and errors as of ``refine``.
+    """Optimiser of a batch of bodies by autograd; ``refine`` describes its arguments and errors.
 
     Attributes:
-        energy: The energy to be minimised.
-        bodies: Their current state, B of them.
-        best: The best state of each body so far, None before the first step.
+        energy: Energy to be minimised.
+        bodies: Current state of the B bodies.
+        best: Best state of each body so far; None before the first step.
         history: Energy before each step so far, shape (B,) each.
     """
 
@@ -97,13 +97,14 @@ class Refinement:
         self.best: Refined | None = None
         self.history: list[torch.Tensor] = []
         tensors = self.bodies.tensors()
-        sizes, pose = ([tensors[name] for name in free if (name in SIZES) is kind] for kind in (True, False))
+        sizes = [tensors[name] for name in free if name in SIZES]
+        pose = [tensors[name] for name in free if name not in SIZES]
         self._adam = Adam([(sizes, learning_rate * SHAPE_RATE), (pose, learning_rate)])
         device = self.bodies.lengths.device
         self._bounds = [(tensors[name], *size_bounds(name, device)) for name in SIZES if name in free]
 
     def step(self) -> None:
-        """Take one iteration: evaluate, keep the best, move."""
+        """Take one iteration: evaluate the energy, keep the best states, move the bodies."""
         total = self._evaluate()
         self.history.append(total.detach())
         total.sum().backward()
@@ -113,7 +114,7 @@ class Refinement:
                 sizes.clamp_(low, high)
 
     def run(self, on_iteration: Callable[[int], None] | None = None) -> Refined:
-        """Take all iterations that are left, and evaluate the last state."""
+        """Take all iterations that are left, and evaluate the last state, which may be the best."""
         for iteration in range(len(self.history), self._iterations):
             self.step()
             if on_iteration is not None:
@@ -126,10 +127,10 @@ class Refinement:
         return Refined(best.parameters, best.energy, best.terms, history)
 
     def _check(self, terms: object) -> None:
-        """Raise unless the energy's function gave terms that can be minimised, body by body."""
+        """Raise an error unless the energy's function returned terms of each body that can be minimised."""
         if not isinstance(terms, Mapping) or not terms:
-            told = "none" if isinstance(terms, Mapping) else type(terms).__name__
-            raise TypeError(f"energy: returned {told}; expected terms by name, tensors of shape (B,)")
+            returned = "none" if isinstance(terms, Mapping) else type(terms).__name__
+            raise TypeError(f"energy: returned {returned}; expected terms by name, tensors of shape (B,)")
         for name, term in terms.items():
             check_tensor(f"energy: {name}", term, (self.bodies.batch_size,), dtypes=FLOATS)
         if torch.is_grad_enabled() and not any(term.requires_grad for term in terms.values()):

@@ -1,4 +1,4 @@
-"""Constant arrays that the captured refinement reads, made once a device: skeleton, landmarks, rules, prior."""
+"""Constant arrays that the captured refinement reads: skeleton, landmarks, sizes, joint limits, prior."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LANDMARK_NAMES = tuple(LANDMARKS)
 
 
 def _structs(kind: Any, device: str, **columns: Any) -> wp.array:
-    """Array of Warp structs, from their members."""
+    """Make an array of Warp structs from columns of their members."""
     rows: Any = np.zeros(len(next(iter(columns.values()))), dtype=kind.numpy_dtype())
     for name, column in columns.items():
         rows[name] = column
@@ -28,7 +28,7 @@ def _structs(kind: Any, device: str, **columns: Any) -> wp.array:
 
 @lru_cache(maxsize=8)
 def bone_arrays(device: str) -> wp.array:
-    """Bones of the template, and the root, on a Warp device."""
+    """Make the array of the template's bones, and the root last, on a Warp device; it is kept."""
     return _structs(
         Bone,
         device,
@@ -39,26 +39,34 @@ def bone_arrays(device: str) -> wp.array:
     )
 
 
-def landmark_arrays(device: str, names: Collection[str], points: wp.array, votes: wp.array) -> Landmarks:
-    """All ``LANDMARK_NAMES`` on a Warp device, with the keypoints' ``points`` and ``votes``; ``names`` are seen."""
-    parts, normalised, weights = landmark_points(LANDMARK_NAMES)
+def landmark_arrays(device: str, names: Collection[str], points: wp.array, weights: wp.array) -> Landmarks:
+    """Make the arrays of ``LANDMARK_NAMES`` on a Warp device.
+
+    Args:
+        device: Warp device.
+        names: Names of the landmarks that at least one person has; only these pull at the body.
+        points: Positions of the keypoints, shape (N, L), vec2.
+        weights: Weights of the keypoints, shape (N, L).
+    """
+    parts, normalised, part_shares = landmark_points(LANDMARK_NAMES)
     first, second = normalised.swapaxes(0, 1)
     table = Landmarks()
-    table.landmarks = _structs(Landmark, device, parts=parts, shares=weights, first=first, second=second)
-    index, end = np.nonzero((weights > 0) & np.isin(LANDMARK_NAMES, list(names))[:, None])
+    table.landmarks = _structs(Landmark, device, parts=parts, shares=part_shares, first=first, second=second)
+    index, end = np.nonzero((part_shares > 0) & np.isin(LANDMARK_NAMES, list(names))[:, None])
     order = np.argsort(parts[index, end], kind="stable")
     index, end = index[order], end[order]
     table.shares = _structs(
         LandmarkShare,
         device,
         landmark=index,
-        weight=weights[index, end],
+        weight=part_shares[index, end],
         normalised=normalised[index, end],
         counts=np.equal(end, 0),
     )
     first_share = np.searchsorted(parts[index, end], np.arange(NUM_PARTS + 1))
     table.first_share = wp.array(first_share, dtype=int, device=device)
-    table.points, table.votes = points, votes
+    table.points = points
+    table.votes = weights
     return table
 
 
@@ -70,7 +78,16 @@ def rule_arrays(
     depths: wp.array,
     depth_scales: wp.array,
 ) -> Rules:
-    """Sizes (N, 12) and (N, 15), depths and their scales (N, 20) of N people, and the prior's joint limits, if any."""
+    """Collect the arrays that the energy's rules read on a Warp device.
+
+    Args:
+        device: Warp device.
+        prior: Prior whose joint limits hold; None: there are none.
+        lengths: Expected lengths of N people [m], shape (N, 12).
+        thicknesses: Expected thicknesses [m], shape (N, 15).
+        depths: Expected depths of the parts' centres [m], shape (N, 20).
+        depth_scales: Inverse of the uncertainty of these depths [1/m], shape (N, 20).
+    """
     table = Rules()
     table.usual_lengths, table.usual_thicknesses = lengths, thicknesses
     table.depths, table.depth_scales = depths, depth_scales
@@ -87,7 +104,7 @@ _mixtures: WeakKeyDictionary[PosePrior, dict[str, Mixture]] = WeakKeyDictionary(
 
 
 def mixture_arrays(device: str, prior: PosePrior | None) -> Mixture:
-    """Gaussians of a prior on a Warp device; none without a prior."""
+    """Make the arrays of a prior's Gaussians on a Warp device; without a prior there are none."""
     if prior is None:
         return _mixture(device, np.empty((0, NUM_FEATURES, NUM_FEATURES)), np.empty((0, NUM_FEATURES)), np.empty(0))
     known = _mixtures.setdefault(prior, {})

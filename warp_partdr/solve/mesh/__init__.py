@@ -1,1 +1,1 @@
-"""Mesh stage: a detailed body goes on from a fitted EllipBody, or from a body of somebody else."""
+"""Mesh stage: refinement of a detailed body that starts at a fitted EllipBody, or at another method's body."""

@@ -1,4 +1,4 @@
-"""Detailed model as a fit draws it: of few vertices and joints, with the landmarks that are seen and labels' groups."""
+"""Detailed model as a fit draws it: with few vertices and joints, with landmarks, and with the groups of labels."""
 
 from __future__ import annotations
 
@@ -26,18 +26,19 @@ from .starts import Starts, Unknowns
 
 @dataclass(frozen=True, eq=False)
 class DrawnModel:
-    """Detailed model that is drawn, for people whose labels are of one set.
+    """Detailed model that is drawn in a fit, for people whose labels are of one set.
 
     Attributes:
-        model: The model, of few vertices and joints.
-        mesh: Its faces with the labels' groups; None: without labels.
-        hides: True if groups can hide one another.
-        dressed: The model with thicknesses of clothes [m] behind its shape values; None: people wear none.
-        turning: Its joints in the whole model, shape (J,), int64.
-        free: Those of them that a fit turns, shape (N,), int64.
-        first: Vertices before this one carry no landmark.
-        weights: Weights of all landmarks, over the other vertices and the joints.
-        ends: ``JOINT_NAMES`` among the landmarks, shape (21,), int64.
+        model: Model with few vertices and joints.
+        mesh: Faces of the model with the groups of the labels; None if there are no labels.
+        hides: True if one group can hide another one.
+        dressed: Model whose shape values are followed by thicknesses of clothes [m]; None if people wear none.
+        turning: Indices of the model's joints in the whole model, shape (J,), int64.
+        free: Indices of the model's joints that a fit turns, shape (F,), int64.
+        first: Index of the first vertex that carries landmarks and is not drawn; 0 if all vertices are drawn and can
+            carry landmarks.
+        weights: Weights of all landmarks, over the vertices from ``first`` on and the joints.
+        ends: Indices of ``JOINT_NAMES`` among the landmarks, shape (21,), int64.
     """
 
     model: DetailedModel
@@ -51,48 +52,64 @@ class DrawnModel:
     ends: torch.Tensor
 
     def pose(self, people: Starts, unknowns: Unknowns) -> Detailed:
-        """Pose N bodies, the pelvis about the origin; a shape may be of several bodies, which follow it."""
-        where = turn_joints(people.rotations, self.free, unknowns.turns), people.translation
-        model, shape = self.model, unknowns.shape
+        """Pose N bodies with the pelvis near the origin; all frames of a person share one shape."""
+        rotations = turn_joints(people.rotations, self.free, unknowns.turns)
+        model = self.model
+        shape = unknowns.shape
         if self.dressed is not None:
-            model, shape = self.dressed, torch.cat([shape, bounded(unknowns.clothes)], dim=1)
-        if len(shape) == len(where[0]):
-            return model.pose(shape, *where)
-        rest, frames = model.rest(shape), len(where[0]) // len(shape)
-        vertices, joints = (each.repeat_interleave(frames, 0) for each in (rest.vertices, rest.joints))
-        return model.carry(vertices, joints, *where)
+            model = self.dressed
+            shape = torch.cat([shape, bounded(unknowns.clothes)], dim=1)
+        if len(shape) == len(rotations):
+            return model.pose(shape, rotations, people.translation)
+        # The frames of a person differ in pose alone, so the rest pose is found once for a person.
+        rest = model.rest(shape)
+        frames = len(rotations) // len(shape)
+        vertices = rest.vertices.repeat_interleave(frames, 0)
+        joints = rest.joints.repeat_interleave(frames, 0)
+        return model.carry(vertices, joints, rotations, people.translation)
 
     def whole_pose(
         self, model: DetailedModel, people: Starts, unknowns: Unknowns
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Shape values, local rotations and translation of N bodies for the whole model's ``pose``; copies."""
+        """Find the arguments of the whole model's ``pose`` for N bodies.
+
+        Returns:
+            Copies of shape values (N, S), local rotations (N, joints, 3, 3) and translations (N, 3) [m].
+        """
         like = people.rotations
         rotations = torch.eye(3, dtype=like.dtype, device=like.device).repeat(len(like), model.num_joints, 1, 1)
         rotations[:, self.turning] = turn_joints(like, self.free, unknowns.turns)
         return people.of_frames(unknowns.shape).clone(), rotations, people.translation.clone()
 
     def landmarks(self, posed: Detailed) -> torch.Tensor:
-        """All of the model's landmarks, shape (N, L, 3)."""
+        """Find all landmarks of posed bodies [m], shape (N, L, 3)."""
         return sum_points(self.weights, self.split(posed)[1], posed.joints)
 
     def split(self, posed: Detailed) -> tuple[torch.Tensor, torch.Tensor]:
-        """Vertices that are drawn, and those that carry landmarks."""
+        """Split the vertices into those that are drawn and those that carry landmarks."""
         if self.first == 0:
             return posed.vertices, posed.vertices
-        # Not by slices, each of whose gradients would be filled up with zeros.
+        # Each slice would fill its gradient up with zeros; a split does not.
         drawn, marked = posed.vertices.split([self.first, self.model.num_vertices - self.first], dim=1)
         return drawn, marked
 
     def depths(self, points: torch.Tensor) -> torch.Tensor:
-        """Depths of ``JOINT_NAMES`` but the pelvis, relative to it [m], of landmarks (..., L, 3), shape (..., 20)."""
+        """Find the depths of ``JOINT_NAMES`` relative to the pelvis [m], shape (..., 20).
+
+        Args:
+            points: All landmarks, shape (..., L, 3).
+        """
         depths = points[..., self.ends, 2]
         return depths[..., 1:] - depths[..., :1]
 
 
 def draw_model(model: DetailedModel, options: MeshOptions, label_set: LabelSet | None) -> DrawnModel:
-    """Reduce a model to what is drawn of people with labels of this set; None: without any.
+    """Reduce a model to the part that a fit draws. The result is kept, because reducing a model takes a while.
 
-    It is kept, for the model takes a while to be reduced.
+    Args:
+        model: Whole detailed model.
+        options: Options of the mesh stage.
+        label_set: Label set of the people; None if there are no labels.
     """
     drawn = label_set is not None and options.seg > 0
     groups = tuple(label_set.part_groups.tolist()) if label_set is not None and drawn else None
@@ -103,11 +120,13 @@ def draw_model(model: DetailedModel, options: MeshOptions, label_set: LabelSet |
 def _draw_model(
     model: DetailedModel, options: MeshOptions, groups: tuple[int, ...] | None, at_joints: bool
 ) -> DrawnModel:
-    with torch.inference_mode(False):  # kept for calls outside of it, too
+    with torch.inference_mode(False):  # the cached model also serves calls outside of inference mode
         reduced, first, basis = _reduced_by(model, options)
         names = reduced.landmark_names
-        indices = turning_joints(model), free_joints(reduced), [names.index(name) for name in JOINT_NAMES]
-        turning, free, ends = (torch.tensor(each, device=basis.device) for each in indices)
+        device = basis.device
+        turning = torch.tensor(turning_joints(model), device=device)
+        free = torch.tensor(free_joints(reduced), device=device)
+        ends = torch.tensor([names.index(name) for name in JOINT_NAMES], device=device)
         mesh = None
         if groups is not None:
             whole = replace(detailed_mesh(reduced, at_joints), cull_backfaces=is_closed(model))
@@ -119,7 +138,7 @@ def _draw_model(
 
 
 def drawn_vertices(model: DetailedModel, options: MeshOptions) -> int:
-    """Number of vertices of the mesh that is drawn."""
+    """Number of vertices of the mesh that a fit draws."""
     few, first, _ = _reduced_by(model, options)
     return first or few.num_vertices
 
@@ -132,14 +151,19 @@ def _reduced_by(model: DetailedModel, options: MeshOptions) -> tuple[DetailedMod
 
 @lru_cache(maxsize=4)
 def _reduced(model: DetailedModel, vertices: int | None, error: float) -> tuple[DetailedModel, int, torch.Tensor]:
-    """The model that is drawn, its first vertex that carries a landmark, and its clothes' basis."""
-    basis, merged = clothes_basis(model), merge_joints(model, turning_joints(model))
-    drawn, few, reduced = 0, merged, None
+    """Reduce a model; return it with its first vertex that carries a landmark, and the basis of its clothes."""
+    basis = clothes_basis(model)
+    merged = merge_joints(model, turning_joints(model))
+    first = 0
+    few = merged
+    reduced = None
     if vertices is None:
         reduced = reduce_within(merged, error)
     elif model.num_vertices > vertices:
         reduced = reduce_model(merged, vertices)
     if reduced is not None:
-        drawn, few, basis = reduced.drawn, reduced.model, basis[:, reduced.kept]
-    # Vertices that carry landmarks alone stay at the body.
-    return few, drawn, torch.nn.functional.pad(basis, (0, 0, 0, few.num_vertices - basis.shape[1]))
+        first = reduced.drawn
+        few = reduced.model
+        basis = basis[:, reduced.kept]
+    # Clothes do not move the vertices that only carry landmarks.
+    return few, first, torch.nn.functional.pad(basis, (0, 0, 0, few.num_vertices - basis.shape[1]))

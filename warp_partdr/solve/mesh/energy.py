@@ -1,7 +1,7 @@
-"""Energy of detailed bodies against labels and keypoints: one for people side by side, and for scenes.
+"""Energy of detailed bodies against labels and keypoints, for batches of people and for scenes.
 
-``TERMS`` is the table of its terms. A person alone, in one frame of one view, is drawn before an own camera, and its
-frame is the world. People of a scene stand in a world that all its views share. All else is common to both.
+``TERMS`` is the table of its terms. In a batch, each person is alone in one frame of one view. The frame of that camera
+is the person's world. The people of a scene stand in one world, which all its views share. The rest is common to both.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ from .placed_people import PictureViews, pelvises_in_world, place_people
 from .starts import LabelPictures, Starts, Unknowns, WorldViews
 from .unknown_noise import keypoint_costs, label_costs
 
-_SEVERAL_CAMERAS = 2.0  # factor of keypoints and labels: rays that meet tell more than the network's guesses do
-_STILL = 0.1  # [m/s], speed of a foot that costs 1
+# Factor of keypoints and labels if there are several cameras: rays that meet tell more than the network's prediction.
+_SEVERAL_CAMERAS = 2.0
+_STILL = 0.1  # speed of a foot at which its cost is 1 [m/s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +43,11 @@ class MeshEnergy:
 
     Attributes:
         drawn: Model that is drawn.
-        options: Weights of the mesh stage's terms, and how labels are drawn.
-        together: Mesh of people who overlap, as many as a cluster has, with their labels; None: nobody overlaps.
-        capsules: Capsules of each person; None: nothing keeps parts and people apart.
-        feet: Points ``FEET`` among the model's landmarks, shape (6,), int64; None: no feet are held.
-        apart: Weight of the squares of depths by which parts, and people, stand in one another [1/cm^2].
+        options: Weights of the mesh stage's terms, and options of drawing.
+        together: Mesh of the people of one cluster, who overlap, with the labels of each; None if nobody overlaps.
+        capsules: Capsules of each person; None if nothing keeps parts and people apart.
+        feet: Indices of ``FEET`` among the model's landmarks, shape (6,), int64; None if no feet are held.
+        apart: Weight of the squared depths by which parts, or people, penetrate each other [1/cm^2].
         ground: Weight of the squared heights of standing feet [1/cm^2].
         sliding: Weight of the squared speeds of standing feet [1/(0.1 m/s)^2].
     """
@@ -61,20 +62,22 @@ class MeshEnergy:
     sliding: float = 0.0
 
     def __call__(self, people: Starts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
-        """Costs by name: of people in scenes of their own of shape (P, ...), else of any shape each.
+        """Evaluate the costs by name, before they are weighted.
 
-        Sums that nobody needs at each step are left out.
+        For a batch of people, the first dimension of each cost is P. In a scene each cost has a shape of its own. Costs
+        are not summed here, because the steps do not need their sums.
         """
         bodies = self.place(people, unknowns)
         return {term.name: term.cost(self, bodies) for term in TERMS if term.applies(self, people)}
 
     def factors(self, people: Starts) -> dict[str, float]:
-        """Weights of all costs, by name."""
+        """Weights of all costs by name."""
         return {term.name: term.weight(self, people) for term in TERMS}
 
     def place(self, people: Starts, unknowns: Unknowns) -> PlacedBodies:
-        """Pose bodies with these numbers, and place them before their cameras."""
-        posed, views = self.drawn.pose(people, unknowns), people.views
+        """Pose bodies with these unknowns, and place them before their cameras."""
+        posed = self.drawn.pose(people, unknowns)
+        views = people.views
         vertices, marked = self.drawn.split(posed)
         points = sum_points(self.drawn.weights, marked, posed.joints)
         if views is None:
@@ -90,26 +93,31 @@ class MeshEnergy:
         crops = Perspective(views.focals, views.centres)
         return PlacedBodies(people, unknowns, posed, vertices, pelvises, points, before_views, crops)
 
-    def of_unknown_noise(self, people: Starts) -> bool:
-        """True if one camera sees one frame: costs are then of noise that nobody knows, if options say so.
+    def has_unknown_noise(self, people: Starts) -> bool:
+        """Return True if costs are those of noise of unknown size: the options ask for it, and there is one picture.
 
-        With several pictures of a body they gained nothing where inputs are noisy: noise is not all that keeps the body
-        from agreeing with all of them.
+        With several pictures of a body, these costs gained nothing on noisy input. Noise is not the only reason why a
+        body can't agree with all pictures.
         """
         return people.num_views == 1 and people.num_frames == 1 and self.options.noise == "unknown"
 
     def label_pictures(self, people: Starts) -> list[tuple[LabelPictures, PartMesh, bool]]:
-        """Pictures to be drawn, the mesh of each, and whether groups can hide one another there."""
+        """List the pictures to be drawn, each with its mesh, and with True if one group can hide another one there."""
         pairs = (people.together, self.together, True), (people.alone, self.drawn.mesh, self.drawn.hides)
         return [(pictures, mesh, hides) for pictures, mesh, hides in pairs if pictures is not None and mesh is not None]
 
     def feet_of(self, points: torch.Tensor) -> torch.Tensor:
-        """Points ``FEET`` of landmarks (..., L, 3), shape (..., 6, 3)."""
+        """Select the points ``FEET`` from landmarks (..., L, 3), shape (..., 6, 3)."""
         assert self.feet is not None
         return points.index_select(-2, self.feet)
 
     def lowest_feet(self, points: torch.Tensor, ground: torch.Tensor) -> torch.Tensor:
-        """Heights of the lowest of each body's feet over the ground [m], of landmarks (N, L, 3), shape (N,)."""
+        """Find the height of each body's lowest foot point over the ground [m], shape (N,).
+
+        Args:
+            points: Landmarks in the world [m], shape (N, L, 3).
+            ground: Normal and offset of the ground [m], shape (4,).
+        """
         return (self.feet_of(points) @ ground[:3]).amin(1) - ground[3]
 
 
@@ -118,11 +126,12 @@ class PlacedBodies:
     """Bodies of a fit before their cameras.
 
     Attributes:
-        people: Their starts.
-        unknowns: Their numbers.
-        posed: Bodies about the pelvis.
-        vertices: Vertices that are drawn, about the pelvis [m], shape (N, n, 3).
-        pelvises: Pelvises in the world [m], shape (N, 3); None: at the origin, for weak perspective knows no distance.
+        people: Starts and observations of the people.
+        unknowns: Current numbers of the bodies.
+        posed: Posed bodies, relative to the pelvis.
+        vertices: Vertices that are drawn, relative to the pelvis [m], shape (N, n, 3).
+        pelvises: Positions of the pelvises in the world [m], shape (N, 3); None: at the origin, because weak
+            perspective knows no distance.
         points: Landmarks in the world [m], shape (N, L, 3).
         before_views: Landmarks in each camera's frame [m], shape (N, V, L, 3).
         crops: Cameras of the M crops of ``REFERENCE_SIZE``.
@@ -139,12 +148,13 @@ class PlacedBodies:
 
     @cached_property
     def landmark_costs(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Distances from keypoints [px], and squares of depths, shape (M,) each."""
+        """Costs of keypoints [px] and of depths, shape (M,) each."""
         return landmark_costs(self.before_views.flatten(0, 1), self.crops, self.people.aims)
 
     def pictured(self, pictures: LabelPictures) -> tuple[torch.Tensor, Camera | ScreenCamera]:
-        """Vertices of the bodies in label pictures, and the cameras that draw them."""
-        people, slots = self.people, pictures.slots
+        """Find the vertices of the bodies in label pictures, and the cameras that draw them."""
+        people = self.people
+        slots = pictures.slots
         if people.views is None or slots is None:
             crops, _ = crop_cameras(people, self.unknowns, pictures.size)
             return self.vertices if self.pelvises is None else self.vertices + self.pelvises[:, None], crops
@@ -153,33 +163,39 @@ class PlacedBodies:
             people.views.rotations,
             people.views.translations,
             slots.lenses,
-            people.views.shown,
+            people.views.observed,
             slots.slots,
-            slots.places,
+            slots.person_slots,
         )
         return place_people(self.vertices, self.pelvises, views, pictures.size), ScreenCamera(perspective=True)
 
 
 def crop_cameras(people: Starts, unknowns: Unknowns, size: int) -> tuple[Camera, torch.Tensor | None]:
-    """Cameras of N crops of ``size`` pixels a side, and pelvises before them as of ``find_camera``."""
+    """Find the cameras of N crops of ``size`` pixels a side, and the pelvises before them.
+
+    Returns:
+        Cameras of the crops; and positions of the pelvises [m], shape (N, 3), None for weak perspective.
+    """
     return through_lens(crop_camera(unknowns.log_scale, unknowns.shift, size), people.lens, size)
 
 
 def _before_views(points: torch.Tensor, views: WorldViews) -> torch.Tensor:
-    """Points (N, L, 3) in each camera's frame, shape (N, V, L, 3)."""
+    """Transform points (N, L, 3) into the frame of each camera, shape (N, V, L, 3)."""
     turned = torch.nn.functional.linear(points, views.rotations.flatten(0, 1), views.translations.flatten())
     return turned.unflatten(2, (-1, 3)).transpose(1, 2)
 
 
 def _keypoints(energy: MeshEnergy, bodies: PlacedBodies) -> torch.Tensor:
     distances, _ = bodies.landmark_costs
-    return keypoint_costs(distances, bodies.people.aims.votes) if energy.of_unknown_noise(bodies.people) else distances
+    return (
+        keypoint_costs(distances, bodies.people.aims.weights) if energy.has_unknown_noise(bodies.people) else distances
+    )
 
 
 def _overlaps(energy: MeshEnergy, bodies: PlacedBodies) -> torch.Tensor:
     assert energy.capsules is not None
     people = bodies.people
-    # Those who are alone in a scene meet nobody, wherever they are.
+    # A person who is alone in a scene can meet nobody, so the position does not matter.
     by = None if people.views is None else bodies.pelvises
     placed = energy.capsules.of(bodies.posed, people.of_frames(bodies.unknowns.shape), by=by)
     return energy.capsules.overlap(placed, people=people.people_in_scene)
@@ -195,13 +211,15 @@ def _slides(energy: MeshEnergy, bodies: PlacedBodies) -> torch.Tensor:
     people, views = bodies.people, bodies.people.views
     assert views is not None
     assert people.rates is not None
-    points, shown = (people.by_person(each) for each in (energy.feet_of(bodies.before_views), views.shown))
-    return slides(points, shown, people.rates) / (POINTS * _STILL**2)
+    points = people.by_person(energy.feet_of(bodies.before_views))
+    observed = people.by_person(views.observed)
+    return slides(points, observed, people.rates) / (POINTS * _STILL**2)
 
 
 def _label_losses(energy: MeshEnergy, bodies: PlacedBodies) -> torch.Tensor:
-    """Label loss of each picture, in pixels of a person's crop."""
-    options, found = energy.options, []
+    """Evaluate the label loss of each picture, in pixels of a crop of ``options.size``."""
+    options = energy.options
+    found = []
     for pictures, mesh, hides in energy.label_pictures(bodies.people):
         vertices, camera = bodies.pictured(pictures)
         loss, _ = mesh_label_loss(
@@ -214,7 +232,7 @@ def _label_losses(energy: MeshEnergy, bodies: PlacedBodies) -> torch.Tensor:
             depth_weight=options.depth_weight if hides else 0.0,
             validate=False,
         )
-        if energy.of_unknown_noise(bodies.people):
+        if energy.has_unknown_noise(bodies.people):
             loss = label_costs(loss, pictures.borders, pictures.size)
         found.append(loss if pictures.size == options.size else loss * (options.size / pictures.size) ** 2)
     return torch.cat(found) if len(found) > 1 else found[0]
@@ -225,7 +243,14 @@ def _by_cameras(people: Starts) -> float:
 
 
 class MeshTerm(NamedTuple):
-    """Term of the energy."""
+    """Term of the energy.
+
+    Attributes:
+        name: Name of the term.
+        weight: Function that gives the factor of the cost for these people.
+        cost: Function that gives the cost before it is weighted.
+        applies: Function that tells if the energy of these people has this term.
+    """
 
     name: str
     weight: Callable[[MeshEnergy, Starts], float]
@@ -269,7 +294,7 @@ TERMS = (
 
 
 def mesh_energy(model: DetailedModel, options: MeshOptions, label_set: LabelSet | None) -> MeshEnergy:
-    """Energy of people with labels of this set, each alone in a scene; kept, for captured graphs belong to it."""
+    """Make the energy of a batch of people with labels of one set. It is kept, because captured graphs belong to it."""
     return _mesh_energy(draw_model(model, options, label_set), options)
 
 

@@ -1,4 +1,4 @@
-"""Starts of the mesh stage from fits of ellipsoids, and what its gathering shares with that of scenes."""
+"""Starts of the mesh stage from fits of ellipsoids, and the functions that starts of scenes use, too."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ...models.model import DetailedModel
 from ...models.pose import free_joints, pose_from_ellipbody
 from ...models.registration import shape_from_lengths
 from ...networks.regression.uncertainty import Uncertainty
-from ..ellipsoids.energy import split_votes
+from ..ellipsoids.energy import landmark_weights
 from .drawn_model import DrawnModel
 from .energy import MeshEnergy
 from .given_poses import GivenPoses
@@ -27,21 +27,24 @@ from .landmark_costs import LandmarkAims
 from .observed_body import ObservedBody
 from .starts import LabelPictures, Starts
 
-# Where no network said how sure it is, and of joints that it says nothing of: depth [m] and turns [rad].
-_DEPTH_SPREAD, _TURN_SPREAD, _LOCKED_SPREAD = 0.1, 0.3, 0.05
-_ROW = 32  # keypoints: people have so many, or a multiple, so that few sizes of captured graphs serve all
+# Uncertainty of depths [m] and turns [rad] if no network was asked, and of turns that the network does not predict
+# [rad].
+_DEPTH_UNCERTAINTY = 0.1
+_TURN_UNCERTAINTY = 0.3
+_LOCKED_UNCERTAINTY = 0.05
+_ROW = 32  # tables of keypoints have a multiple of this number of columns, so that few captured graphs serve all people
 
 
 def gather_starts(
     energy: MeshEnergy, model: DetailedModel, people: Sequence[ObservedBody], given: GivenPoses | None = None
 ) -> Starts:
-    """Starts of people, each alone in one frame of one view; all have a camera, or none.
+    """Collect the starts and observations of a batch of people; each is alone in one frame of one view.
 
     Args:
-        energy: Energy of people with labels of their set.
-        model: The whole model.
-        people: The people.
-        given: Bodies to start from instead, where the people's crops see theirs.
+        energy: Energy of people with labels of the same set.
+        model: Whole detailed model.
+        people: People with their bodies. Either all have a lens or none has.
+        given: Bodies to start from instead; they have the positions of the people's bodies.
     """
     start = BodyParameters.joined([each.body for each in people])
     if given is None:
@@ -50,9 +53,13 @@ def gather_starts(
         whole, translation = pose_from_ellipbody(model, posed, shape, trunk_along=True)
         rotations = whole[:, energy.drawn.turning]
     else:
-        shape, rotations, translation = given.shape, given.turning_rotations(), given.translation
-    observations, said = [each.observation for each in people], [each.uncertainty for each in people]
-    aims = gather_aims(energy.drawn, observations, said, shape.new_zeros(len(shape), len(JOINT_NAMES) - 1))
+        shape = given.shape
+        rotations = given.turning_rotations()
+        translation = given.translation
+    observations = [each.observation for each in people]
+    uncertainties = [each.uncertainty for each in people]
+    # The depths follow from the landmarks of the starts, below.
+    aims = gather_aims(energy.drawn, observations, uncertainties, shape.new_zeros(len(shape), len(JOINT_NAMES) - 1))
     alone = lens = None
     if energy.drawn.mesh is not None:
         labels = torch.stack([each.labels for each in observations if each.labels is not None])
@@ -68,7 +75,7 @@ def gather_starts(
         log_scale=start.log_scale,
         shift=start.shift,
         lens=lens,
-        turn_variances=gather_turn_spreads(energy.drawn, said, shape).square()[..., None],
+        turn_variances=gather_turn_uncertainties(energy.drawn, uncertainties, shape).square()[..., None],
         aims=aims,
         alone=alone,
     )
@@ -77,68 +84,86 @@ def gather_starts(
 
 
 def gather_aims(
-    drawn: DrawnModel, observations: Sequence[Observation], said: Sequence[Uncertainty | None], depths: torch.Tensor
+    drawn: DrawnModel,
+    observations: Sequence[Observation],
+    uncertainties: Sequence[Uncertainty | None],
+    depths: torch.Tensor,
 ) -> LandmarkAims:
-    """Aims of landmarks in M pictures of bodies.
+    """Collect the aims of landmarks in M pictures of bodies.
 
     Args:
         drawn: Model that is drawn.
-        observations: What was observed in each picture.
-        said: How sure the network was of each body, if one was asked.
-        depths: Depths of ``JOINT_NAMES`` but the pelvis, relative to it [m], shape (M, 20).
+        observations: Observation in each picture.
+        uncertainties: Uncertainty of the network about each body; None for bodies without a network.
+        depths: Expected depths of ``JOINT_NAMES`` relative to the pelvis [m], shape (M, 20).
     """
-    places, points, votes = _gather_keypoints(drawn.model, observations)
-    unsaid = depths.new_full((1, len(JOINT_NAMES) - 1), _DEPTH_SPREAD)
-    spreads = torch.cat([unsaid if each is None else each.depths for each in said])
-    return LandmarkAims(places, points, votes, drawn.ends, depths, spreads.pow(-2))
+    indices, points, weights = _gather_keypoints(drawn.model, observations)
+    usual = depths.new_full((1, len(JOINT_NAMES) - 1), _DEPTH_UNCERTAINTY)
+    depth_uncertainty = torch.cat([usual if each is None else each.depths for each in uncertainties])
+    return LandmarkAims(indices, points, weights, drawn.ends, depths, depth_uncertainty.pow(-2))
 
 
-def gather_turn_spreads(drawn: DrawnModel, said: Sequence[Uncertainty | None], like: torch.Tensor) -> torch.Tensor:
-    """Spreads of the turns of free joints [rad], shape (M, F), of the dtype and on the device of ``like``."""
+def gather_turn_uncertainties(
+    drawn: DrawnModel, uncertainties: Sequence[Uncertainty | None], like: torch.Tensor
+) -> torch.Tensor:
+    """Collect the uncertainty of the turns of free joints [rad], shape (M, F).
+
+    Args:
+        drawn: Model that is drawn.
+        uncertainties: Uncertainty of the network about each body; None for bodies without a network.
+        like: Tensor with the dtype and device of the result.
+    """
     count = 1 + len(FREE_PARTS)
-    unsaid = like.new_full((1, count), _TURN_SPREAD)
-    turns = torch.cat([unsaid if each is None else each.turns for each in said])
-    others = like.new_tensor([[_TURN_SPREAD if each is None else _LOCKED_SPREAD] for each in said])
+    usual = like.new_full((1, count), _TURN_UNCERTAINTY)
+    turns = torch.cat([usual if each is None else each.turns for each in uncertainties])
+    others = like.new_tensor([[_TURN_UNCERTAINTY if each is None else _LOCKED_UNCERTAINTY] for each in uncertainties])
     turns = torch.cat([turns, others], dim=1)
-    # The orientation is the root's, then come free parts; of other joints nothing is said.
-    stated = {0: 0} | {drawn.model.part_joints[part]: 1 + index for index, part in enumerate(FREE_PARTS)}
-    columns = [stated.get(joint, count) for joint in free_joints(drawn.model)]
+    # The first column is the orientation of the root, then follow the free parts. The last one is for all other joints.
+    predicted = {0: 0} | {drawn.model.part_joints[part]: 1 + index for index, part in enumerate(FREE_PARTS)}
+    columns = [predicted.get(joint, count) for joint in free_joints(drawn.model)]
     return turns[:, columns]
 
 
 def _gather_keypoints(
-    model: DetailedModel, seen: Sequence[Observation]
+    model: DetailedModel, observations: Sequence[Observation]
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """``places``, ``points`` and ``votes`` of ``LandmarkAims``."""
-    device, columns = seen[0].points.device, -(-max(len(each.landmarks) for each in seen) // _ROW) * _ROW
-    rows = [_keypoint_table(model, each.landmarks, each.body_points, columns) for each in seen]
-    places, parts, known = torch.from_numpy(np.stack(rows, axis=1)).to(device)
+    """Collect ``landmark_indices``, ``points`` and ``weights`` of ``LandmarkAims``."""
+    device = observations[0].points.device
+    columns = -(-max(len(each.landmarks) for each in observations) // _ROW) * _ROW
+    tables = [_keypoint_table(model, each.landmarks, each.body_points, columns) for each in observations]
+    indices, parts, known = torch.from_numpy(np.stack(tables, axis=1)).to(device)
 
-    there = np.arange(columns) < np.array([[len(each.landmarks)] for each in seen])
-    person, column = (torch.from_numpy(each).to(device) for each in there.nonzero())
+    filled = np.arange(columns) < np.array([[len(each.landmarks)] for each in observations])
+    filled_rows, filled_columns = filled.nonzero()
+    person = torch.from_numpy(filled_rows).to(device)
+    column = torch.from_numpy(filled_columns).to(device)
 
     def padded(tensors: list[torch.Tensor]) -> torch.Tensor:
         given = torch.cat(tensors)
-        found = given.new_zeros(len(seen), columns, *given.shape[1:])
+        found = given.new_zeros(len(observations), columns, *given.shape[1:])
         found[person, column] = given
         return found
 
-    return (
-        places,
-        padded([each.points for each in seen]),
-        known * split_votes(padded([each.confidence for each in seen]), parts),
-    )
+    points = padded([each.points for each in observations])
+    confidence = padded([each.confidence for each in observations])
+    return indices, points, known * landmark_weights(confidence, parts)
 
 
 @lru_cache(maxsize=1024)
 def _keypoint_table(
     model: DetailedModel, landmarks: tuple[str, ...], marks: tuple[str, ...], columns: int
 ) -> np.ndarray:
-    """Landmark of the model, part, and 1 of each keypoint, 0 of one that the model has not, and 0: (3, columns)."""
-    index = {name: place for place, name in enumerate(model.landmark_names)}
+    """Make the table of a person's keypoints.
+
+    Returns:
+        Three rows: the index of the model's landmark, the part of the body, and 1 if the model has the landmark, else
+        0; shape (3, columns). Columns without a keypoint are 0.
+    """
+    index_of = {name: index for index, name in enumerate(model.landmark_names)}
     found = [
-        next((index[name] for name in names if name in index), None) for names in zip(marks, landmarks, strict=True)
+        next((index_of[name] for name in names if name in index_of), None)
+        for names in zip(marks, landmarks, strict=True)
     ]
-    known = [place is not None for place in found]
-    table = np.array([[place or 0 for place in found], landmark_points(landmarks).parts[:, 0], known], dtype=np.int64)
+    known = [index is not None for index in found]
+    table = np.array([[index or 0 for index in found], landmark_points(landmarks).parts[:, 0], known], dtype=np.int64)
     return np.pad(table, ((0, 0), (0, columns - len(landmarks))))

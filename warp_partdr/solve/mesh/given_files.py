@@ -1,8 +1,11 @@
-"""Bodies that other methods found, from their files: parameters of SMPL, SMPL-H or SMPL-X, with the camera.
+"""Bodies of other methods, read from their files: parameters of SMPL, SMPL-H or SMPL-X, with the camera.
 
-4D-Humans, and others that name things as ``smplx`` does (``global_orient``, ``body_pose``, ``betas``, ``transl`` or
-``pred_cam_t``, ``focal_length``), Multi-HMR (``rotvec``, ``shape``, ``transl_pelvis``, ``K``), and this package's own
-``detailed.smplx.npz``; as ``.npz``, or as ``.json`` with lists.
+The files are ``.npz``, or ``.json`` with lists. These formats are read:
+
+* 4D-Humans, and methods with the names of ``smplx``: ``global_orient``, ``body_pose``, ``betas``, ``transl`` or
+  ``pred_cam_t``, ``focal_length``.
+* Multi-HMR: ``rotvec``, ``shape``, ``transl_pelvis``, ``K``.
+* This package's ``detailed.smplx.npz``.
 """
 
 from __future__ import annotations
@@ -22,7 +25,8 @@ from ...models.registration import Registered, ungrown
 from ...models.smpl_parameters import POSES, from_smplx
 
 _POSES = tuple(dict.fromkeys(name for poses in POSES.values() for name in poses))
-# Translations of the whole body from where its shape stands; 4D-Humans' of the full picture, not of its crop.
+# Translations of the whole body from where its shape puts it. If 4D-Humans gives one for the full picture and one for
+# its crop, the one for the full picture is taken.
 _MOVES = ("transl", "pred_cam_t_full", "cam_t_full", "pred_cam_t", "cam_t")
 _PELVIS = "transl_pelvis"
 _SHAPES = ("betas", "shape")
@@ -31,14 +35,14 @@ _CENTRES = ("camera_center", "principal_point")
 _OWN = ("camera_scale", "camera_translation", "camera_perspective")
 _MHR = ("mhr_model_params", "shape_params")
 _NAMES = (*_POSES, "rotvec", *_MOVES, _PELVIS, *_SHAPES, *_FOCALS, *_CENTRES, "K", *_OWN, *_MHR)
-# Multi-HMR's rotation vectors: the root's, those of the body, of both hands and of the jaw.
+# Numbers of Multi-HMR's rotation vectors in their order: root, body, both hands, jaw.
 _ROTVEC = {"global_orient": 1, "body_pose": 21, "left_hand_pose": 15, "right_hand_pose": 15, "jaw_pose": 1}
 _EXPECTED = "another method's body, .npz or .json: betas, global_orient, body_pose, transl, focal_length"
-_MOST = 10_000_000  # bytes
+_MOST = 10_000_000  # largest size of a file [bytes]
 
 
 def is_given(path: Path) -> bool:
-    """True of a file that holds another method's body, not a ``body.npz``."""
+    """Return True if a file holds another method's body, and False for a ``body.npz`` of this package."""
     if path.suffix == ".json":
         return True
     found = read_npz(path, (), (*_NAMES, "format"), expected=_EXPECTED, most=_MOST)
@@ -46,10 +50,18 @@ def is_given(path: Path) -> bool:
 
 
 def read_given(path: Path, model: DetailedModel, size: tuple[int, int]) -> tuple[Registered, Camera]:
-    """One person's body in the camera frame, and the camera of the picture of (H, W) pixels.
+    """Read one person's body and its camera.
+
+    Args:
+        path: File with another method's body.
+        model: Detailed model to which the parameters belong.
+        size: Height and width (H, W) of the picture [px].
+
+    Returns:
+        Body in the camera frame [m], and the camera of the picture.
 
     Raises:
-        InputError: If the file is no such file, is of another model, or holds several people.
+        InputError: If the file holds no body, a body of another model, or several people.
     """
     arrays = _read_json(path) if path.suffix == ".json" else None
     if arrays is None:
@@ -59,14 +71,15 @@ def read_given(path: Path, model: DetailedModel, size: tuple[int, int]) -> tuple
     if "rotvec" in arrays:
         arrays |= _of_multi_hmr(arrays["rotvec"], path)
     arrays["betas"] = _one_of(arrays, _SHAPES, path)
-    of_pelvis = _PELVIS in arrays  # Multi-HMR's "transl" is the head's
+    of_pelvis = _PELVIS in arrays  # the "transl" of Multi-HMR is that of the head, so it is not read
     arrays["transl"] = _one_of(arrays, (_PELVIS, *_MOVES), path)
     if np.ndim(arrays["betas"]) > 1 and len(arrays["betas"]) != 1:
         raise InputError(f"{path}: betas: shape {arrays['betas'].shape}; expected one person's")
     shape, rotations, translation = from_smplx(model, arrays, str(path))
     if of_pelvis:
         translation = torch.from_numpy(arrays[_PELVIS].reshape(1, 3)).to(translation)
-    body, camera = ungrown(model, shape, rotations, translation, {}), _camera(arrays, size, path)
+    body = ungrown(model, shape, rotations, translation, {})
+    camera = _camera(arrays, size, path)
     if isinstance(camera, Perspective) and not bool((body.detailed.vertices[..., 2] > 0).all()):
         raise InputError(f"{path}: {float(translation[0, 2]):g} m away; expected a body before the camera")
     return body, camera
@@ -119,7 +132,9 @@ def _camera(arrays: dict[str, np.ndarray], size: tuple[int, int], path: Path) ->
         perspective = bool(numbers(_OWN[2], 1)[0])
     elif "K" in arrays:
         matrix = numbers("K", 9).view(3, 3)
-        scale, centre, perspective = matrix[[0], [0]], matrix[None, :2, 2], True
+        scale = matrix[[0], [0]]
+        centre = matrix[None, :2, 2]
+        perspective = True
     else:
         names = [name for name in _FOCALS if name in arrays]
         if not names:

@@ -1,4 +1,4 @@
-"""Poses from which a mesh stage starts, where they are given: of the whole model, whose joints it turns but some of."""
+"""Given poses from which a mesh stage starts. They pose all joints of a model; the stage turns some of the joints."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from ...models.registration import Registered
 
 @dataclass(frozen=True, eq=False)
 class GivenPoses(Movable):
-    """Poses of the whole model, of which a stage turns some joints against the next such joint above.
+    """Poses of the whole model. A mesh stage turns some of the joints, each relative to the next of these joints above.
 
     Attributes:
         shape: Shape values, shape (B, S).
         rotations: Local rotations of all joints, shape (B, J, 3, 3).
         translation: Position of the root joint [m], shape (B, 3).
-        world: Rotations of all joints from rest, shape (B, J, 3, 3).
+        world: Rotations of all joints from the rest pose, in world axes, shape (B, J, 3, 3).
         turning: Joints that the stage turns, the root first, shape (N,), int64.
-        above: Of these but the root, the next one above, shape (N - 1,), int64.
-        parents: Of these but the root, the joint above, shape (N - 1,), int64.
+        above: Next joint of ``turning`` above each of them but the root, shape (N - 1,), int64.
+        parents: Parent in the whole model of each of them but the root, shape (N - 1,), int64.
     """
 
     shape: torch.Tensor
@@ -35,26 +35,40 @@ class GivenPoses(Movable):
 
     @classmethod
     def of(cls, bodies: Sequence[Registered], turning: torch.Tensor) -> GivenPoses:
-        """Collect the poses of bodies of one model, whose joints ``turning`` the stage turns."""
-        model, kept = bodies[0].model, turning.tolist()
+        """Collect the poses of B bodies of one model.
+
+        Args:
+            bodies: Bodies of the same model.
+            turning: Joints that the stage turns, the root first, shape (N,), int64.
+        """
+        model = bodies[0].model
+        kept = turning.tolist()
         parents = [model.parents[joint] for joint in kept[1:]]
         above = list(parents)
-        for place in range(len(above)):
-            while above[place] not in kept:
-                above[place] = model.parents[above[place]]
-        poses = ("shape", "rotations", "translation")
-        shape, rotations, translation = (torch.cat([getattr(each, name) for each in bodies]) for name in poses)
-        world = torch.cat([each.detailed.transforms[..., :3, :3] for each in bodies])
-        indices = (torch.tensor(each, device=turning.device) for each in (above, parents))
-        return cls(shape, rotations, translation, world, turning, *indices)
+        for index in range(len(above)):
+            while above[index] not in kept:
+                above[index] = model.parents[above[index]]
+        return cls(
+            shape=torch.cat([each.shape for each in bodies]),
+            rotations=torch.cat([each.rotations for each in bodies]),
+            translation=torch.cat([each.translation for each in bodies]),
+            world=torch.cat([each.detailed.transforms[..., :3, :3] for each in bodies]),
+            turning=turning,
+            above=torch.tensor(above, device=turning.device),
+            parents=torch.tensor(parents, device=turning.device),
+        )
 
     def turning_rotations(self) -> torch.Tensor:
-        """Rotations of the joints that turn, of the model without the others, shape (B, N, 3, 3)."""
+        """Find the local rotations of the joints ``turning`` in a model without other joints, shape (B, N, 3, 3)."""
         local = self.world[:, self.above].mT @ self.world[:, self.turning[1:]]
         return torch.cat([self.rotations[:, :1], local], dim=1)
 
     def whole(self, turning: torch.Tensor) -> torch.Tensor:
-        """Local rotations of all joints, shape (B, J, 3, 3), of those that turn, as ``turning_rotations`` has them."""
+        """Find the local rotations of all joints, shape (B, J, 3, 3); the inverse of ``turning_rotations``.
+
+        Args:
+            turning: Local rotations of the joints ``turning`` in a model without the others, shape (B, N, 3, 3).
+        """
         between = self.world[:, self.above].mT @ self.world[:, self.parents]
         found = self.rotations.clone()
         found[:, 0] = turning[:, 0]

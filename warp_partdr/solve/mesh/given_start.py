@@ -1,6 +1,7 @@
-"""Refinement of a body that another method found, of a regressor for example, against a person's part labels.
+"""Refinement of another method's body, such as a regressor's, against a person's part labels.
 
-Its shape, pose and place are where the mesh stage starts, and what it is held to; it comes back in the same model.
+The mesh stage starts at the shape, pose and position of this body, and is held to them. The result is a body of the
+same model.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from ..ellipsoids.stages import Progress
 from .mesh_options import MeshOptions
 from .mesh_stage import CropPositions, MeshFit, measure_parameters, refine_meshes
 
-_SURE = 0.5  # confidence of a given body's own keypoints, where nobody has seen others
+_OWN_CONFIDENCE = 0.5  # confidence of keypoints that are taken from the given body
 _NO_STAGES = FitOptions(guess_camera=False, stages=(), search=())
 
 
@@ -38,17 +39,20 @@ def refine_given(
     options: MeshOptions | None = None,
     progress: Progress | None = None,
 ) -> MeshFit:
-    """Refine a detailed body that is given, instead of one that ``fit_body`` starts.
+    """Refine a detailed body that is given, instead of one that starts at a result of ``fit_body``.
 
     Args:
-        body: One body in the camera frame, of ``read_given`` or ``ungrown``.
-        camera: Of the picture; a perspective one counts as known.
-        parts: The picture's part labels.
-        keypoints: The person's in the picture; None: where the body has them, which hold it there, and count as if
-            they had usual noise.
-        others: Other people's keypoints, which keep their labels apart from the person's.
-        options: Of the mesh stage.
-        progress: As of ``refine_mesh``.
+        body: One body in the camera frame, from ``read_given`` or ``ungrown``.
+        camera: Camera of the picture; a perspective one counts as known.
+        parts: Part labels of the picture.
+        keypoints: Keypoints of the person in the picture. None: the body's own keypoints hold it where it is; they
+            count as keypoints with usual noise.
+        others: Keypoints of other people, which keep their labels apart from the person's.
+        options: Options of the mesh stage.
+        progress: Function that is called with (stage name, iterations done, iterations in all).
+
+    Returns:
+        Refined body, in the same model.
 
     Raises:
         InputError: If labels and keypoints do not meet.
@@ -62,36 +66,41 @@ def refine_given(
         keypoints or body_keypoints(body, camera), parts, others=others, options=_NO_STAGES, device=device, camera=known
     )
     result, body = begin_at(result, body, camera)
-    if keypoints is None:  # its own agree with it, whoever is right
+    if keypoints is None:  # the body agrees with its own keypoints, which says nothing about their noise
         options = replace(options or MeshOptions(), noise="usual")
     return refine_meshes([result], body.model, options=options, starts=[body], progress=progress)[0]
 
 
 def body_keypoints(body: Registered, camera: Camera) -> Keypoints2D:
-    """COCO's keypoints where a body has them in the picture."""
+    """Project a body's landmarks into the picture as COCO's keypoints; those that its model lacks have confidence 0."""
     names = skeleton("coco17").landmarks
-    there = [name in body.model.landmark_names for name in names]
+    known = [name in body.model.landmark_names for name in names]
     points = torch.zeros(1, len(names), 3)
-    known = body.model.landmarks(body.detailed, [name for name, has in zip(names, there, strict=True) if has])
-    points[:, there] = camera.project(known.detach()).cpu()
-    return Keypoints2D("coco17", points[0, :, :2].numpy(), np.where(there, _SURE, 0.0).astype(np.float32))
+    landmarks = body.model.landmarks(body.detailed, [name for name in names if name in body.model.landmark_names])
+    points[:, known] = camera.project(landmarks.detach()).cpu()
+    return Keypoints2D("coco17", points[0, :, :2].numpy(), np.where(known, _OWN_CONFIDENCE, 0.0).astype(np.float32))
 
 
 def begin_at(result: FitResult, body: Registered, camera: Camera) -> tuple[FitResult, Registered]:
-    """A fit whose body is a given one, and that body with EllipBody's pelvis at the origin.
+    """Replace the body of a fit by a given one.
 
     Args:
-        result: Of ``fit_body``, for what was seen and the crop.
+        result: Result of ``fit_body``, of which the observation and the crop are used.
         body: One body in the camera frame.
-        camera: Of the picture.
+        camera: Camera of the picture.
+
+    Returns:
+        Fit whose EllipBody is measured from the given body; and the given body, moved so that EllipBody's pelvis is at
+        the origin.
     """
     pelvis = body.model.landmarks(body.detailed, ["pelvis"])[:, 0]
     body = body.moved(-pelvis)
-    size, seen = result.crop.size[0], camera.to(pelvis.device).in_crop(result.crop)
-    if isinstance(seen, Perspective):
-        weak = seen.to_weak(pelvis)
+    size = result.crop.size[0]
+    in_crop = camera.to(pelvis.device).in_crop(result.crop)
+    if isinstance(in_crop, Perspective):
+        weak = in_crop.to_weak(pelvis)
     else:
-        weak = replace(seen, translation=seen.translation + seen.scale[:, None] * pelvis[:, :2])
+        weak = replace(in_crop, translation=in_crop.translation + in_crop.scale[:, None] * pelvis[:, :2])
     origin = CropPositions((weak.scale / (size / 2)).log(), weak.translation / (size / 2) - 1, result.observation.lens)
     parameters, moves = measure_parameters(body, origin)
     result = replace(result, parameters=parameters, uncertainty=None, depth_order=None)

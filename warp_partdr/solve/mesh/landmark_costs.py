@@ -1,4 +1,4 @@
-"""Costs of a detailed body's landmarks before cameras, by kernels, with gradients for torch."""
+"""Costs of detailed bodies' landmarks before cameras, evaluated by kernels, with gradients for torch."""
 
 from __future__ import annotations
 
@@ -23,50 +23,54 @@ from .tensors import NamedTensors
 
 @dataclass(frozen=True)
 class LandmarkAims(NamedTensors):
-    """Places where landmarks of M views of bodies should be.
+    """Observed positions of keypoints, and expected depths of joints, in M pictures of bodies.
 
     Attributes:
-        places: Landmark of the model that each keypoint marks, shape (M, K), int64.
+        landmark_indices: Index of the model's landmark that each keypoint marks, shape (M, K), int64.
         points: Keypoints in the crop, from -1 to 1, shape (M, K, 2).
-        votes: Their weights, shape (M, K).
-        ends: Landmarks at ``JOINT_NAMES``, shape (E + 1,), int64.
-        depths: Of these but the pelvis, relative to it [m], shape (M, E).
-        depth_weights: Of their squares [1/m^2], shape (M, E).
+        weights: Weights of the keypoints, shape (M, K).
+        ends: Indices of the model's landmarks at ``JOINT_NAMES``, the pelvis first, shape (E + 1,), int64.
+        depths: Expected depths of these joints relative to the pelvis, without the pelvis [m], shape (M, E).
+        depth_weights: Weights of squared distances from these depths [1/m^2], shape (M, E).
     """
 
-    places: torch.Tensor
+    landmark_indices: torch.Tensor
     points: torch.Tensor
-    votes: torch.Tensor
+    weights: torch.Tensor
     ends: torch.Tensor
     depths: torch.Tensor
     depth_weights: torch.Tensor
 
 
 def landmark_costs(landmarks: torch.Tensor, camera: Camera, aims: LandmarkAims) -> tuple[torch.Tensor, torch.Tensor]:
-    """Weighted sums of distances from keypoints along both axes [px], and of squares of depths, shape (M,) each.
+    """Sum weighted distances of landmarks from keypoints and from expected depths.
 
     Args:
-        landmarks: Before the cameras [m], shape (M, L, 3), float32.
+        landmarks: Landmarks in the cameras' frames [m], shape (M, L, 3), float32.
         camera: M cameras of crops of ``REFERENCE_SIZE``.
-        aims: Of them.
+        aims: Keypoints and depths in these M pictures.
+
+    Returns:
+        Weighted sums of distances from keypoints along both axes [px], and of squared distances from depths, shape (M,)
+        each.
     """
     (costs,) = _LandmarkCosts(camera.perspective)(
         landmarks,
         camera.intrinsics,
-        aims.places,
+        aims.landmark_indices,
         aims.points,
-        aims.votes,
+        aims.weights,
         aims.depths,
         aims.depth_weights,
         aims.ends,
     )
-    seen, deep = costs.unbind(1)
-    return seen, deep
+    keypoint_costs, depth_costs = costs.unbind(1)
+    return keypoint_costs, depth_costs
 
 
 @dataclass(frozen=True, eq=False)
 class _LandmarkCosts(Operation):
-    """Both costs of each view, shape (M, 2)."""
+    """Operation that gives both costs of each picture, shape (M, 2)."""
 
     perspective: bool
     name = "landmark_costs"
@@ -92,7 +96,7 @@ def _prepare(inputs: Tensors, outputs: Tensors, ends: Fixed, perspective: bool) 
 
 
 def _prepare_adjoint(inputs: Tensors, outputs: Tensors, ends: Fixed, perspective: bool) -> Launch:
-    """Launch that fills gradients of landmarks, and shares of those of cameras, from these and the costs' adjoint."""
+    """Launch that fills gradients of landmarks, and each landmark's share of the cameras' gradients."""
     *own, adjoint = inputs
     gradients = warp_arrays(outputs, (vec3, vec4))
     arrays = _arrays(own, ends, perspective)
@@ -100,8 +104,15 @@ def _prepare_adjoint(inputs: Tensors, outputs: Tensors, ends: Fixed, perspective
 
 
 def _arrays(own: Sequence[torch.Tensor], ends: Fixed, perspective: bool) -> list[Any]:
-    landmarks, cameras, places, points, votes, *depths = own
-    aims = [warp_array(places), warp_array(points, vec2), *map(warp_array, (votes, ends.tensor, *depths))]
+    landmarks, cameras, landmark_indices, points, weights, depths, depth_weights = own
+    aims = [
+        warp_array(landmark_indices),
+        warp_array(points, vec2),
+        warp_array(weights),
+        warp_array(ends.tensor),
+        warp_array(depths),
+        warp_array(depth_weights),
+    ]
     return [
         warp_array(landmarks, vec3),
         warp_array(cameras, vec4),

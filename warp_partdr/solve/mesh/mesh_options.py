@@ -14,31 +14,34 @@ from ...render.options import DEFAULT_DEPTH_WEIGHT, MeshGradient, check_mesh_rul
 from ...render.subdivisions import DEFAULT_TOLERANCE
 from ..ellipsoids.stages import Quality
 
-_SHOWN = 2.0  # [m], about: side of the crop of an adult
+_CROP_SIDE = 2.0  # usual side of an adult's crop [m]
 
 
 @dataclass(frozen=True)
 class MeshOptions:
-    """Options of the mesh stage; weights are of terms in the units of ``Energy``'s.
+    """Options of the mesh stage. The terms have the units of ``Energy``'s terms.
 
     Attributes:
-        iterations: Steps of Adam.
-        learning_rate: Of angles [rad] and camera [half-sides of the crop].
+        iterations: Number of steps of Adam.
+        learning_rate: Learning rate of angles [rad] and of the camera [half-sides of the crop] at the first step.
         size: Side of the drawn crop [px].
-        vertices: Of the mesh that is drawn meanwhile (``reduce_model``), where the model has more; "auto": about as few
-            as keep ``skin_error``.
+        vertices: Number of vertices of the mesh that is drawn in the fit (``reduce_model``), if the model has more.
+            "auto" takes about as few as ``skin_error`` allows.
         proj: Weight of L_proj.
         seg: Weight of L_seg.
-        depth: Weight of the squares of joints' moves along the view, in spreads that the network stated.
-        turns: Weight of the squares of joints' turns, in such spreads.
-        shape: Weight of half the squares of changes of the shape values.
-        clothes: Weight of the clothes' thicknesses, in their mean; None: the person wears none.
-        noise: Of keypoints and labels: "unknown", so that those that the body agrees with count more, or "usual".
-        apart: Weight of the squares of depths [cm] by which parts that are no neighbours stand in one another, beyond
-            what flesh gives way; 0 leaves them out. 0.1 changes few people's parts, and no joints on average.
-        gradient: Of L_seg, "edges" or "partdr", as ``mesh_label_loss``; "partdr" pulls about thrice as hard.
-        max_distance: "partdr": greatest distance from an edge of a pixel that moves it [px].
-        depth_weight: "partdr": the paper's lambda of the z gradient (eq. 12).
+        depth: Weight of the squared moves of joints along the view, in units of the network's uncertainty.
+        turns: Weight of the squared turns of joints, in units of the network's uncertainty.
+        shape: Weight of half the squared changes of the shape values.
+        clothes: Weight of the clothes' thicknesses, in units of their mean; None: the person wears no clothes.
+        noise: Size of the noise of keypoints and labels. With "unknown", keypoints and labels count more if the body
+            agrees with them; with "usual" their costs are plain sums.
+        apart: Weight of the squared depths [cm] by which parts that are no neighbours penetrate each other, beyond
+            the depth by which flesh gives way; 0 leaves the term out. 0.1 changes few people's parts, and no joints on
+            average.
+        gradient: Gradient of L_seg, "edges" or "partdr" (see ``mesh_label_loss``); "partdr" pulls about three times as
+            hard.
+        max_distance: Largest distance of an edge from a pixel that moves it, with "partdr" [px].
+        depth_weight: Lambda of the paper's z gradient (eq. 12), with "partdr".
     """
 
     iterations: int = 60
@@ -72,15 +75,19 @@ class MeshOptions:
 
     @classmethod
     def at(cls, quality: Quality) -> MeshOptions:
-        """Options of a quality: "accurate" draws larger and steps on, in thrice the time; the others are alike."""
+        """Return the options of a quality.
+
+        "accurate" draws larger pictures and takes more steps, in about three times the time. "fast" and "balanced" have
+        the same options.
+        """
         return cls(size=256, iterations=150) if quality == "accurate" else cls()
 
     @property
     def skin_error(self) -> float:
-        """Distance of the whole model's skin from the one drawn, 2 % of it aside: half a drawn pixel at most [m]."""
-        return DEFAULT_TOLERANCE * _SHOWN / self.size
+        """Largest distance of the drawn skin from the whole model's, for 98 % of the skin: half a drawn pixel [m]."""
+        return DEFAULT_TOLERANCE * _CROP_SIDE / self.size
 
     @property
     def drawn_seg(self) -> float:
-        """Weight of a pixel of L_seg as labels are drawn."""
+        """Weight of one wrong pixel of the drawn crop; ``seg`` is that of a pixel of a crop of ``REFERENCE_SIZE``."""
         return self.seg * (REFERENCE_SIZE / self.size) ** 2

@@ -1,8 +1,9 @@
-"""Mesh stage: the detailed body itself is drawn and refined until it shows what the labels do ("PartDR + SMPL").
+"""Mesh stage: a detailed body is drawn and refined until it agrees with the labels ("PartDR + SMPL").
 
-Ellipsoids can't have a person's outline: the better they follow labels, the farther joints drift. A detailed body can.
-It starts where a fit's ellipsoids are, and its pose and depth are held as hard as the network was sure of them. Clothes
-and hair are thicknesses over it. In the end EllipBody is measured from it, so that both are one body.
+Ellipsoids can't have a person's outline: the better they follow labels, the farther their joints move from the truth. A
+detailed body can. It starts at a fit of ellipsoids. The network's uncertainty of pose and depth decides how far both
+may move. Clothes and hair are thicknesses over the body. In the end EllipBody is measured from the detailed body, so
+that both are the same body.
 """
 
 from __future__ import annotations
@@ -46,11 +47,11 @@ class MeshFit(Movable):
     """Detailed body of a mesh stage.
 
     Attributes:
-        first: The fit that it went on from.
-        body: The detailed body in the camera frame, as ``register`` gives one; with weak perspective near the origin.
-            Its losses are the energy's terms before the last step.
-        ellipbody: The same body as EllipBody, measured from it.
-        clothes: Thicknesses of clothes and hair on its parts ``CLOTHED`` [m], shape (1, 8), which the body is without.
+        first: Fit of ellipsoids from which the stage went on.
+        body: Detailed body in the camera frame, without clothes, as ``register`` returns one. With weak perspective it
+            is near the origin. Its losses are the energy's terms before the last step.
+        ellipbody: Fit whose EllipBody is measured from the detailed body.
+        clothes: Thicknesses of clothes and hair on the parts ``CLOTHED`` [m], shape (1, 8).
     """
 
     first: FitResult
@@ -60,7 +61,7 @@ class MeshFit(Movable):
 
     @property
     def camera(self) -> Camera:
-        """The camera, in pixels of the full picture."""
+        """Camera in pixels of the full picture."""
         return self.ellipbody.camera
 
     @property
@@ -73,9 +74,14 @@ class MeshFit(Movable):
         return self.body.model.landmarks(self.body.detailed, names)[0].cpu().numpy()
 
     def draw(self, image_size: tuple[int, int], *, camera: Camera | None = None) -> PartImage:
-        """Draw the body's 20 parts, clothed, in the full picture of (H, W) pixels, or in another camera's.
+        """Draw the 20 parts of the clothed body.
 
-        Neck, arms and legs begin at their joints if those of the fit's label set do, else where the skin follows them.
+        Neck, arms and legs begin at their joints if they do so in the fit's label set. Otherwise they begin where the
+        skin follows them.
+
+        Args:
+            image_size: Height and width (H, W) of the picture [px].
+            camera: Camera to draw with; None: the fit's camera, which draws in the full picture.
         """
         labels = self.first.observation.label_set
         mesh = detailed_mesh(self.body.model, labels is not None and labels.at_joints)
@@ -92,14 +98,18 @@ def refine_mesh(
     """Refine a detailed body from a fit on, against the same labels and keypoints.
 
     Args:
-        result: Fit of ``fit_body``, best without an outline stage, which costs joints.
-        model: On the result's device, float32; default Anny.
+        result: Result of ``fit_body``, from whose body the stage starts. Best is one without an outline stage, which
+            moves joints away from the truth.
+        model: Detailed model, float32, on the result's device; None: Anny.
         options: Iterations, size and weights.
-        progress: Told the stage, how many iterations are done and how many there are.
+        progress: Function that is called with (stage name, iterations done, iterations in all).
+
+    Returns:
+        Detailed body, and EllipBody measured from it.
 
     Raises:
         TypeError: If an argument is of another type.
-        ValueError: If the mesh can't have so many vertices, or the model is elsewhere or not float32.
+        ValueError: If the mesh can't have so few or so many vertices, or the model is on another device or not float32.
     """
     check_type("result", result, FitResult, "of fit_body")
     return refine_meshes([result], model, options=options, progress=progress)[0]
@@ -115,45 +125,54 @@ def refine_meshes(
     starts: Sequence[Registered] | None = None,
     progress: Progress | None = None,
 ) -> list[MeshFit]:
-    """Refine the detailed bodies of many people side by side, each as ``refine_mesh`` does.
+    """Refine the detailed bodies of many people in batches, each person as ``refine_mesh`` does.
 
-    Those with labels of one set make a batch; so do those with a known camera and those without. On CUDA a batch's
-    steps are one captured graph, kept for the next batch of as many people.
+    A batch has people with labels of one set, and either all or none of them have a camera with perspective. On CUDA,
+    the steps of a batch are one captured graph, which is kept for the next batch of the same size.
 
     Args:
-        results: Of ``fit_body``, on one device.
-        model: As of ``refine_mesh``, as the other arguments and what is raised.
-        options: Of all.
-        starts: Bodies of that model to start from, one a result and its pelvis at the origin, of ``begin_at``; None:
-            those that have the results' EllipBodies' bones and pose.
-        progress: Told of all batches' iterations.
+        results: Results of ``fit_body``, on one device.
+        model: Detailed model, float32, on the results' device; None: Anny.
+        options: Iterations, size and weights for all people.
+        starts: Bodies of that model to start from, one for each result, with the pelvis at the origin, from
+            ``begin_at``. None: bodies with the bones and the pose of the results' EllipBodies.
+        progress: Function that is called with (stage name, iterations done, iterations in all), which count over all
+            batches.
+
+    Returns:
+        Fit of each person.
+
+    Raises:
+        TypeError: If an argument is of another type.
+        ValueError: If the mesh can't have so few or so many vertices, or the model is on another device or not float32.
     """
-    results = list(results)  # of which some make each when it is asked for
+    results = list(results)  # a lazy sequence would make each result again at each use
     for result in results:
         check_type("results", result, FitResult, "of fit_body")
     check_type("model", model, DetailedModel | None, "of load_model, or anny()")
     check_type("options", options, MeshOptions | None, "such as MeshOptions()")
     options = options or MeshOptions()
     batches: dict[tuple[MeshEnergy, bool], list[int]] = {}
-    for place, result in enumerate(results):
+    for index, result in enumerate(results):
         model = _checked_model(model, result)
         energy = mesh_energy(model, options, result.observation.label_set)
-        batches.setdefault((energy, result.observation.lens is None), []).append(place)
+        batches.setdefault((energy, result.observation.lens is None), []).append(index)
     found: dict[int, MeshFit] = {}
     done, total = 0, options.iterations * len(batches)
 
-    def tell(iterations: int) -> None:
+    def report(iterations: int) -> None:
         if progress is not None:
             progress("mesh", done + iterations, total)
 
-    for (energy, _), places in batches.items():
+    for (energy, _), indices in batches.items():
         assert model is not None
-        some, given = [results[place] for place in places], None
+        some = [results[index] for index in indices]
+        given = None
         if starts is not None:
-            given = GivenPoses.of([starts[place] for place in places], energy.drawn.turning)
-        found |= zip(places, _refine_batch(energy, model, some, given, tell), strict=True)
+            given = GivenPoses.of([starts[index] for index in indices], energy.drawn.turning)
+        found |= zip(indices, _refine_batch(energy, model, some, given, report), strict=True)
         done += options.iterations
-    return [found[place] for place in range(len(results))]
+    return [found[index] for index in range(len(results))]
 
 
 def _checked_model(model: DetailedModel | None, result: FitResult) -> DetailedModel:
@@ -189,24 +208,27 @@ def _finish(
     given: GivenPoses | None,
     started: float,
 ) -> list[MeshFit]:
-    """Detailed bodies where their cameras see them, and EllipBodies measured from them."""
-    people, found, terms = refined.people, refined.unknowns, refined.terms
+    """Place the refined bodies where their cameras see them, and measure EllipBodies from them."""
+    people = refined.people
+    found = refined.unknowns
+    terms = refined.terms
     shape, rotations, translation = energy.drawn.whole_pose(model, people, found)
     log_scale = found.log_scale
     if any(result.stature is not None for result in results):
         shape, shares = _resized(model, shape, results)
-        translation, log_scale = translation * shares[:, None], log_scale - shares.log()
+        translation = translation * shares[:, None]
+        log_scale = log_scale - shares.log()
     if given is not None:
         rotations = given.whole(rotations[:, energy.drawn.turning])
     bodies = ungrown(model, shape, rotations, translation, terms)
     numbers = {name: term.tolist() for name, term in terms.items()}
-    energies = [{name: values[place] for name, values in numbers.items()} for place in range(len(results))]
+    energies = [{name: values[index] for name, values in numbers.items()} for index in range(len(results))]
     origins = CropPositions(log_scale, found.shift, people.lens)
     try:
         fits = mesh_fits(bodies, origins, bounded(found.clothes), results, energies)
     except ValueError as error:
-        told = f"learning_rate: {energy.options.learning_rate}; the mesh stage went astray ({error})"
-        raise InputError(f"{told}; expected a smaller rate, or smaller weights of its terms") from error
+        failed = f"learning_rate: {energy.options.learning_rate}; the mesh stage went astray ({error})"
+        raise InputError(f"{failed}; expected a smaller rate, or smaller weights of its terms") from error
     seconds = (time.perf_counter() - started) / len(results)
     for fit in fits:
         fit.ellipbody.stage_seconds["mesh"] = seconds
@@ -216,11 +238,15 @@ def _finish(
 def _resized(
     model: DetailedModel, shape: torch.Tensor, results: Sequence[FitResult]
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Shape values (B, S) of those whose stature is known as tall as they are, and how many times as large (B,)."""
+    """Resize shapes to known statures.
+
+    Returns:
+        Shape values (B, S), and the factors by which the bodies grew (B,).
+    """
     wanted = statures(model, shape)
-    for place, result in enumerate(results):
+    for index, result in enumerate(results):
         if result.stature is not None:
-            wanted[place] = result.stature
+            wanted[index] = result.stature
     return resize_shapes(model, shape, wanted)
 
 
@@ -229,9 +255,9 @@ class CropPositions:
     """Positions of B points as the cameras of their crops see them.
 
     Attributes:
-        log_scale: As of ``BodyParameters``, like ``shift``, shape (B,).
-        shift: Shape (B, 2).
-        lens: Lenses of the cameras as of ``Observation``, shape (B, 3); None: weak perspective.
+        log_scale: Logarithms of the scale at the points, as in ``BodyParameters``, shape (B,).
+        shift: Positions in the crops, as in ``BodyParameters`` [half-sides of the crop], shape (B, 2).
+        lens: Lenses of the cameras, as in ``Observation``, shape (B, 3); None: weak perspective.
     """
 
     log_scale: torch.Tensor
@@ -246,25 +272,28 @@ def mesh_fits(
     results: Sequence[FitResult],
     energies: Sequence[dict[str, float]],
 ) -> list[MeshFit]:
-    """Detailed bodies of B people where their cameras see them, with EllipBodies measured from them.
+    """Place B detailed bodies where their cameras see them, and measure EllipBodies from them.
 
     Args:
-        bodies: About the origin.
+        bodies: Detailed bodies near the origin.
         origins: Positions of the origin in the crops of the results.
-        clothes: Thicknesses [m], shape (B, 8).
-        results: The fits that they went on from.
-        energies: Weighted terms by name; of a person without any, the result's stay.
+        clothes: Thicknesses of clothes [m], shape (B, 8).
+        results: Fits from which the stage went on.
+        energies: Weighted terms of each person by name; a person without terms keeps those of the result.
+
+    Returns:
+        Fit of each person.
 
     Raises:
         ValueError: If a number is not finite.
     """
     measured, pelvises = measure_parameters(bodies, origins)
-    there, _ = place_bodies(measured, measured.posed(), origins.lens, REFERENCE_SIZE)
-    bodies = bodies.moved(there.joints[:, 0] - pelvises)
+    placed, _ = place_bodies(measured, measured.posed(), origins.lens, REFERENCE_SIZE)
+    bodies = bodies.moved(placed.joints[:, 0] - pelvises)
     check_finite(vertices=bodies.detailed.vertices, scale=measured.log_scale.exp(), shift=measured.shift)
     fits: list[MeshFit] = []
-    for place, (result, energy) in enumerate(zip(results, energies, strict=True)):
-        own = slice(place, place + 1)
+    for index, (result, energy) in enumerate(zip(results, energies, strict=True)):
+        own = slice(index, index + 1)
         ellipbody = replace(
             result,
             parameters=measured.select(own),
@@ -276,7 +305,15 @@ def mesh_fits(
 
 
 def measure_parameters(bodies: Registered, origins: CropPositions) -> tuple[BodyParameters, torch.Tensor]:
-    """EllipBodies measured from detailed bodies about the origin, whose position is known, and their pelvises."""
+    """Measure EllipBodies from detailed bodies.
+
+    Args:
+        bodies: B detailed bodies near the origin.
+        origins: Positions of the origin in the crops.
+
+    Returns:
+        EllipBodies with their cameras, and the positions of their pelvises relative to the origin [m], shape (B, 3).
+    """
     orientation, pelvises, turns, lengths, thicknesses = measure_ellipbody(bodies)
     measured = BodyParameters(
         orientation=rotation_to_6d(orientation),

@@ -1,4 +1,4 @@
-"""People of a scene in the world, and their vertices in its pictures, by kernels, with gradients for torch."""
+"""Positions of a scene's people in the world, and their vertices in its pictures, found by kernels, with gradients."""
 
 from __future__ import annotations
 
@@ -20,35 +20,39 @@ from ...kernels import scene_pictures as kernels
 
 @dataclass(frozen=True)
 class PictureViews:
-    """V views of T frames with P people in K clusters, C at most in one.
+    """V views of T frames with P people in K clusters, at most C people in one.
 
     Attributes:
-        rotations: World to camera, shape (V, 3, 3).
-        translations: The same [m], shape (V, 3).
-        lenses: Of the pictures' crops, shape (K T V, 3).
-        shown: Who is seen in each view, shape (P T, V), bool.
-        slots: Who is in each cluster, -1 where nobody is, shape (K, C), int32.
-        places: Cluster and slot of each person, -1 of those who are in none, shape (P, 2), int32.
+        rotations: Rotations from world to camera, shape (V, 3, 3).
+        translations: Translations from world to camera [m], shape (V, 3).
+        lenses: Lenses of the pictures' crops, shape (K T V, 3).
+        observed: True if a view shows a body, shape (P T, V), bool.
+        slots: Person in each slot of each cluster, -1 for an empty slot, shape (K, C), int32.
+        person_slots: Cluster and slot of each person, -1 for people in no cluster, shape (P, 2), int32.
     """
 
     rotations: torch.Tensor
     translations: torch.Tensor
     lenses: torch.Tensor
-    shown: torch.Tensor
+    observed: torch.Tensor
     slots: torch.Tensor
-    places: torch.Tensor
+    person_slots: torch.Tensor
 
 
 def place_people(vertices: torch.Tensor, pelvises: torch.Tensor, views: PictureViews, size: int) -> torch.Tensor:
-    """Vertices of a cluster's people in each of its pictures, u [px], v [px], z [m], shape (K T V, C n, 3).
+    """Project the vertices of each cluster's people into each of its pictures.
 
-    Who is not seen is behind the camera, where nothing is drawn.
+    People who are not observed in a picture are put behind the camera, where nothing is drawn.
 
     Args:
-        vertices: About the pelvis, in the world's axes [m], shape (P T, n, 3), float32; frames of a person in a row.
-        pelvises: In the world [m], shape (P T, 3).
-        views: Of them.
-        size: Of the pictures [px].
+        vertices: Vertices relative to the pelvis, in the world's axes [m], shape (P T, n, 3), float32. The frames of a
+            person follow one another.
+        pelvises: Positions of the pelvises in the world [m], shape (P T, 3).
+        views: Cameras, and the people that they show.
+        size: Side of the pictures [px].
+
+    Returns:
+        Vertices u [px], v [px], z [m], shape (K T V, C n, 3).
     """
     return _Placed(size)(vertices, pelvises, *vars(views).values())[0]
 
@@ -73,26 +77,26 @@ class _Placed(Operation):
 def _call(
     prepare: Prepare, tensors: Tensors, shape: torch.Size, size: int, views: Sequence[torch.Tensor]
 ) -> torch.Tensor:
-    """Result of one launch for a whole scene, whose pictures and bodies are no rows of one batch."""
-    rows, fixed = tuple([each[None] for each in tensors]), [Fixed(dense_rows(each)) for each in views]
+    """Call one launch for the whole scene as a batch of one: its pictures and bodies can't be rows of one batch."""
+    rows = tuple([each[None] for each in tensors])
+    fixed = [Fixed(dense_rows(each)) for each in views]
     return call_captured(prepare, rows, (torch.Size((1, *shape)),), size, *fixed)[0][0]
 
 
 def _prepare_place(inputs: Tensors, outputs: Tensors, size: int, *views: Fixed) -> Launch:
-    """Launch that fills pictures' vertices from vertices and pelvises."""
-    vertices, pelvises = (warp_array(each[0], vec3) for each in inputs)
-    scene = [vertices, pelvises, _gathered(views, size)]
+    """Launch that fills the vertices in the pictures from vertices and pelvises."""
+    scene = [warp_array(inputs[0][0], vec3), warp_array(inputs[1][0], vec3), _scene_views(views, size)]
     return partial(kernels.launch_place, scene, warp_array(outputs[0][0], vec3))
 
 
 def _prepare_place_adjoint(inputs: Tensors, outputs: Tensors, size: int, *views: Fixed) -> Launch:
     """Launch that fills the gradient of vertices."""
-    vertices, pelvises, adjoint = (warp_array(each[0], vec3) for each in inputs)
-    scene = [vertices, pelvises, _gathered(views, size)]
+    scene = [warp_array(inputs[0][0], vec3), warp_array(inputs[1][0], vec3), _scene_views(views, size)]
+    adjoint = warp_array(inputs[2][0], vec3)
     return partial(kernels.launch_place_adjoint, scene, adjoint, warp_array(outputs[0][0], vec3))
 
 
-def _gathered(views: Sequence[Fixed], size: int) -> Any:
+def _scene_views(views: Sequence[Fixed], size: int) -> Any:
     kinds = mat33, vec3, vec3, None, None, vec2i
     arrays = warp_arrays([each.tensor for each in views], kinds)
     return kernels.gather_views(arrays, size / 2)
@@ -105,7 +109,18 @@ def pelvises_in_world(
     rotations: torch.Tensor,
     translations: torch.Tensor,
 ) -> torch.Tensor:
-    """Pelvises in the world [m], shape (N, 3), of bodies in crops of cameras that stand so, (N, 3, 3) and (N, 3)."""
+    """Find the positions of bodies' pelvises in the world.
+
+    Args:
+        log_scale: Logarithms of the scale at the pelvises, as in ``BodyParameters``, shape (N,).
+        shift: Positions of the pelvises in the crops, as in ``BodyParameters``, shape (N, 2).
+        lens: Lenses of the crops, as in ``Observation``, shape (N, 3).
+        rotations: Rotations from world to camera, shape (N, 3, 3).
+        translations: Translations from world to camera [m], shape (N, 3).
+
+    Returns:
+        Pelvises in the world [m], shape (N, 3).
+    """
     return _Pelvises()(log_scale, shift, lens, rotations, translations)[0]
 
 
@@ -122,18 +137,18 @@ class _Pelvises(Operation):
 
 def _prepare_pelvises(inputs: Tensors, outputs: Tensors) -> Launch:
     """Launch that fills pelvises."""
-    return partial(kernels.launch_pelvises, *_of_pelvises(inputs), warp_array(outputs[0], vec3))
+    return partial(kernels.launch_pelvises, *_pelvis_arrays(inputs), warp_array(outputs[0], vec3))
 
 
 def _prepare_pelvises_adjoint(inputs: Tensors, outputs: Tensors) -> Launch:
-    """Launch that fills gradients of logarithms of scales and of shifts."""
+    """Launch that fills the gradients of ``log_scale`` and ``shift``."""
     *given, adjoint = inputs
     gradients = warp_array(outputs[0]), warp_array(outputs[1], vec2)
-    return partial(kernels.launch_pelvises_adjoint, *_of_pelvises(given), warp_array(adjoint, vec3), gradients)
+    return partial(kernels.launch_pelvises_adjoint, *_pelvis_arrays(given), warp_array(adjoint, vec3), gradients)
 
 
-def _of_pelvises(given: Sequence[torch.Tensor]) -> tuple[list[Any], list[Any]]:
-    """Numbers and views."""
+def _pelvis_arrays(given: Sequence[torch.Tensor]) -> tuple[list[Any], list[Any]]:
+    """Arrays of the bodies' numbers, and arrays of their views."""
     kinds = None, vec2, vec3, mat33, vec3
     arrays = warp_arrays(given, kinds)
     return arrays[:2], arrays[2:]

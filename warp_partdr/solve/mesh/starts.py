@@ -1,8 +1,8 @@
-"""Starts of a fit of detailed bodies, what was observed of them, and the numbers that it looks for.
+"""Starts and observations of a fit of detailed bodies, and the unknown numbers that it finds.
 
-There are P people in T frames before V cameras: N = P T bodies, frames of a person in a row, and M = N V pictures of
-bodies, views of a body in a row. Everybody has one shape, and a pose in each frame. The people are those of one scene,
-or each is alone in a scene of one view and one frame, as in the mesh stage.
+There are P people in T frames before V cameras: N = P T bodies, where the frames of a person follow one another, and
+M = N V pictures of bodies, where the views of a body follow one another. Each person has one shape, and a pose in each
+frame. The people are those of one scene; or, as in the mesh stage, each is alone in a scene of one view and one frame.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from .landmark_costs import LandmarkAims
 from .tensors import NamedTensors
 from .unknown_noise import border_lengths
 
-# Of shape values, whose variance is 1, and of thicknesses [m], against radians and half-sides of the crop.
-_SHAPE_RATE, _CLOTHES_RATE = 5.0, 0.3
+# Learning rates of shape values, whose variance is 1, and of thicknesses of clothes [m], relative to that of angles
+# [rad] and of the camera [half-sides of the crop].
+_SHAPE_RATE = 5.0
+_CLOTHES_RATE = 0.3
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,8 @@ class WorldViews(NamedTensors):
         home_rotations: World to the camera in whose crop a body is placed, shape (N, 3, 3).
         home_translations: World to that camera [m], shape (N, 3).
         focals: Focal lengths of the crops of ``REFERENCE_SIZE`` [px], shape (M, 2).
-        centres: Their principal points [px], shape (M, 2).
-        shown: Who is seen in each view, shape (N, V), bool.
+        centres: Principal points of these crops [px], shape (M, 2).
+        observed: True if a view shows a body, shape (N, V), bool.
     """
 
     rotations: torch.Tensor
@@ -40,32 +42,32 @@ class WorldViews(NamedTensors):
     home_translations: torch.Tensor
     focals: torch.Tensor
     centres: torch.Tensor
-    shown: torch.Tensor
+    observed: torch.Tensor
 
 
 @dataclass(frozen=True)
 class Slots(NamedTensors):
-    """Places of people in the pictures of K clusters, C people at most in one.
+    """Slots of people in the pictures of K clusters, at most C people in one.
 
     Attributes:
         lenses: Lenses of the pictures' crops, shape (K T V, 3).
-        slots: As of ``PictureViews``, like ``places``, shape (K, C), int32.
-        places: Shape (P, 2), int32.
+        slots: Person in each slot of each cluster, -1 for an empty slot, shape (K, C), int32.
+        person_slots: Cluster and slot of each person, -1 for people in no cluster, shape (P, 2), int32.
     """
 
     lenses: torch.Tensor
     slots: torch.Tensor
-    places: torch.Tensor
+    person_slots: torch.Tensor
 
 
 @dataclass(frozen=True)
 class LabelPictures(NamedTensors):
-    """Label pictures in which people are to be seen: one of each cluster of people in each frame and view.
+    """Label pictures that the drawn people are compared with: one of each cluster in each frame and view.
 
     Attributes:
-        target: Labels, shape (K T V, size, size), uint8; of a cluster's slots, slot G + group.
+        target: Labels, shape (K T V, size, size), uint8. A label of slot s is s G + group, for a label set of G groups.
         borders: Lengths of the labels' borders [px], shape (K T V,).
-        slots: Who is where; None: picture b shows body b in its own crop.
+        slots: Slots of people in the pictures; None: picture b shows body b in its own crop.
     """
 
     target: torch.Tensor
@@ -74,7 +76,7 @@ class LabelPictures(NamedTensors):
 
     @classmethod
     def of(cls, target: torch.Tensor, slots: Slots | None = None) -> LabelPictures:
-        """Measure the borders of label pictures."""
+        """Make label pictures from labels, whose borders are measured."""
         return cls(target, border_lengths(target), slots)
 
     @property
@@ -89,7 +91,7 @@ class StandingFeet(NamedTensors):
 
     Attributes:
         plane: Normal and offset [m] of the ground in the world, shape (4,).
-        standing: How surely each body stands on it, shape (N,).
+        standing: Confidence that each body stands on the ground, shape (N,).
     """
 
     plane: torch.Tensor
@@ -101,23 +103,27 @@ class Starts(NamedTensors):
     """Starts and observations of people.
 
     Attributes:
-        rotations: Of the drawn model's joints where the fit starts, the root's in the world, shape (N, J, 3, 3).
-        translation: From the pelvis to the root, in the world [m], shape (N, 3).
+        rotations: Local rotations of the drawn model's joints where the fit starts; the root's is in the world, shape
+            (N, J, 3, 3).
+        translation: Vector from the pelvis to the root, in the world [m], shape (N, 3).
         shape: Shape values, shape (P, S).
         clothes: Thicknesses on parts ``CLOTHED``, before bounds [m], shape (P, 8).
-        unknown: 1 for people whose shape and clothes are to be found, 0 for known ones, shape (P, 1).
-        log_scale: Of the pelvis in the crop in which a body is placed, like ``shift`` as of ``BodyParameters``, (N,).
-        shift: Shape (N, 2).
-        lens: Of that crop as of ``Observation``, shape (N, 3); None: weak perspective.
-        turn_variances: Squares of how sure the turn of each free joint is [rad^2], shape (N, F, 1).
+        unknown: Number 1 for people whose shape and clothes are to be found, 0 for people with a known shape, shape
+            (P, 1).
+        log_scale: Logarithms of the scale at the pelvises in the crops in which the bodies are placed, as in
+            ``BodyParameters``, shape (N,).
+        shift: Positions of the pelvises in these crops, as in ``BodyParameters`` [half-sides of the crop], shape
+            (N, 2).
+        lens: Lenses of these crops, as in ``Observation``, shape (N, 3); None: weak perspective.
+        turn_variances: Squared uncertainty of the turn of each free joint [rad^2], shape (N, F, 1).
         aims: Keypoints, and depths of ``JOINT_NAMES``, in the M pictures of bodies.
         views: Cameras of one scene; None: each body is in a scene of its own, whose world is its crop's camera.
-        alone: Pictures of people who overlap nobody; None: without labels, or there are no such people.
-        together: Pictures of people who overlap; None: without labels, or nobody does.
-        smooth: Share of each frame in each frame's moves, shape (T, T); None: frames move for themselves.
-        rates: 1 over the time from each frame to the next [1/s], 0 where nothing is known of feet between them, shape
-            (T - 1,); None: it nowhere is.
-        feet: The ground; None: no feet are held to any.
+        alone: Pictures of people who overlap nobody; None if there are no labels, or no people of this kind.
+        together: Pictures of people who overlap; None if there are no labels, or no people of this kind.
+        smooth: Share of each frame in the moves of each frame, shape (T, T); None: the frames move independently.
+        rates: Inverse of the time from each frame to the next [1/s], shape (T - 1,). It is 0 if nothing is known of
+            feet between the two frames; None if that holds for all frames.
+        feet: Ground that feet are held to; None: no feet are held.
     """
 
     rotations: torch.Tensor
@@ -144,30 +150,36 @@ class Starts(NamedTensors):
 
     @property
     def num_views(self) -> int:
-        """Number of cameras, V."""
+        """Number of cameras, V, which is 1 in a batch of people."""
         return 1 if self.views is None else len(self.views.rotations)
 
     @property
     def people_in_scene(self) -> int:
-        """Number of people who share a world."""
+        """Number of people who share a world, which is 1 in a batch of people."""
         return 1 if self.views is None else len(self.shape)
 
     def of_frames(self, values: torch.Tensor) -> torch.Tensor:
-        """Values of people, each as often as there are frames."""
+        """Repeat the values of people (P, ...) for their frames, shape (N, ...)."""
         return values if self.num_frames == 1 else values.repeat_interleave(self.num_frames, 0)
 
     def by_person(self, values: torch.Tensor) -> torch.Tensor:
-        """Values of bodies (N, ...) as (P, T, ...)."""
+        """Reshape the values of bodies (N, ...) to (P, T, ...)."""
         return values.unflatten(0, (len(self.shape), -1))
 
     def learning_rates(self) -> torch.Tensor:
-        """Learning rates of all moves, relative to that of angles [rad] and camera [half-sides], shape (R,)."""
-        bodies, shapes, clothes = self._sizes()
-        sizes = (bodies, 1.0), (shapes, _SHAPE_RATE), (clothes, _CLOTHES_RATE)
-        return torch.cat([self.shape.new_full((count,), rate) for count, rate in sizes])
+        """List the learning rates of all moves, relative to that of angles and of the camera, shape (R,)."""
+        rates = 1.0, _SHAPE_RATE, _CLOTHES_RATE
+        return torch.cat(
+            [self.shape.new_full((count,), rate) for count, rate in zip(self._sizes(), rates, strict=True)]
+        )
 
     def moved(self, moves: torch.Tensor) -> Unknowns:
-        """Numbers after these moves, (R,): turns, ``log_scale`` and ``shift`` of N bodies, the others of P people."""
+        """Apply moves to the numbers where the fit starts.
+
+        Args:
+            moves: Changes of turns, ``log_scale`` and ``shift`` of N bodies, then of shapes and clothes of P people,
+                shape (R,).
+        """
         bodies, shape, clothes = moves.split(self._sizes())
         rows = bodies.view(len(self.shift), -1)
         if self.smooth is not None:
@@ -182,25 +194,25 @@ class Starts(NamedTensors):
         )
 
     def at_rest(self) -> Unknowns:
-        """Numbers where the fit starts."""
+        """Unknowns where the fit starts."""
         return self.moved(torch.zeros_like(self.learning_rates()))
 
     def _sizes(self) -> list[int]:
-        """Numbers of moves: of bodies, shapes and clothes."""
+        """Count the moves: those of bodies, of shapes and of clothes."""
         bodies, joints = self.turn_variances.shape[:2]
         return [bodies * (3 * joints + 3), self.shape.numel(), len(self.shape) * len(CLOTHED)]
 
 
 @dataclass(frozen=True, eq=False)
 class Unknowns(NamedTensors):
-    """Numbers that a fit looks for.
+    """Numbers that a fit finds.
 
     Attributes:
-        turns: Of the free joints, as rotation vectors [rad], shape (N, F, 3).
+        turns: Turns of the free joints from their start, as rotation vectors [rad], shape (N, F, 3).
         shape: Shape values, shape (P, S).
         clothes: Thicknesses on parts ``CLOTHED``, before bounds [m], shape (P, 8).
-        log_scale: As of ``BodyParameters``, like ``shift``, shape (N,).
-        shift: Shape (N, 2).
+        log_scale: Logarithms of the scale at the pelvises, as in ``BodyParameters``, shape (N,).
+        shift: Positions of the pelvises in the crops, as in ``BodyParameters`` [half-sides of the crop], shape (N, 2).
     """
 
     turns: torch.Tensor

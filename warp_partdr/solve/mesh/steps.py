@@ -1,4 +1,4 @@
-"""Steps of Adam on the energy of detailed bodies; on CUDA one captured graph, kept for as many other people."""
+"""Steps of Adam on the energy of detailed bodies; on CUDA, one captured graph serves all batches of the same size."""
 
 from __future__ import annotations
 
@@ -14,18 +14,20 @@ from ..ellipsoids.stepper import FINAL_RATE
 from .energy import MeshEnergy
 from .starts import Starts, Unknowns
 
-# Of Adam. So few steps can't wait for torch's defaults: these forget the start's large gradients, and overshoot less.
+# Decay rates of Adam's moments. With torch's defaults, a few steps would not be enough to forget the large gradients of
+# the start. These forget them sooner, and overshoot less.
 _BETAS = 0.7, 0.95
 
 
 @dataclass(frozen=True)
 class RefinedPeople:
-    """People whose numbers were refined; a later refinement changes none of these tensors.
+    """People after a refinement. A later refinement does not change these tensors.
 
     Attributes:
-        people: Where they started, and what was observed of them.
-        unknowns: Their numbers after the last step.
-        terms: Weighted terms of the energy before the last step by name, one number a cost's row; none without a step.
+        people: Starts and observations of the people.
+        unknowns: Unknowns after the last step.
+        terms: Weighted terms of the energy before the last step by name, one number for each row of a cost. Empty if
+            there was no step.
     """
 
     people: Starts
@@ -34,17 +36,17 @@ class RefinedPeople:
 
     @property
     def energies(self) -> dict[str, float]:
-        """Weighted terms of all people together, by name."""
+        """Weighted terms by name, each summed over all people."""
         return {name: float(term.sum()) for name, term in self.terms.items()}
 
 
 def refine_starts(energy: MeshEnergy, people: Starts, progress: Callable[[int], None]) -> RefinedPeople:
-    """Refine people from their start on.
+    """Refine people from their starts.
 
     Args:
-        energy: Energy, with the number of steps and their size.
-        people: Where they start, and what was observed of them.
-        progress: Called after each step with the number of steps that are done.
+        energy: Energy, whose options give the number of steps and the learning rate.
+        people: Starts and observations of the people.
+        progress: Function that is called after each step with the number of steps done.
     """
     steps = find_steps(energy, people)
     options = energy.options
@@ -55,24 +57,26 @@ def refine_starts(energy: MeshEnergy, people: Starts, progress: Callable[[int], 
 
 
 class Steps:
-    """Adam on what is unknown.
+    """Optimiser of the unknowns by Adam. It minimises the weighted sum of all numbers of the energy's costs.
 
     Attributes:
-        energy: The energy: the weighted sum of all numbers of its costs.
-        people: Where they start, and what was observed of them.
+        energy: Energy of the people.
+        people: Starts and observations of the people.
     """
 
     def __init__(self, energy: MeshEnergy, people: Starts) -> None:
-        self.energy, self.people, self._rates = energy, people, people.learning_rates()
-        # In units of their rates, so that Adam has one tensor.
+        self.energy = energy
+        self.people = people
+        self._rates = people.learning_rates()
+        # Moves are in units of their learning rates, so that Adam can treat them as one tensor with one rate.
         self._moves = torch.zeros_like(self._rates).requires_grad_()
         self._adam = Adam([([self._moves], energy.options.learning_rate)], betas=_BETAS)
         self._costs: dict[str, torch.Tensor] = {}
-        self._pulls: dict[str, torch.Tensor] = {}  # weights, of the costs' shapes
+        self._pulls: dict[str, torch.Tensor] = {}  # weights in the shapes of the costs
 
     @property
     def unknowns(self) -> Unknowns:
-        """Unknowns as they are now."""
+        """Current unknowns."""
         return self.people.moved(self._moves * self._rates)
 
     @property
@@ -83,7 +87,7 @@ class Steps:
         return {name: factors[name] * cost.reshape(len(cost), -1).sum(1) for name, cost in costs.items()}
 
     def step(self, share: float | torch.Tensor) -> None:
-        """Take one step, at this share of the learning rate."""
+        """Take one step at a share of the learning rate."""
         self._costs = self.energy(self.people, self.unknowns)
         if not self._pulls:
             factors = self.energy.factors(self.people)
@@ -93,14 +97,14 @@ class Steps:
 
     @torch.no_grad()
     def restart(self, people: Starts) -> None:
-        """Take other people, as many as before."""
+        """Start again with other people, whose tensors have the same shapes."""
         torch._foreach_copy_(self.people.tensors(), people.tensors())
         self._moves.zero_()
         self._adam.restart()
 
 
 class _CapturedSteps(Steps):
-    """Steps on CUDA, by one captured graph."""
+    """Optimiser whose step is one captured graph on CUDA."""
 
     def __init__(self, energy: MeshEnergy, people: Starts) -> None:
         super().__init__(energy, people.copied())
@@ -114,10 +118,10 @@ class _CapturedSteps(Steps):
 
 
 def find_steps(energy: MeshEnergy, people: Starts) -> Steps:
-    """Steps from people's start; on CUDA those of a graph that is kept, if there is one of as many people."""
+    """Find the optimiser of these people; on CUDA a kept one with a captured graph, if the shapes are the same."""
     device = people.shape.device
     if device.type == "cuda" and energy.options.iterations > 0:
-        shapes = tuple((name, each.shape) for name, each in people.named().items())  # names tell which are there
+        shapes = tuple((name, each.shape) for name, each in people.named().items())  # some tensors may be missing
         key = _CapturedSteps, energy, shapes
         steps = graphs.find(key, device, 0, lambda: _CapturedSteps(energy, people), at_once=True)
         if steps is not None:

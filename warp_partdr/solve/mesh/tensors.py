@@ -1,4 +1,4 @@
-"""Dataclasses of tensors that a captured graph takes anew."""
+"""Dataclasses of tensors, whose values a captured graph copies from others of the same shapes."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from ...interop.movable import Movable
 
 
 class NamedTensors(Movable):
-    """Mixin for a dataclass of tensors, others of these, or None: starts, which a captured graph copies from others."""
+    """Mixin for a dataclass whose fields are tensors, dataclasses with this mixin, or None."""
 
     def named(self) -> dict[str, torch.Tensor]:
-        """All that are there, by their names."""
+        """Collect all tensors by their names; a name in an inner dataclass has that one's name and a dot before it."""
         found: dict[str, torch.Tensor] = {}
         for name, value in vars(self).items():
             if isinstance(value, NamedTensors):
@@ -24,11 +24,11 @@ class NamedTensors(Movable):
         return found
 
     def tensors(self) -> list[torch.Tensor]:
-        """All that are there."""
+        """List all tensors."""
         return list(self.named().values())
 
     def copied(self) -> Self:
-        """Copies of all tensors."""
+        """Copy the dataclass with all its tensors."""
         copies: dict[str, torch.Tensor | NamedTensors] = {}
         for name, value in vars(self).items():
             if value is not None:

@@ -1,8 +1,9 @@
-"""Costs of what was seen with noise that nobody knows: the better a body agrees with it, the more it counts.
+"""Costs of observations with noise of unknown size: the better a body agrees with an observation, the more it counts.
 
-The likelihood of errors with a Laplace distribution, over all its widths: with as many errors as there are, that is a
-power of their sum (Gelman et al., Bayesian Data Analysis, on unknown scales), so costs are its logarithm. Wrong labels
-are no errors of their own, pixel by pixel, but come in blobs, of which there are the fewer the wider they are.
+Errors of keypoints have a Laplace distribution of unknown width. Integrated over all widths, the likelihood of n errors
+is a power of their sum (Gelman et al., Bayesian Data Analysis, on unknown scales), and the cost is its negative
+logarithm. Wrong labels are not independent from pixel to pixel. They come in blobs, and wide blobs are rarer than
+narrow ones.
 """
 
 from __future__ import annotations
@@ -12,31 +13,59 @@ import torch
 from ...body.labels import IGNORE
 from ...inputs.observation import REFERENCE_SIZE
 
-# Errors of a fit's end at which costs are as steep as their sum [px of ``REFERENCE_SIZE``]: distances of keypoints, and
-# widths of the strips of wrong labels along the labels' borders. Medians of PartBench's people at "clothed".
-_DISTANCE, _STRIP = 2.9, 1.5
-_LEAST = 0.02  # of the usual errors: smaller ones are not believed to be noise
-_NO_COUNT = 1e-6  # stands for 0, by which nothing can be divided
+# Usual errors at the end of a fit, at which costs are as steep as the sum of errors [px of ``REFERENCE_SIZE``]:
+# distances from keypoints, and widths of the strips of wrong labels along the labels' borders. They are medians over
+# PartBench's people at "clothed".
+_DISTANCE = 2.9
+_STRIP = 1.5
+_LEAST = 0.02  # share of the usual error below which a smaller error hardly makes a cost steeper
+_NO_COUNT = 1e-6  # replaces a count of 0 in a division
 
 
-def keypoint_costs(distances: torch.Tensor, votes: torch.Tensor) -> torch.Tensor:
-    """Costs of weighted sums of distances from keypoints [px of ``REFERENCE_SIZE``] (B,), whose weights are (B, L)."""
-    return noise_costs(distances, votes.sum(1), _DISTANCE)
+def keypoint_costs(distances: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    """Costs of distances from keypoints.
+
+    Args:
+        distances: Weighted sums of distances [px of ``REFERENCE_SIZE``], shape (B,).
+        weights: Weights of the keypoints, shape (B, L).
+
+    Returns:
+        Costs [px of ``REFERENCE_SIZE``], shape (B,).
+    """
+    return noise_costs(distances, weights.sum(1), _DISTANCE)
 
 
 def label_costs(wrong: torch.Tensor, borders: torch.Tensor, size: int) -> torch.Tensor:
-    """Costs of numbers of wrong pixels (B,) beside borders so long (B,), of labels drawn so large [px]."""
+    """Costs of wrong pixels.
+
+    Args:
+        wrong: Numbers of wrong pixels, shape (B,).
+        borders: Lengths of the labels' borders [px], shape (B,).
+        size: Side of the drawn labels [px].
+
+    Returns:
+        Costs [px], shape (B,).
+    """
     return blob_costs(wrong, borders, _STRIP * size / REFERENCE_SIZE)
 
 
 def noise_costs(errors: torch.Tensor, counts: torch.Tensor, usual: float) -> torch.Tensor:
-    """Costs of sums of errors (B,), of so many each (B,), whose usual size is known; slopes are 1 at that size."""
+    """Costs of errors of unknown size, whose slope is 1 if the errors have their usual size.
+
+    Args:
+        errors: Sums of errors, shape (B,).
+        counts: Numbers of errors in each sum, shape (B,).
+        usual: Usual size of one error.
+
+    Returns:
+        Costs in the unit of errors, shape (B,).
+    """
     shares = _shares(errors, counts, usual)
     return (1 + _LEAST) * usual * counts * torch.log1p(shares / _LEAST)
 
 
 def blob_costs(errors: torch.Tensor, counts: torch.Tensor, usual: float) -> torch.Tensor:
-    """Costs as of ``noise_costs``, for errors that come in blobs.
+    """Costs of errors that come in blobs; the arguments are those of ``noise_costs``.
 
     Far above the usual size, slopes fall with the square of the errors.
     """
@@ -46,12 +75,19 @@ def blob_costs(errors: torch.Tensor, counts: torch.Tensor, usual: float) -> torc
 
 
 def _shares(errors: torch.Tensor, counts: torch.Tensor, usual: float) -> torch.Tensor:
-    """Means of errors in units of the usual one (B,); finite where there are none."""
+    """Means of errors in units of the usual error, shape (B,); finite if there are none."""
     return errors / (usual * counts).clamp_min(_NO_COUNT)
 
 
 def border_lengths(labels: torch.Tensor) -> torch.Tensor:
-    """Numbers of neighbours in pictures (B, H, W) that have different labels, none of them ignored, shape (B,)."""
+    """Count the pairs of neighbours in label pictures with different labels, of which none is ignored.
+
+    Args:
+        labels: Label pictures, shape (B, H, W).
+
+    Returns:
+        Lengths of the borders [px], shape (B,).
+    """
     known = labels != IGNORE
     down = (labels[:, 1:] != labels[:, :-1]) & known[:, 1:] & known[:, :-1]
     across = (labels[..., 1:] != labels[..., :-1]) & known[..., 1:] & known[..., :-1]

@@ -90,7 +90,7 @@ def _best_exchanges(
     assert people.views is not None
     assert plan.energy.together is not None
     targets = people.together.target.unflatten(0, drawn.shape[:2])
-    shown = people.by_person(people.views.shown)[:, frame, 0]
+    shown = people.by_person(people.views.observed)[:, frame, 0]
     found: dict[int, float] = {}
     for cluster, members in enumerate(of_several(plan.clusters)):
         seen = shown[list(members)].tolist()

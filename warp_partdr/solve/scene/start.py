@@ -17,7 +17,7 @@ from ...models.clothes import CLOTHED
 from ...models.model import DetailedModel
 from ...models.pose import pose_from_ellipbody
 from ...models.registration import shape_from_lengths
-from ..mesh.gather import gather_aims, gather_turn_spreads
+from ..mesh.gather import gather_aims, gather_turn_uncertainties
 from ..mesh.landmark_costs import LandmarkAims
 from ..mesh.observed_body import ObservedBody
 from ..mesh.starts import Starts, WorldViews
@@ -59,7 +59,7 @@ def gather_scene(plan: ScenePlan, looks: Sequence[ObservedBody]) -> Starts:
         if plan.options.sliding > 0 and (found := feet_rates(times, width)) is not None:
             rates = found.to(turned)
 
-    turn_spreads = gather_turn_spreads(drawn, [look.uncertainty for look in looks], turned)[homes.looks]
+    turn_spreads = gather_turn_uncertainties(drawn, [look.uncertainty for look in looks], turned)[homes.looks]
     alone = together = None
     if drawn.mesh is not None:
         together = cluster_pictures(plan, of_several(plan.clusters), plan.options.together, looks)
@@ -130,9 +130,9 @@ def _aims(plan: ScenePlan, looks: Sequence[ObservedBody], table: _Table) -> Land
     said = [look.uncertainty for look in looks]
     aims = gather_aims(plan.energy.drawn, [look.observation for look in looks], said, depths[:, 1:] - depths[:, :1])
     return LandmarkAims(
-        places=table.full(aims.places),
+        landmark_indices=table.full(aims.landmark_indices),
         points=table.full(aims.points),
-        votes=table.full(aims.votes),
+        weights=table.full(aims.weights),
         ends=aims.ends,
         depths=table.full(aims.depths),
         depth_weights=table.full(aims.depth_weights),
@@ -150,7 +150,7 @@ def _views(looks: Sequence[ObservedBody], table: _Table, cameras: CameraPoses, h
         home_translations=homes.translations,
         focals=crops.focal,
         centres=crops.centre,
-        shown=shown,
+        observed=shown,
     )
 
 
