@@ -256,5 +256,5 @@ def test_evidence_is_weighed_once_and_halves_of_the_photo_are_made_once(everyone
     for place, mesh in before.fits.items():
         np.testing.assert_array_equal(again.fits[place].vertices, mesh.vertices)
         parts = mask_labels(again.owners, place)
-        alone = fitting.fit_body(again.people[place].keypoints, parts, options=FAST.without_outline())
+        alone = fitting.fit_body(again.people[place].keypoints, parts, options=FAST)
         assert torch.equal(alone.posed.joints, again.fits[place].first.posed.joints)

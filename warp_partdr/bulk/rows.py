@@ -280,6 +280,7 @@ class _Known:
 
 def _known_of(fits: Sequence[FitResult] | Sequence[MeshFit]) -> _Known:
     if isinstance(fits, BatchFits):
+        assert fits.uncertainty is not None  # fits of data sets start from the network
         return _Known(
             fits.parameters,
             fits.observations.lens,

@@ -14,12 +14,12 @@ from ...inputs.observations import Observations
 from ...networks.regression.uncertainty import Uncertainty
 from .depth_flips import DepthOrder
 from .result import FitResult
-from .stages import Stage
+from .stages import Stage, Start
 
 
 @dataclass(frozen=True, eq=False)
 class BatchFits(Sequence[FitResult]):
-    """Fits of N people that began at the label network's bodies, all through the same stages.
+    """Fits of N people, all through the same stages.
 
     Attributes:
         people: People who were fitted, as they were given.
@@ -30,9 +30,13 @@ class BatchFits(Sequence[FitResult]):
         energy: Weighted terms of the energy at the end by name, shape (N,).
         history: Energy before each iteration, shape (N, iterations), of each stage.
         stage_seconds: Wall time of each stage, of all N people.
-        misfits: Warnings of bodies by their rows; most have none.
+        body_warnings: Warnings of bodies by their rows; most have none.
         depth_orders: Limbs that were tried mirrored in depth.
-        uncertainty: Uncertainty of the network about its bodies, B = N.
+        uncertainty: Uncertainty of the network about its bodies, B = N; None after a search.
+        start: Start of the fits, "network" or "search".
+        hypotheses: Number of starts of each person; None: one each.
+        finalists: Energies at the end of the last stage that compared several bodies of a person, best first; of each
+            person. Empty if no stage did.
     """
 
     people: CutPeople
@@ -42,9 +46,12 @@ class BatchFits(Sequence[FitResult]):
     energy: Mapping[str, np.ndarray]
     history: Sequence[np.ndarray]
     stage_seconds: Mapping[str, float]
-    misfits: Mapping[int, list[str]]
+    body_warnings: Mapping[int, list[str]]
     depth_orders: Sequence[DepthOrder | None]
-    uncertainty: Uncertainty
+    uncertainty: Uncertainty | None
+    start: Start = "network"
+    hypotheses: Sequence[int] | None = None
+    finalists: Sequence[list[float]] = ()
 
     def __len__(self) -> int:
         """Number of people, N."""
@@ -68,19 +75,19 @@ class BatchFits(Sequence[FitResult]):
             energy={name: float(values[row]) for name, values in self.energy.items()},
             history=[each[row] for each in self.history],
             stage_seconds=dict(self.stage_seconds),
-            hypotheses=1,
-            finalists=[],
-            start="network",
+            hypotheses=1 if self.hypotheses is None else self.hypotheses[row],
+            finalists=self.finalists[row] if self.finalists else [],
+            start=self.start,
             evidence=person.evidence,
             warnings=self.warnings(row),
             depth_order=self.depth_orders[row],
-            uncertainty=self.uncertainty.select(own),
+            uncertainty=None if self.uncertainty is None else self.uncertainty.select(own),
             stature=observation.stature,
         )
 
     def warnings(self, row: int) -> tuple[str, ...]:
         """Faults of one person's input or body, a sentence each."""
-        return (*self.people.warnings[row], *self.misfits.get(row, ()))
+        return (*self.people.warnings[row], *self.body_warnings.get(row, ()))
 
     def losses(self) -> list[float] | None:
         """Energies at the end, the sums of their terms; None without stages."""

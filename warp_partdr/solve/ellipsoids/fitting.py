@@ -119,7 +119,7 @@ def fit_evidence(
     network = known_network(options.network, str(device))
     plan = _Plan(options, network, packaged_prior(str(device)), longer_lenses=assumed, bodies=body, progress=progress)
     person = _more_plausible(people, plan)
-    return replace(_fit_alike(CutPeople.of([person]), plan)[0], evidence=person.evidence)
+    return replace(_fit_batch(CutPeople.of([person]), plan)[0], evidence=person.evidence)
 
 
 @one_torch_thread()
@@ -147,7 +147,7 @@ def fit_people(people: Sequence[CutPerson], options: FitOptions, network: LabelN
     check_type("network", network, LabelNetwork, "of load_label_network")
     if isinstance(people, CutPeople):
         device = people.observations.points.device
-        return _fit_alike(people, _Plan(options, network, packaged_prior(str(device))))
+        return _fit_batch(people, _Plan(options, network, packaged_prior(str(device))))
     groups = stack_alike(people)
     if len(groups) == 1:
         return fit_people(groups[0][1], options, network)
@@ -187,11 +187,11 @@ def _more_plausible(people: Sequence[CutPerson], plan: _Plan) -> CutPerson:
         return people[0]
     options = replace(plan.options, stages=STAGES["network"]["fast"], start="network", search=())
     # With doubts, a wrong reading would seem to fit.
-    fits = _fit_alike(CutPeople.of(people), replace(plan, options=options, doubting=False, bodies=None, progress=None))
+    fits = _fit_batch(CutPeople.of(people), replace(plan, options=options, doubting=False, bodies=None, progress=None))
     return people[min(range(len(people)), key=lambda row: implausibility(fits[row]))]
 
 
-def _fit_alike(people: CutPeople, plan: _Plan) -> Sequence[FitResult]:
+def _fit_batch(people: CutPeople, plan: _Plan) -> Sequence[FitResult]:
     """Fit people who are alike, from the network's bodies or by a search."""
     options, labels = plan.options, people.observations.label_set
     if options.start == "search":
@@ -225,8 +225,10 @@ def _fit_from_network(people: CutPeople, plan: _Plan) -> tuple[BatchFits, Observ
         doubting=plan.doubting,
         flips=bool(stages),
     )
-    owners = torch.arange(len(people), device=start.bodies.shift.device)
-    refined = refine_stages(start.bodies, owners, start.observations, stages, options, prior, progress=plan.progress)
+    person_indices = torch.arange(len(people), device=start.bodies.shift.device)
+    refined = refine_stages(
+        start.bodies, person_indices, start.observations, stages, options, prior, progress=plan.progress
+    )
     fits = BatchFits(
         people=people,
         observations=start.observations,
@@ -235,33 +237,33 @@ def _fit_from_network(people: CutPeople, plan: _Plan) -> tuple[BatchFits, Observ
         energy={name: term.cpu().numpy() for name, term in refined.terms.items()},
         history=refined.history,
         stage_seconds=start.seconds | refined.seconds,
-        misfits=_warnings(refined.bodies, start.given, people, prior),
+        body_warnings=_warnings(refined.bodies, start.given, people, prior),
         depth_orders=start.depth_orders,
         uncertainty=start.uncertainty,
     )
     return fits, start.given
 
 
-def _search(people: CutPeople, observations: Observations, stages: Sequence[Stage], plan: _Plan) -> list[FitResult]:
+def _search(people: CutPeople, observations: Observations, stages: Sequence[Stage], plan: _Plan) -> BatchFits:
     """Fit from many hypotheses of each person, lifted in the first stage."""
     options, prior = plan.options, plan.prior
     hypotheses = [
         hypothesize(observations[row], stages[0].bodies, seed=options.seed) for row in range(len(observations))
     ]
     counts = torch.tensor([len(each.targets) for each in hypotheses], device=observations.points.device)
-    owners = torch.arange(len(observations), device=observations.points.device).repeat_interleave(counts)
+    person_indices = torch.arange(len(observations), device=observations.points.device).repeat_interleave(counts)
     bodies = BodyParameters.joined([each.bodies for each in hypotheses])
     bodies = replace(bodies, rotations=prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
-    of_bodies = observations.without_pictures().select(owners)
+    of_bodies = observations.without_pictures().select(person_indices)
     bodies = sized(turned_to_lenses(bodies, of_bodies), of_bodies.statures)
     if observations.statures is not None:
-        first = torch.searchsorted(owners, torch.arange(len(observations), device=owners.device))
+        first = torch.searchsorted(person_indices, torch.arange(len(observations), device=person_indices.device))
         observations = replace(observations, lengths=bodies.lengths[first], thicknesses=bodies.thicknesses[first])
     targets = torch.cat([each.targets for each in hypotheses])
-    known = torch.stack([each.known for each in hypotheses])[owners]
+    known = torch.stack([each.known for each in hypotheses])[person_indices]
     refined = refine_stages(
         bodies,
-        owners,
+        person_indices,
         observations,
         stages,
         options,
@@ -269,38 +271,30 @@ def _search(people: CutPeople, observations: Observations, stages: Sequence[Stag
         first_energy=lambda energy: LiftEnergy(energy, targets, known),
         progress=plan.progress,
     )
-    warnings = _warnings(refined.bodies, observations, people, prior)
-    statures, found = observations.statures, []
-    parameters = sized(refined.bodies, statures)
-    for row, person in enumerate(people):
-        own = slice(row, row + 1)
-        found.append(
-            FitResult(
-                parameters=parameters.select(own),
-                crop=person.crop,
-                observation=observations[row],
-                stages=tuple(stages),
-                energy={name: float(term[row]) for name, term in refined.terms.items()},
-                history=[rows[row] for rows in refined.history],
-                stage_seconds=dict(refined.seconds),
-                hypotheses=int(counts[row]),
-                finalists=refined.finalists[row],
-                start="search",
-                evidence=person.evidence,
-                warnings=(*person.evidence.warnings, *warnings.get(row, ())),
-                stature=observations[row].stature,
-            )
-        )
-    return found
+    return BatchFits(
+        people=people,
+        observations=observations,
+        stages=tuple(stages),
+        parameters=sized(refined.bodies, observations.statures),
+        energy={name: term.cpu().numpy() for name, term in refined.terms.items()},
+        history=refined.history,
+        stage_seconds=refined.seconds,
+        body_warnings=_warnings(refined.bodies, observations, people, prior),
+        depth_orders=[None] * len(people),
+        uncertainty=None,
+        start="search",
+        hypotheses=counts.tolist(),
+        finalists=refined.finalists,
+    )
 
 
 def _warnings(
     bodies: BodyParameters, observations: Observations, people: CutPeople, prior: PosePrior
 ) -> dict[int, list[str]]:
     """Warnings of bodies that lie elsewhere than keypoints and labels, by rows. All keypoints count as they are."""
-    misfits = far_bodies(bodies, observations, prior, skeleton(people.skeleton))
+    body_warnings = far_bodies(bodies, observations, prior, skeleton(people.skeleton))
     poor = find_poor_labels(bodies, observations)
-    return {row: misfits.get(row, []) + poor.get(row, []) for row in misfits | poor}
+    return {row: body_warnings.get(row, []) + poor.get(row, []) for row in body_warnings | poor}
 
 
 def _better(

@@ -34,13 +34,13 @@ def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions
     """
     own = {name: value for name, value in values.items() if name in _FIELDS}
     if not isinstance(mesh := own.get(MESH, {}), Mapping):
-        told = f"{MESH}: {shown(mesh)}; expected a table of the mesh stage"
-        raise InputError(f"{told} (ellipsoids are drawn as a mesh by {TRIANGLES}=true)")
+        message = f"{MESH}: {shown(mesh)}; expected a table of the mesh stage"
+        raise InputError(f"{message} (ellipsoids are drawn as a mesh by {TRIANGLES}=true)")
     if OUTLINE in values:
         options = _add_outline(options, values[OUTLINE], triangles=values.get(TRIANGLES, False) is not False)
     weights = own.get("weights", {})
     usual = read_section(Weights, weights, "weights", options.weights)
-    options = replace(options, search=_weighed(options.search, weights))
+    options = replace(options, search=_change_weights(options.search, weights))
     if isinstance(search := own.get("search"), Mapping):
         options = replace(options, search=_change_stages(options.search, search, usual, "search"))
         del own["search"]
@@ -53,11 +53,11 @@ def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions
         del tables[OUTLINE]
     if triangles is not False:
         options = _draw_mesh(options, {} if triangles is True else triangles)
-    return replace(options, stages=_change_stages(_weighed(options.stages, weights), tables, usual))
+    return replace(options, stages=_change_stages(_change_weights(options.stages, weights), tables, usual))
 
 
-def _weighed(stages: tuple[Stage, ...], weights: object) -> tuple[Stage, ...]:
-    """Stages some of whose own weights are changed."""
+def _change_weights(stages: tuple[Stage, ...], weights: object) -> tuple[Stage, ...]:
+    """Change some weights of the stages that have weights of their own."""
     return tuple(
         stage
         if stage.weights is None
@@ -91,7 +91,7 @@ def _draw_mesh(options: FitOptions, values: object) -> FitOptions:
 def _change_stages(
     stages: tuple[Stage, ...], tables: Mapping[str, Any], usual: Weights, where: str = ""
 ) -> tuple[Stage, ...]:
-    """Stages after settings of their own; some of the weights are changed over the usual ones if it has none."""
+    """Change stages by the tables of their names. A stage without weights of its own changes from the usual ones."""
 
     def before(stage: Stage) -> Stage:
         table = tables.get(stage.name)

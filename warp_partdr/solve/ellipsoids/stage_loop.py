@@ -42,7 +42,7 @@ class RefinedStages:
 
 def refine_stages(
     bodies: BodyParameters,
-    owners: torch.Tensor,
+    person_indices: torch.Tensor,
     observations: Observations,
     stages: Sequence[Stage],
     options: FitOptions,
@@ -55,7 +55,7 @@ def refine_stages(
 
     Args:
         bodies: B bodies, at least one of each person.
-        owners: Person of each body, in ascending order, shape (B,), int64.
+        person_indices: Index of each body's person, in ascending order, shape (B,), int64.
         observations: N people.
         stages: Stages, of which each but the first one first keeps each person's best bodies that are distinct.
         options: Weights of the energy, where a stage has none of its own.
@@ -64,7 +64,7 @@ def refine_stages(
         progress: Called after each iteration.
     """
     count = len(observations)
-    energies = torch.zeros(bodies.batch_size, device=owners.device)
+    energies = torch.zeros(bodies.batch_size, device=person_indices.device)
     terms: dict[str, torch.Tensor] = {}
     seconds: dict[str, float] = {}
     lineage: list[np.ndarray] = []  # energies of what is left and of its ancestors
@@ -72,13 +72,13 @@ def refine_stages(
     done, total = 0, sum(stage.iterations for stage in stages)
     for index, stage in enumerate(stages):
         started = time.perf_counter()
-        if len(owners) > count and index > 0:
-            kept = _best_of_each(bodies, energies, owners, count, stage.bodies)
-            bodies, owners = bodies.select(kept), owners[kept]
+        if len(person_indices) > count and index > 0:
+            kept = _best_of_each(bodies, energies, person_indices, count, stage.bodies)
+            bodies, person_indices = bodies.select(kept), person_indices[kept]
             lineage = [rows[kept.cpu().numpy()] for rows in lineage]
         energy = options.energy(stage, observations, prior)
-        if count > 1 and len(owners) > count:
-            energy = energy.select(owners)
+        if count > 1 and len(person_indices) > count:
+            energy = energy.select(person_indices)
 
         def report(iteration: int, name: str = stage.name, before: int = done) -> None:
             assert progress is not None
@@ -92,23 +92,23 @@ def refine_stages(
         )
         bodies, energies, terms = refined.parameters, refined.energy, refined.terms
         lineage.append(refined.history.T.cpu().numpy())
-        if len(owners) > count:
-            finalists = [energies[owners == person].sort().values.tolist() for person in range(count)]
+        if len(person_indices) > count:
+            finalists = [energies[person_indices == person].sort().values.tolist() for person in range(count)]
         done += stage.iterations
         seconds[stage.name] = time.perf_counter() - started
-    if len(owners) > count:
-        winners = _best_of_each(bodies, energies, owners, count, 1)
+    if len(person_indices) > count:
+        winners = _best_of_each(bodies, energies, person_indices, count, 1)
         bodies, terms = bodies.select(winners), {name: term[winners] for name, term in terms.items()}
         lineage = [rows[winners.cpu().numpy()] for rows in lineage]
     return RefinedStages(bodies, terms, lineage, seconds, finalists)
 
 
 def _best_of_each(
-    bodies: BodyParameters, energies: torch.Tensor, owners: torch.Tensor, count: int, most: int
+    bodies: BodyParameters, energies: torch.Tensor, person_indices: torch.Tensor, count: int, most: int
 ) -> torch.Tensor:
     """Indices of each person's best bodies that are distinct, so many at most, best first."""
     kept = []
     for person in range(count):
-        own = (owners == person).nonzero()[:, 0]
+        own = (person_indices == person).nonzero()[:, 0]
         kept.append(own[distinct(bodies.select(own), energies[own], most)])
     return torch.cat(kept)
