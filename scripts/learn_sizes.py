@@ -19,7 +19,7 @@ from warp_partdr.lab.options import Mocap, People
 from warp_partdr.lab.synthetic.mocap import Clip, is_held_out, smooth_windows
 from warp_partdr.lab.synthetic.mocap_files import FRAME_RATE, load_clips
 from warp_partdr.lab.synthetic.scene_people import make_clip
-from warp_partdr.solve.scene.looks import look_at
+from warp_partdr.solve.scene.observations import observe_scene
 
 _FRAMES, _EVERY = 60, 4
 _COUNTS = (1, 2, 4, 8, 15)
@@ -61,7 +61,11 @@ def main(mocap: Mocap, /, *, people: People = range(1000, 1600)) -> None:
         sample = make_clip(index, windows[index % len(windows)][::_EVERY], FRAME_RATE / _EVERY)
         joints = sample.joints[0, 0]
         true.append(np.log(sum(float(np.linalg.norm(joints[one] - joints[other])) for one, other in _BONES)))
-        seen.append(np.log([float(look.body.lengths.sum()) for look in look_at(sample.scene, torch.device("cpu"))]))
+        seen.append(
+            np.log(
+                [float(observed.body.lengths.sum()) for observed in observe_scene(sample.scene, torch.device("cpu"))]
+            )
+        )
     inverse = []
     for count in _COUNTS:
         pairs = [

@@ -55,7 +55,7 @@ TOLD_IN_WORDS = {
     "KeypointNetwork": "needs a network of another's",
     "PartNetwork": "needs a network of another's",
     "align_films": "needs films that start apart",
-    "find_film_sights": "needs a network of another's",
+    "find_film_predictions": "needs a network of another's",
     "from_smplx": "needs a file that nobody may pass on",
     "load_keypoint_network": "needs a checkpoint",
     "load_part_network": "needs a checkpoint",

@@ -20,8 +20,8 @@ from .register import read_model
 
 if TYPE_CHECKING:
     from ..inputs.calibrated_camera import CalibratedCamera
-    from ..networks.predictors.film_sights import GivenNetworks
-    from ..pipelines.seen_film import SeenFilm
+    from ..networks.predictors.film_predictions import GivenNetworks
+    from ..pipelines.observed_film import ObservedFilm
     from ..solve.scene.options import SceneOptions
 
 
@@ -166,8 +166,8 @@ def fit_films(run: FilmRun) -> None:
     for warning in report["warnings"]:
         typer.echo(f"partdr: warning: {warning}", err=True)
     for film, each in zip(films, seen, strict=True):
-        for gap in each.given.gaps if each.given is not None else ():
-            typer.echo(f"partdr: warning: {film}: {gap}", err=True)
+        for warning in each.given.warnings if each.given is not None else ():
+            typer.echo(f"partdr: warning: {film}: {warning}", err=True)
     _tell(run, seen, report)
 
 
@@ -178,7 +178,7 @@ def _read_rig(run: FilmRun, options: SceneOptions) -> list[CalibratedCamera] | N
     if run.cameras is None:
         return None
     rig = cameras_of_films(run.cameras, run.films, say=_say)
-    options.check_sights(1, len(run.films))
+    options.check_known_stature(1, len(run.films))
     for film, camera in zip(run.films, rig, strict=True):
         picture = next(read_frames(film)).picture
         with told_as("picture", film):
@@ -188,7 +188,7 @@ def _read_rig(run: FilmRun, options: SceneOptions) -> list[CalibratedCamera] | N
 
 def _load_networks(options: NetworkOptions, device: str) -> GivenNetworks | None:
     """Networks of others, if there are any."""
-    from ..networks.predictors.film_sights import GivenNetworks
+    from ..networks.predictors.film_predictions import GivenNetworks
 
     if not options.given:
         return None
@@ -200,7 +200,7 @@ def _say(sentence: str) -> None:
     typer.echo(f"partdr: {sentence}", err=True)
 
 
-def _tell(run: FilmRun, seen: Sequence[SeenFilm], report: dict[str, Any]) -> None:
+def _tell(run: FilmRun, seen: Sequence[ObservedFilm], report: dict[str, Any]) -> None:
     """Say in lines what was found, and where it is."""
     from ..body.rotations import rotation_to_axis_angle
     from ..cameras import UsualLens

@@ -26,8 +26,8 @@ from ..interop.torch_threads import one_torch_thread
 from ..networks.regression.landmarks import LANDMARKS, network_keypoints
 from ..networks.regression.predicted import posed_landmarks
 from ..solve.mesh.observed_body import ObservedBody
-from ..solve.scene.clip_sizes import alike_sizes
-from ..solve.scene.looks import look_at
+from ..solve.scene.clip_sizes import with_common_size
+from ..solve.scene.observations import observe_scene
 
 # Chosen on PartBench's people 0 to 39 and clips 0 to 7 before two cameras, by
 # ``python -m warp_partdr.lab camera-places``.
@@ -42,7 +42,7 @@ _STEPS = 60  # of L-BFGS, at most
 def place_cameras(
     scene: Scene,
     *,
-    looks: Sequence[ObservedBody] | None = None,
+    observed_bodies: Sequence[ObservedBody] | None = None,
     stature: float | None = None,
     device: torch.device | str = "cpu",
 ) -> Scene:
@@ -53,7 +53,7 @@ def place_cameras(
 
     Args:
         scene: People in several views; somebody is to be seen by two at once.
-        looks: Of ``look_at`` on the same device, where somebody looked already; they do not depend on places.
+        looks: Of ``observe_scene`` on the same device, where somebody looked already; they do not depend on places.
         stature: Height of the one person, standing [m].
         device: "cpu" or a CUDA device.
 
@@ -65,13 +65,15 @@ def place_cameras(
         raise InputError(f"stature: {stature:g} m, of {scene.num_people} people; expected one")
     if len(scene.views) == 1:
         return scene
-    moments = Moments.of(scene, look_at(scene, device) if looks is None else looks, stature)
+    moments = PeopleInViews.of(
+        scene, observe_scene(scene, device) if observed_bodies is None else observed_bodies, stature
+    )
     places = moments.refined(moments.chained())
     return replace(scene, views=places.views_of(scene.views))
 
 
 @dataclass(frozen=True)
-class Places:
+class RelativePoses:
     """Places of V cameras in the frame of the first: X_camera = R X_first + t.
 
     Attributes:
@@ -95,7 +97,7 @@ class Places:
 
 
 @dataclass(frozen=True)
-class Moments:
+class PeopleInViews:
     """People at M moments as V views see them, float64.
 
     Attributes:
@@ -113,21 +115,21 @@ class Moments:
     there: torch.Tensor
 
     @classmethod
-    def of(cls, scene: Scene, looks: Sequence[ObservedBody], stature: float | None = None) -> Moments:
+    def of(cls, scene: Scene, observed_bodies: Sequence[ObservedBody], stature: float | None = None) -> PeopleInViews:
         """Collect looks at a scene, in which everybody has one size; a moment is a person in a frame."""
-        looks = alike_sizes(scene, looks, stature)
-        places = {key: place for place, key in enumerate(sorted({_moment(look) for look in looks}))}
+        observed_bodies = with_common_size(scene, observed_bodies, stature)
+        places = {key: place for place, key in enumerate(sorted({_moment(observed) for observed in observed_bodies}))}
         shape = len(scene.views), len(places), len(LANDMARKS)
         rays, votes, marks = (torch.zeros(*shape, *more, dtype=torch.float64) for more in ((2,), (), (3,)))
         pelvises, there = torch.zeros(*shape[:2], 3, dtype=torch.float64), torch.zeros(shape[:2], dtype=torch.bool)
-        for look in looks:
-            at, seen, lens = (look.sight.view, places[_moment(look)]), look.observation, look.observation.lens
+        for observed in observed_bodies:
+            at, seen, lens = (observed.view, places[_moment(observed)]), observed.observation, observed.observation.lens
             assert lens is not None
             known = network_keypoints(seen.landmarks, seen.points, seen.confidence)
             rays[at] = ((known[:, :2] - lens[1:].to(known)) / lens[0].to(known)).double().cpu()
             votes[at] = known[:, 2].double().cpu()
-            marks[at] = posed_landmarks(look.body.posed(), annotated(LANDMARKS))[0].double().cpu()
-            pelvises[at] = placed_at(look.body.log_scale, look.body.shift, lens[None])[0].double().cpu()
+            marks[at] = posed_landmarks(observed.body.posed(), annotated(LANDMARKS))[0].double().cpu()
+            pelvises[at] = placed_at(observed.body.log_scale, observed.body.shift, lens[None])[0].double().cpu()
             there[at] = True
         return cls(rays, votes, marks, pelvises, there)
 
@@ -141,12 +143,12 @@ class Moments:
         """Number of moments that some two views share."""
         return int((self.there.sum(0) > 1).sum())
 
-    def unlike(self, places: Places) -> float:
+    def unlike(self, places: RelativePoses) -> float:
         """Mean squared distance of the network's joints in two views of a moment [m^2]."""
         (one, other), both, _ = self._common
         return float(self._distances(places.rotations[other] @ places.rotations[one].mT)[both].mean())
 
-    def chained(self) -> Places:
+    def chained(self) -> RelativePoses:
         """Places by the network's bodies alone, one view after another by the one that shares most moments with it.
 
         Raises:
@@ -161,7 +163,7 @@ class Moments:
                 raise InputError(f"views[{other}]: sees nobody when others do; expected views of the same moments")
             placed[other] = self._beside(one, other, *placed[one])
         turns, moves = zip(*(placed[view] for view in range(self.num_views)), strict=True)
-        return Places(torch.stack(turns), torch.stack(moves))
+        return RelativePoses(torch.stack(turns), torch.stack(moves))
 
     def _beside(
         self, one: int, other: int, turn: torch.Tensor, move: torch.Tensor
@@ -174,7 +176,7 @@ class Moments:
 
     @one_torch_thread()
     @with_gradients()
-    def refined(self, start: Places) -> Places:
+    def refined(self, start: RelativePoses) -> RelativePoses:
         """Places where rays of keypoints meet, not far from where the network's bodies are one."""
         numbers = torch.zeros(self.num_views - 1, 6, dtype=torch.float64, requires_grad=True)
         first = start.rotations[:1], start.translations[:1]
@@ -195,7 +197,7 @@ class Moments:
         with torch.no_grad():
             rotations, translations = places()
             left = float(self.energy(rotations, translations) / self._common[2].sum().clamp_min(1e-9))
-        return Places(rotations, translations, left)
+        return RelativePoses(rotations, translations, left)
 
     def energy(self, rotations: torch.Tensor, translations: torch.Tensor) -> torch.Tensor:
         """Half of the squared deviations, in standard ones, summed over pairs of views."""
@@ -229,5 +231,5 @@ class Moments:
         return pairs, both, torch.where(both[..., None], self.votes[one] * self.votes[other], 0.0)
 
 
-def _moment(look: ObservedBody) -> tuple[int, int]:
-    return look.sight.person, look.sight.frame
+def _moment(observed: ObservedBody) -> tuple[int, int]:
+    return observed.person, observed.frame

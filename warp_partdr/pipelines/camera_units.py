@@ -12,8 +12,8 @@ from itertools import combinations, product
 
 import numpy as np
 
+from .observed_film import ObservedFilm
 from .same_people import LENGTHS, meeting
-from .seen_film import SeenFilm
 
 _APART = 0.05  # median distance of rays over trunk, thigh and shin together, above which it is two people
 _TYPICAL = 1.27  # [m], trunk, thigh and shin together, of an adult
@@ -22,7 +22,7 @@ _UNITS = {"millimetres": 0.001, "centimetres": 0.01}
 _NAMED = (0.8, 1.75)  # [m], trunk, thigh and shin together of people whose cameras stand in a unit of these
 
 
-def in_metres(films: Sequence[SeenFilm]) -> tuple[list[SeenFilm], list[str]]:
+def in_metres(films: Sequence[ObservedFilm]) -> tuple[list[ObservedFilm], list[str]]:
     """Films whose cameras stand in metres, and a warning if they were calibrated in another unit.
 
     Where people would be as tall as people are if translations were in millimetres or centimetres, they are taken so;
@@ -48,7 +48,7 @@ def in_metres(films: Sequence[SeenFilm]) -> tuple[list[SeenFilm], list[str]]:
     return [film.scaled(factor) for film in films], [f"cameras: {told}"]
 
 
-def _sizes(films: Sequence[SeenFilm]) -> list[float]:
+def _sizes(films: Sequence[ObservedFilm]) -> list[float]:
     """Sizes of people whom two films show, of whom each is one in the other at most."""
     sizes: list[float] = []
     for one, other in combinations(films, 2):

@@ -18,7 +18,7 @@ from ..body.rotations import nearest_rotation
 from ..body.skeletons import skeleton
 from ..cameras import Perspective
 from ..errors import check_type
-from ..inputs.scene import PersonShape, Scene, Sight, View
+from ..inputs.scene import PersonShape, Scene, SceneObservation, View
 from ..interop.ahead import made_ahead
 from ..models.anny import anny
 from ..models.measuring import statures
@@ -32,13 +32,13 @@ from ..solve.scene.fitting import SceneFit, fit_scene
 from ..solve.scene.impossible import impossible_people
 from ..solve.scene.options import SceneOptions
 from .camera_units import in_metres
-from .film_looks import FilmLooks
+from .film_observations import FilmObservations
 from .film_pieces import FilmPieces
 from .matched_times import shared_times, uneven_times
-from .photo import check_whose, person_place
+from .observed_film import ObservedFilm
+from .photo import check_stature_owner, person_index
 from .rig_faults import missing_rays, unmatched_films
 from .same_people import Track, check_films, match_people
-from .seen_film import SeenFilm
 
 _COMPARED = 16  # frames of a person in a film, at most, whose keypoints are compared with the body's
 # Mean distance [person's size in the picture]. Shaded people and real photos ended at 0.01 to 0.05, two people who were
@@ -82,7 +82,7 @@ class FilmFit:
         warnings: Faults of films and cameras, a sentence each, in which films are films[0] and so on.
     """
 
-    films: tuple[SeenFilm, ...]
+    films: tuple[ObservedFilm, ...]
     tracks: dict[int, tuple[Track, ...]]
     motions: dict[int, Motion]
     warnings: tuple[str, ...] = ()
@@ -113,7 +113,7 @@ class FilmFit:
 
 
 def fit_film(
-    films: Sequence[SeenFilm],
+    films: Sequence[ObservedFilm],
     *,
     person: int | None = None,
     options: SceneOptions | None = None,
@@ -125,7 +125,7 @@ def fit_film(
     """Fit detailed bodies to the people of films: one shape each, a pose a frame, smooth in time.
 
     Args:
-        films: One, such as ``[SeenFilm.of(find_film_people("walk.mp4"))]``, or several of the same moments, frame by
+        films: One, such as ``[ObservedFilm.of(find_film_people("walk.mp4"))]``, or several of the same moments, frame by
             frame as of ``match_films``, whose cameras share a world.
         person: This one alone, 0 = the most and largest seen; the others' pixels are still known to be theirs.
         options: Of windows, and of their fits; default: ``SceneOptions.film()``.
@@ -147,26 +147,28 @@ def fit_film(
     everyone = dict(enumerate(match_people(films)))
     warnings += [*told, *unmatched_films(films, everyone.values()), *missing_rays(films, everyone)]
     if person is not None:
-        everyone = {person: everyone[person_place(person, len(everyone))]}
-    check_whose(options.stature, len(everyone))
-    options.check_sights(len(everyone), len(films))  # before the network looks
+        everyone = {person: everyone[person_index(person, len(everyone))]}
+    check_stature_owner(options.stature, len(everyone))
+    options.check_known_stature(len(everyone), len(films))  # before the network looks
     film = _Films(tuple(films), everyone)
     tell = progress or (lambda name, done, total: None)
-    looks = FilmLooks(film.views, film.sights, device)
+    observed_bodies = FilmObservations(film.views, film.observations, device)
     parts = list(film.windows(options))
 
-    def kept(name: str, scene: Scene, chosen: SceneOptions, look: Callable[[], Sequence[ObservedBody]]) -> _Bodies:
+    def kept(name: str, scene: Scene, chosen: SceneOptions, observed: Callable[[], Sequence[ObservedBody]]) -> _Bodies:
         def fit() -> dict[str, np.ndarray]:
-            return vars(_Bodies.of(fit_scene(scene, options=chosen, model=model, device=device, looks=look())))
+            return vars(
+                _Bodies.of(fit_scene(scene, options=chosen, model=model, device=device, observed_bodies=observed()))
+            )
 
         return _Bodies(**(fit() if pieces is None else pieces.piece(name, _BODIES, fit)))
 
     def scenes() -> Iterator[tuple[list[int], Scene, list[ObservedBody]]]:
         for place, part in enumerate(parts):
             numbers, scene = film.scene(part, shapes)
-            looks.forget(part.start)
+            observed_bodies.forget(part.start)
             done = pieces is not None and pieces.known(f"window{place}", _BODIES) is not None
-            yield numbers, scene, [] if done else looks.of(scene, numbers, part)
+            yield numbers, scene, [] if done else observed_bodies.of(scene, numbers, part)
 
     shapes: dict[int, PersonShape] = {}
     if len(parts) > 1:
@@ -174,8 +176,8 @@ def fit_film(
         for place, number in enumerate(everyone):
             tell("shapes", place, len(everyone))
             frames, scene = film.surest(number, options.shape_frames)
-            look = partial(looks.of, scene, [number], frames)
-            shapes[number] = kept(f"shape{number}", scene, apart, look).shapes[0]
+            observed = partial(observed_bodies.of, scene, [number], frames)
+            shapes[number] = kept(f"shape{number}", scene, apart, observed).shapes[0]
     found = {number: _Blend() for number in everyone}
     # On the CPU the network looks at the next window's frames while this one's bodies are refined; a device has its own
     # order of work, and graphs are captured there alone.
@@ -228,7 +230,7 @@ def find_misfits(fit: FilmFit) -> list[str]:
     return found
 
 
-def _rows_of(films: Sequence[SeenFilm], tracks: Sequence[Track], film: int) -> np.ndarray:
+def _rows_of(films: Sequence[ObservedFilm], tracks: Sequence[Track], film: int) -> np.ndarray:
     mine = [track for each, track in tracks if each == film]
     rows = films[film].people.rows
     return rows[np.isin(rows["tracks"], mine)]
@@ -243,7 +245,7 @@ class _Films:
         tracks: By person.
     """
 
-    films: tuple[SeenFilm, ...]
+    films: tuple[ObservedFilm, ...]
     tracks: Mapping[int, tuple[Track, ...]]
 
     def span(self, person: int) -> range:
@@ -273,21 +275,21 @@ class _Films:
                     there.setdefault(person, []).append((view, inside))
         people = list(there)
         known = {people.index(person): shape for person, shape in shapes.items() if person in there}
-        sights = [
-            replace(sight, frame=sight.frame - window.start)
+        observations = [
+            replace(observation, frame=observation.frame - window.start)
             for person, seen in there.items()
             for view, rows in seen
-            for sight in self.films[view].sights(rows, people.index(person), view)
+            for observation in self.films[view].observations(rows, people.index(person), view)
         ]
         return people, Scene(
-            self.views, sights, self.films[0].people.rate, known, times=uneven_times(self.films, window)
+            self.views, observations, self.films[0].people.rate, known, times=uneven_times(self.films, window)
         )
 
-    def sights(self, person: int, view: int, frames: range) -> list[Sight]:
+    def observations(self, person: int, view: int, frames: range) -> list[SceneObservation]:
         """Sights of a person in a view."""
         rows = _rows_of(self.films, self.tracks[person], view)
         inside = rows[(rows["frames"] >= frames.start) & (rows["frames"] < frames.stop)]
-        return list(self.films[view].sights(inside, person, view))
+        return list(self.films[view].observations(inside, person, view))
 
     def surest(self, person: int, count: int) -> tuple[list[int], Scene]:
         """A person in so many frames, spread over the films, those where the keypoints are surest; and these frames."""
@@ -297,12 +299,12 @@ class _Films:
             np.add.at(sure, rows["frames"] - span.start, rows["keypoints"][..., 2].sum(1))
         groups = np.array_split(np.flatnonzero(sure) + span.start, min(count, int((sure > 0).sum())))
         best = [int(group[sure[group - span.start].argmax()]) for group in groups]
-        sights = [
-            replace(sight, frame=best.index(sight.frame))
+        observations = [
+            replace(observation, frame=best.index(observation.frame))
             for view, rows in self._rows(person)
-            for sight in self.films[view].sights(rows[np.isin(rows["frames"], best)], 0, view)
+            for observation in self.films[view].observations(rows[np.isin(rows["frames"], best)], 0, view)
         ]
-        return best, Scene(self.views, sights, self._mean_rate(span) * len(best) / len(span))
+        return best, Scene(self.views, observations, self._mean_rate(span) * len(best) / len(span))
 
     def _mean_rate(self, span: range) -> float:
         """Frames a second in a span."""
@@ -393,7 +395,7 @@ class _Blend:
         )
 
 
-def film_shots(films: Sequence[SeenFilm]) -> list[range]:
+def film_shots(films: Sequence[ObservedFilm]) -> list[range]:
     """Frames of each shot of films of the same moments; where only some of them have a cut, the others go on."""
     cuts = set.intersection(*(set(film.people.cuts) for film in films))
     return shots_between(sorted(cuts), max(len(film.people.times) for film in films))

@@ -18,8 +18,8 @@ from .. import __version__
 from ..errors import InputError
 from ..files.array_files import read_npz
 from ..networks.detection.film_people import FilmPeople
-from ..networks.predictors.film_sights import SIGHT_ARRAYS, FilmSights, GivenNetworks
-from .seen_film import SeenFilm
+from ..networks.predictors.film_predictions import PREDICTION_ARRAYS, FilmPredictions, GivenNetworks
+from .observed_film import ObservedFilm
 
 _PEOPLE = "image_size", "rate", "times", "rows", "packed", "sizes", "fault", "warnings", "cuts"
 _FOLDER = ".partdr-film-"  # of ``result_sets``' own kind: what nobody goes on with is removed after a day
@@ -65,24 +65,24 @@ class FilmPieces:
         """People of a film, who are looked for unless they were found."""
         return _people(self.piece(f"people{film}", _PEOPLE, lambda: _people_arrays(find())))
 
-    def sights(
-        self, film: int, networks: GivenNetworks, find: Callable[[], tuple[FilmPeople, FilmSights]]
-    ) -> tuple[FilmPeople, FilmSights]:
-        """People of a film, and sights of them by networks of others; both are looked for unless they were found."""
+    def observations(
+        self, film: int, networks: GivenNetworks, find: Callable[[], tuple[FilmPeople, FilmPredictions]]
+    ) -> tuple[FilmPeople, FilmPredictions]:
+        """People of a film, and observations of them by networks of others; both are looked for unless they were found."""
 
         def make() -> dict[str, np.ndarray]:
-            people, sights = find()
-            return _people_arrays(people) | sights.arrays()
+            people, observations = find()
+            return _people_arrays(people) | observations.arrays()
 
-        data = self.piece(f"sights{film}", (*_PEOPLE, *SIGHT_ARRAYS), make)
-        return _people(data), FilmSights.of_arrays(data, networks)
+        data = self.piece(f"observations{film}", (*_PEOPLE, *PREDICTION_ARRAYS), make)
+        return _people(data), FilmPredictions.of_arrays(data, networks)
 
     def starts(self, find: Callable[[], Sequence[float]]) -> list[float]:
         """Times at which films show the first moment of all [s], which are looked for unless they were found."""
         found: list[float] = self.piece("moments", ("starts",), lambda: {"starts": np.array(find())})["starts"].tolist()
         return found
 
-    def placed(self, films: Sequence[SeenFilm], place: Callable[[], Sequence[SeenFilm]]) -> list[SeenFilm]:
+    def placed(self, films: Sequence[ObservedFilm], place: Callable[[], Sequence[ObservedFilm]]) -> list[ObservedFilm]:
         """Films whose cameras stand where they were placed, which is done unless it was."""
 
         def make() -> dict[str, np.ndarray]:

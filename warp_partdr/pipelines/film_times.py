@@ -1,4 +1,4 @@
-"""Moments of films that did not start together: which frame of one is which of the other.
+"""PeopleInViews of films that did not start together: which frame of one is which of the other.
 
 How joints are bent looks the same from everywhere, so two films' poses, as the network sees them, match where their
 frames show one moment. Then rays through keypoints of single frames say it to the frame (``camera_places``).
@@ -19,10 +19,10 @@ from ..networks.regression.landmarks import LANDMARKS
 from ..networks.regression.predicted import posed_landmarks
 from ..solve.ellipsoids.stages import Progress
 from ..solve.mesh.observed_body import ObservedBody
-from .film_cameras import look_at_frames, moments_of, spread
+from .film_cameras import observe_frames, person_in_films, spread
 from .matched_times import match_films, nearest_frames
+from .observed_film import ObservedFilm
 from .same_people import check_each_film
-from .seen_film import SeenFilm
 
 _RATE = 10.0  # looks a second, at first
 _SHARED = 0.5  # of the shorter film that two have in common, at least
@@ -32,8 +32,8 @@ _TRIES = 4  # offsets at which rays are compared, of those at which poses are mo
 
 
 def align_films(
-    films: Sequence[SeenFilm], *, device: torch.device | str = "cpu", progress: Progress | None = None
-) -> list[SeenFilm]:
+    films: Sequence[ObservedFilm], *, device: torch.device | str = "cpu", progress: Progress | None = None
+) -> list[ObservedFilm]:
     """Leave out the first frames of films of which others started later: the same films, frame by frame.
 
     They are as of ``match_films``, with ``film_starts``.
@@ -51,7 +51,7 @@ def align_films(
 
 
 def film_starts(
-    films: Sequence[SeenFilm], *, device: torch.device | str = "cpu", progress: Progress | None = None
+    films: Sequence[ObservedFilm], *, device: torch.device | str = "cpu", progress: Progress | None = None
 ) -> list[float]:
     """Time at which each film shows the first moment that all of them show, since its first frame [s].
 
@@ -68,7 +68,7 @@ def film_starts(
     return [(first + offset) / films[0].people.rate for offset in later]
 
 
-def _even(film: SeenFilm, other: SeenFilm) -> SeenFilm:
+def _even(film: ObservedFilm, other: ObservedFilm) -> ObservedFilm:
     """The film in even time, in which frames come as often as in most of another film."""
     rate, times = other.people.rate, film.people.times
     if is_even(times, rate):
@@ -77,15 +77,15 @@ def _even(film: SeenFilm, other: SeenFilm) -> SeenFilm:
     return film.taken(nearest_frames(times, moments, 0.5 / rate), moments)
 
 
-def _offset(films: tuple[SeenFilm, SeenFilm], place: int, device: torch.device | str) -> int:
+def _offset(films: tuple[ObservedFilm, ObservedFilm], place: int, device: torch.device | str) -> int:
     """Number of frames by which the second film shows a moment later, of films in even time."""
     step = max(round(films[0].people.rate / _RATE), 1)
-    looks = look_at_frames(films, [np.arange(0, len(film.people.times), step) for film in films], device)
-    poses = {track: _poses(seen, step) for track, seen in looks.items()}
+    observed_bodies = observe_frames(films, [np.arange(0, len(film.people.times), step) for film in films], device)
+    poses = {track: _poses(seen, step) for track, seen in observed_bodies.items()}
     shared = max(_SHARED * min(len(film.people.times) for film in films) / step, _FEWEST)
     alike = sorted(
         (-likeness, offset * step, one, other)
-        for one, other in product(*([track for track in looks if track[0] == film] for film in (0, 1)))
+        for one, other in product(*([track for track in observed_bodies if track[0] == film] for film in (0, 1)))
         for offset, likeness in _peaks(poses[one], poses[other], shared)
     )
     tried = [
@@ -100,12 +100,12 @@ def _offset(films: tuple[SeenFilm, SeenFilm], place: int, device: torch.device |
     return rough + min(energies, key=energies.__getitem__)
 
 
-def _poses(looks: Sequence[ObservedBody], step: int) -> np.ndarray:
+def _poses(observed_bodies: Sequence[ObservedBody], step: int) -> np.ndarray:
     """Landmarks in the pelvis' own axes [m], of every ``step``-th frame, NaN where there is no look, shape (T, 3 L)."""
-    places = [look.sight.frame // step for look in looks]
+    places = [observed.frame // step for observed in observed_bodies]
     poses = np.full((max(places) + 1, 3 * len(LANDMARKS)), np.nan)
-    for place, look in zip(places, looks, strict=True):
-        marks = posed_landmarks(look.body.posed(), LANDMARKS) @ look.body.global_orient()
+    for place, observed in zip(places, observed_bodies, strict=True):
+        marks = posed_landmarks(observed.body.posed(), LANDMARKS) @ observed.body.global_orient()
         poses[place] = marks.double().cpu().numpy().ravel()
     return poses
 
@@ -132,20 +132,28 @@ def _peaks(one: np.ndarray, other: np.ndarray, shared: float) -> list[tuple[int,
 
 
 def _energies(
-    films: tuple[SeenFilm, SeenFilm], tracks: tuple[int, int], rough: int, moves: range, device: torch.device | str
+    films: tuple[ObservedFilm, ObservedFilm],
+    tracks: tuple[int, int],
+    rough: int,
+    moves: range,
+    device: torch.device | str,
 ) -> dict[int, float]:
     """Energies that are left where a person's rays meet, at a rough offset moved by so many frames."""
     there, seen = (film.people.of(track)["frames"] for film, track in zip(films, tracks, strict=True))
     frames = spread(there[np.isin(there + rough, seen)])
-    looks = look_at_frames(films, [frames, np.unique([frames + rough + move for move in moves])], device)
-    one, other = ({look.sight.frame: look for look in looks[film, track]} for film, track in enumerate(tracks))
+    observed_bodies = observe_frames(films, [frames, np.unique([frames + rough + move for move in moves])], device)
+    one, other = (
+        {observed.frame: observed for observed in observed_bodies[film, track]} for film, track in enumerate(tracks)
+    )
     energies = {}
     for move in moves:
-        pairs = [(look, other.get(frame + rough + move)) for frame, look in one.items()]
+        pairs = [(observed, other.get(frame + rough + move)) for frame, observed in one.items()]
         both = [
-            (look, replace(later, sight=replace(later.sight, frame=look.sight.frame))) for look, later in pairs if later
+            (observed, replace(later, source=replace(later.source, frame=observed.frame)))
+            for observed, later in pairs
+            if later
         ]
         if both:
-            moments = moments_of(films, list(zip(*both, strict=True)))
+            moments = person_in_films(films, list(zip(*both, strict=True)))
             energies[move] = moments.refined(moments.chained()).energy
     return energies

@@ -12,14 +12,14 @@ from ..cameras import Perspective
 from ..errors import told_as
 from ..inputs.calibrated_camera import CalibratedCamera
 from ..networks.detection.film_people import find_film_people
-from ..networks.predictors.film_sights import GivenNetworks, find_film_sights
+from ..networks.predictors.film_predictions import GivenNetworks, find_film_predictions
 from ..solve.ellipsoids.stages import Progress
 from ..solve.scene.options import SceneOptions
 from .film_cameras import place_film_cameras
 from .film_pieces import FilmPieces
 from .film_times import film_starts
 from .matched_times import match_films
-from .seen_film import SeenFilm
+from .observed_film import ObservedFilm
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class FilmSearch:
         """True if cameras are placed by the people, which takes a person's height into account."""
         return self.rig is None and len(self.films) > 1
 
-    def find(self, pieces: FilmPieces, progress: Progress) -> list[SeenFilm]:
+    def find(self, pieces: FilmPieces, progress: Progress) -> list[ObservedFilm]:
         """Films frame by frame, with their people and cameras; what is found is kept in pieces.
 
         Raises:
@@ -79,7 +79,7 @@ class FilmSearch:
             )
             return pieces.placed(seen, place_all)
 
-    def _see(self, place: int, pieces: FilmPieces, progress: Progress) -> SeenFilm:
+    def _see(self, place: int, pieces: FilmPieces, progress: Progress) -> ObservedFilm:
         """People of one film, and its camera; of several, the camera stands nowhere yet if it is not calibrated."""
         film = self.films[place]
         told = partial(progress, "people" if len(self.films) == 1 else f"people of {film.name}")
@@ -88,10 +88,10 @@ class FilmSearch:
             find = partial(
                 find_film_people, film, min_score=score, device=self.device, progress=told, landmarks=landmarks
             )
-            people, sights = pieces.people(place, find), None
+            people, observations = pieces.people(place, find), None
         else:
             ask = partial(
-                find_film_sights,
+                find_film_predictions,
                 film,
                 self.networks,
                 min_score=score,
@@ -99,7 +99,7 @@ class FilmSearch:
                 progress=told,
                 landmarks=landmarks,
             )
-            people, sights = pieces.sights(place, self.networks, ask)
+            people, observations = pieces.observations(place, self.networks, ask)
         if self.rig is not None:
-            return SeenFilm.calibrated(people, self.rig[place], given=sights)
-        return SeenFilm.of(people, self.lens(film, people.image_size), given=sights)
+            return ObservedFilm.calibrated(people, self.rig[place], given=observations)
+        return ObservedFilm.of(people, self.lens(film, people.image_size), given=observations)

@@ -8,16 +8,16 @@ import numpy as np
 
 from ..errors import InputError
 from ..inputs.frame_times import is_even
-from .seen_film import SeenFilm
+from .observed_film import ObservedFilm
 
 _NEAR = 0.5 + 1e-6  # of the first film's usual step, that frames of one moment may be apart
 
 
-def match_films(films: Sequence[SeenFilm], starts: Sequence[float] | None = None) -> list[SeenFilm]:
+def match_films(films: Sequence[ObservedFilm], starts: Sequence[float] | None = None) -> list[ObservedFilm]:
     """Films frame by frame: in each moment of the first film the frame of each other that is nearest in time.
 
     A frame serves once, and lies within half a step of the first film; a film that has none there shows nobody in that
-    moment. Moments after the end of the first film are those of the films that go on.
+    moment. PeopleInViews after the end of the first film are those of the films that go on.
 
     Args:
         films: Of any rates, also variable ones.
@@ -37,7 +37,7 @@ def match_films(films: Sequence[SeenFilm], starts: Sequence[float] | None = None
     moments = moments - moments[0]
     for clock in clocks[1:]:
         moments = np.concatenate([moments, clock[clock > moments[-1] + near]])
-    matched: list[SeenFilm] = []
+    matched: list[ObservedFilm] = []
     for place, (film, clock) in enumerate(zip(films, clocks, strict=True)):
         frames = nearest_frames(clock, moments, near)
         if not (frames >= 0).any():
@@ -61,18 +61,18 @@ def nearest_frames(times: np.ndarray, moments: np.ndarray, near: float) -> np.nd
     return np.where(shown, frames, -1)
 
 
-def check_matched(films: Sequence[SeenFilm]) -> None:
+def check_matched(films: Sequence[ObservedFilm]) -> None:
     """Raise an InputError if frames of one number show different moments in films."""
     if told := _unmatched(films):
         raise InputError(f"{told}; expected films of one clock, as match_films gives them")
 
 
-def shared_times(films: Sequence[SeenFilm]) -> np.ndarray:
+def shared_times(films: Sequence[ObservedFilm]) -> np.ndarray:
     """Times of the frames of films that are matched [s]: the longest one's, shape (F,)."""
     return max((film.people.times for film in films), key=len)
 
 
-def uneven_times(films: Sequence[SeenFilm], frames: range) -> np.ndarray | None:
+def uneven_times(films: Sequence[ObservedFilm], frames: range) -> np.ndarray | None:
     """Times of some frames since the first of them [s]; None: they come evenly, at the first film's rate."""
     times = shared_times(films)
     if is_even(times, films[0].people.rate):
@@ -80,7 +80,7 @@ def uneven_times(films: Sequence[SeenFilm], frames: range) -> np.ndarray | None:
     return times[frames.start : frames.stop] - times[frames.start]
 
 
-def _unmatched(films: Sequence[SeenFilm]) -> str:
+def _unmatched(films: Sequence[ObservedFilm]) -> str:
     """The first film whose frames are not those of the longest one, and where; empty if there is none."""
     moments, near = shared_times(films), _NEAR / films[0].people.rate
     for place, film in enumerate(films):

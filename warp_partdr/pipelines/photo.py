@@ -116,8 +116,8 @@ def fit_photo(
     options = (options or FitOptions.at("balanced")).without_outline()
     with told_as("photo", "photo" if pixels is photo else photo):
         found, owners = _everyone(picture, min_score, keypoints_from, options.landmarks)
-    chosen = range(len(found)) if person is None else [person_place(person, len(found))]
-    check_whose(options.stature, len(chosen))
+    chosen = range(len(found)) if person is None else [person_index(person, len(found))]
+    check_stature_owner(options.stature, len(chosen))
     if camera is None and options.guess_camera:
         camera = UsualLens.of_size(pixels.shape[:2])  # of everybody, also of who has no mask
     evidence = _PeopleEvidence(found, owners, picture, parts_from, keypoints_from, len(chosen))
@@ -189,7 +189,7 @@ def person_in_photo(photo: np.ndarray, person: int = 0, landmarks: LandmarkNetwo
     """
     check_picture("photo", photo)
     found, owners = _everyone(Pyramid(photo, "cpu"), MIN_SCORE, None, landmarks)
-    index = person_place(person, len(found))
+    index = person_index(person, len(found))
     seen = person_evidence(found[index].keypoints, owners, index)
     return PersonInputs(seen.keypoints, (), seen.picture, photo)
 
@@ -250,7 +250,7 @@ def _nearest(side: int, zoom: float) -> np.ndarray:
     return np.minimum((np.arange(max(round(side * zoom), 1)) + 0.5) / zoom, side - 1).astype(np.int64)
 
 
-def check_whose(stature: float | None, count: int) -> None:
+def check_stature_owner(stature: float | None, count: int) -> None:
     """Check that a known stature is of one person, of so many who are found and to be fitted.
 
     Raises:
@@ -260,7 +260,7 @@ def check_whose(stature: float | None, count: int) -> None:
         raise InputError(f"stature: {stature:g} m, of {count} people; expected one of them, person 0 to {count - 1}")
 
 
-def person_place(person: int, count: int) -> int:
+def person_index(person: int, count: int) -> int:
     """The place of the person who was asked for among those found.
 
     Raises:

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations, product
 
 from ..solve.scene.impossible import ASKED
+from .observed_film import ObservedFilm
 from .same_people import Track, meeting
-from .seen_film import SeenFilm
 
 _MOST_OFF = 0.08  # median distance of one person's rays over trunk, thigh and shin together; real films had up to 0.034
 
 
-def unmatched_films(films: Sequence[SeenFilm], people: Iterable[Sequence[Track]]) -> list[str]:
+def unmatched_films(films: Sequence[ObservedFilm], people: Iterable[Sequence[Track]]) -> list[str]:
     """Warnings of films whose people no other film shows.
 
     Args:
@@ -31,7 +31,7 @@ def unmatched_films(films: Sequence[SeenFilm], people: Iterable[Sequence[Track]]
     ]
 
 
-def missing_rays(films: Sequence[SeenFilm], people: Mapping[int, Sequence[Track]]) -> list[str]:
+def missing_rays(films: Sequence[ObservedFilm], people: Mapping[int, Sequence[Track]]) -> list[str]:
     """Warnings of calibrated cameras before which one person's rays miss one another.
 
     Args:
@@ -53,7 +53,7 @@ def missing_rays(films: Sequence[SeenFilm], people: Mapping[int, Sequence[Track]
     return found
 
 
-def _compared(one: SeenFilm, other: SeenFilm) -> bool:
+def _compared(one: ObservedFilm, other: ObservedFilm) -> bool:
     """True if two films show people at once, whoever they are."""
     pairs = product(range(one.people.num_people), range(other.people.num_people))
     return any(meeting(one, one.people.of(mine), other, other.people.of(theirs)).compared for mine, theirs in pairs)

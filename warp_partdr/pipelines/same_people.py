@@ -13,7 +13,7 @@ from ..errors import InputError, check_each
 from ..networks.detection.film_people import areas
 from ..networks.detection.person import SKELETON
 from .matched_times import check_matched
-from .seen_film import SeenFilm
+from .observed_film import ObservedFilm
 
 _FRAMES = 32  # that two tracks have in common and are compared in, at most
 _SURE = 0.5  # confidence of keypoints that are compared, at least
@@ -25,20 +25,20 @@ LENGTHS = (0.5, 2.0)  # [m] together, of children and adults: what meets elsewhe
 Track = tuple[int, int]  # film, and number of a person in it
 
 
-def check_films(films: Sequence[SeenFilm]) -> None:
+def check_films(films: Sequence[ObservedFilm]) -> None:
     """Raise an InputError if there are no films or they have different clocks, or a TypeError if they are none."""
     check_each_film(films)
     check_matched(films)
 
 
-def check_each_film(films: Sequence[SeenFilm]) -> None:
+def check_each_film(films: Sequence[ObservedFilm]) -> None:
     """Raise an InputError if there are no films, or a TypeError if they are none."""
-    check_each("films", films, SeenFilm, "such as SeenFilm.of(find_film_people('walk.mp4'))")
+    check_each("films", films, ObservedFilm, "such as ObservedFilm.of(find_film_people('walk.mp4'))")
     if not films:
         raise InputError("films: none; expected at least one")
 
 
-def match_people(films: Sequence[SeenFilm]) -> list[tuple[Track, ...]]:
+def match_people(films: Sequence[ObservedFilm]) -> list[tuple[Track, ...]]:
     """Tracks of each person, largest in the pictures first.
 
     Tracks of two films are one person's if the rays through their keypoints meet, and limbs have lengths there; those
@@ -68,7 +68,7 @@ def match_people(films: Sequence[SeenFilm]) -> list[tuple[Track, ...]]:
     return [everyone[place] for place in np.argsort([-share for share in shares], kind="stable")]
 
 
-def ray_distance(one: SeenFilm, rows: np.ndarray, other: SeenFilm, others: np.ndarray) -> float:
+def ray_distance(one: ObservedFilm, rows: np.ndarray, other: ObservedFilm, others: np.ndarray) -> float:
     """Median distance of two tracks' rays where they come nearest [m]; infinite where no body can be.
 
     Args:
@@ -96,7 +96,7 @@ class Meeting:
     compared: bool = True
 
 
-def meeting(one: SeenFilm, rows: np.ndarray, other: SeenFilm, others: np.ndarray) -> Meeting:
+def meeting(one: ObservedFilm, rows: np.ndarray, other: ObservedFilm, others: np.ndarray) -> Meeting:
     """Meeting of two tracks' rays; arguments as of ``ray_distance``."""
     both, places, other_places = np.intersect1d(rows["frames"], others["frames"], return_indices=True)
     some: np.ndarray = np.unique(np.linspace(0, len(both) - 1, _FRAMES).round().astype(int)) if len(both) else both
@@ -119,7 +119,7 @@ def meeting(one: SeenFilm, rows: np.ndarray, other: SeenFilm, others: np.ndarray
     return Meeting(distance, _limbs(np.where((sure & before)[..., None], points, np.nan)))
 
 
-def _rays(film: SeenFilm, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _rays(film: ObservedFilm, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Place of the camera in the world, shape (3,), and directions of pixels (..., 2), shape (..., 3)."""
     view = film.view
     turn, move = view.rotation.double().numpy(), view.translation.double().numpy()

@@ -1,4 +1,4 @@
-"""A film and the camera that took it: its people as sights of a scene."""
+"""A film and the camera that took it: its people as observations of a scene."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ..body.labels import IGNORE
 from ..cameras import Perspective, UsualLens, zoomed
 from ..errors import check_type
 from ..inputs.calibrated_camera import CalibratedCamera
-from ..inputs.scene import Sight, View
+from ..inputs.scene import SceneObservation, View
 from ..networks.detection.film_people import FilmPeople, kept_size, pack_owners, row_keypoints
-from ..networks.predictors.film_sights import FilmSights, pack_groups
+from ..networks.predictors.film_predictions import FilmPredictions, pack_groups
 from .photo import mask_labels
 
 
 @dataclass(frozen=True)
-class SeenFilm:
+class ObservedFilm:
     """Film of a camera that stands still.
 
     Attributes:
@@ -37,13 +37,15 @@ class SeenFilm:
     people: FilmPeople
     view: View
     lens: CalibratedCamera | None = None
-    given: FilmSights | None = None
+    given: FilmPredictions | None = None
     by_calibration: bool = False
     warnings: tuple[str, ...] = ()
     numbers: np.ndarray | None = None
 
     @classmethod
-    def of(cls, people: FilmPeople, camera: Perspective | None = None, *, given: FilmSights | None = None) -> SeenFilm:
+    def of(
+        cls, people: FilmPeople, camera: Perspective | None = None, *, given: FilmPredictions | None = None
+    ) -> ObservedFilm:
         """Film whose camera's frame is the world; by default the camera has a usual lens.
 
         Raises:
@@ -51,12 +53,14 @@ class SeenFilm:
         """
         check_type("people", people, FilmPeople, "of find_film_people")
         check_type("camera", camera, Perspective | None, "such as Perspective.of_picture(size, focal=1500)")
-        check_type("given", given, FilmSights | None, "of find_film_sights")
+        check_type("given", given, FilmPredictions | None, "of find_film_predictions")
         size = people.image_size
         return cls(people, View(camera or UsualLens.of_size(size)), given=given)
 
     @classmethod
-    def calibrated(cls, people: FilmPeople, camera: CalibratedCamera, *, given: FilmSights | None = None) -> SeenFilm:
+    def calibrated(
+        cls, people: FilmPeople, camera: CalibratedCamera, *, given: FilmPredictions | None = None
+    ) -> ObservedFilm:
         """Film of a calibrated camera, whose distortion is taken away.
 
         Pictures may be resized, or padded by a codec, which the film's ``warnings`` say.
@@ -81,7 +85,7 @@ class SeenFilm:
         people, view = replace(people, rows=rows, packed=tuple(packed)), View.of(camera)
         return cls(people, view, camera, given, by_calibration=True, warnings=warnings)
 
-    def taken(self, frames: np.ndarray, times: np.ndarray) -> SeenFilm:
+    def taken(self, frames: np.ndarray, times: np.ndarray) -> ObservedFilm:
         """Copy of the film with other frames: some of its own, and gaps where it has none.
 
         Args:
@@ -102,7 +106,7 @@ class SeenFilm:
         """Frames at the file's start that are left out."""
         return int(self.file_numbers[self.file_numbers >= 0][0])
 
-    def standing(self, rotation: torch.Tensor, translation: torch.Tensor) -> SeenFilm:
+    def standing(self, rotation: torch.Tensor, translation: torch.Tensor) -> ObservedFilm:
         """Copy of the film whose camera stands elsewhere: X_camera = R X_world + t.
 
         Args:
@@ -111,7 +115,7 @@ class SeenFilm:
         """
         return replace(self, view=View(self.view.camera, rotation, translation), by_calibration=False)
 
-    def scaled(self, factor: float) -> SeenFilm:
+    def scaled(self, factor: float) -> ObservedFilm:
         """Copy of the film in a world whose lengths are multiplied by a factor."""
         lens = self.lens and replace(self.lens, translation=factor * self.lens.translation)
         return replace(self, view=replace(self.view, translation=factor * self.view.translation), lens=lens)
@@ -128,12 +132,12 @@ class SeenFilm:
 
     @property
     def small_view(self) -> View:
-        """View in whose pixels ``sights`` are: the film's, as small as the maps of people are kept."""
+        """View in whose pixels ``observations`` are: the film's, as small as the maps of people are kept."""
         camera = zoomed(self.view.camera, self._zoom, kept_size(self.people.image_size))
         assert isinstance(camera, Perspective)
         return replace(self.view, camera=camera)
 
-    def sights(self, rows: np.ndarray, person: int, view: int) -> Iterator[Sight]:
+    def observations(self, rows: np.ndarray, person: int, view: int) -> Iterator[SceneObservation]:
         """Sights of a person's rows, frames as they are there, in pixels of ``small_view``."""
         for row in rows:
             frame, place = int(row["frames"]), int(row["places"])
@@ -145,7 +149,7 @@ class SeenFilm:
                 parts = mask_labels(self.people.owners(frame).astype(np.int32), place)
             else:  # a mask is of another label set than the others' labels
                 parts = self.given.parts_of(frame, place)
-            yield Sight(keypoints, parts, person, frame, view)
+            yield SceneObservation(keypoints, parts, person, frame, view)
 
     @property
     def _zoom(self) -> float:
