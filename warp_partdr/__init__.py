@@ -104,7 +104,7 @@ _EXPORTS = {
     "save_registered": "results.save",
     "save_film_fit": "results.save_film",
     "save_photo_fit": "results.save_photo",
-    "place_cameras": "pipelines.camera_places",
+    "place_cameras": "pipelines.camera_poses",
     "fit_film": "pipelines.film",
     "place_film_cameras": "pipelines.film_cameras",
     "align_films": "pipelines.film_times",
@@ -180,7 +180,7 @@ if TYPE_CHECKING:
     from .networks.predictors.networks import PartNetwork as PartNetwork
     from .networks.regression.checkpoint import load_label_network as load_label_network
     from .networks.regression.predict import predict_bodies as predict_bodies
-    from .pipelines.camera_places import place_cameras as place_cameras
+    from .pipelines.camera_poses import place_cameras as place_cameras
     from .pipelines.film import fit_film as fit_film
     from .pipelines.film_cameras import place_film_cameras as place_film_cameras
     from .pipelines.film_times import align_films as align_films

@@ -142,9 +142,13 @@ def test_a_scene_takes_the_predictions_of_the_given_networks(found: tuple[Networ
     assert plain.keypoints.skeleton == "blazepose33"
     # One network alone leaves the rest to the packaged one.
     only = FilmPredictions(
-        GivenNetworks(keypoints_from=predictions.networks.keypoints_from), predictions.frames, predictions.places, predictions.keypoints,
-        predictions.size, (b"",) * COUNT,
-    )  # fmt: skip
+        GivenNetworks(keypoints_from=predictions.networks.keypoints_from),
+        predictions.frames,
+        predictions.places,
+        predictions.keypoints,
+        predictions.size,
+        (b"",) * COUNT,
+    )
     (half,) = ObservedFilm.of(people, given=only).observations(rows, 0, 0)
     assert half.keypoints.skeleton == "coco17"
     assert half.parts is not None

@@ -15,9 +15,9 @@ from warp_partdr.inputs.calibrated_camera import CalibratedCamera
 from warp_partdr.lab.synthetic.scene_people import SceneSample, make_pair
 from warp_partdr.models.measuring import statures
 from warp_partdr.pipelines.camera_units import in_metres
-from warp_partdr.pipelines.film import find_impossible
+from warp_partdr.pipelines.film import find_impossible_people
 from warp_partdr.pipelines.observed_film import ObservedFilm
-from warp_partdr.pipelines.rig_faults import missing_rays, unmatched_films
+from warp_partdr.pipelines.rig_warnings import distant_rays, unmatched_films
 from warp_partdr.pipelines.same_people import match_people
 from warp_partdr.solve.scene.impossible import impossible_people
 
@@ -73,7 +73,7 @@ def test_squares_of_a_chessboard_make_people_as_tall_as_most(films: list[Observe
     assert distances(found) == pytest.approx([4.0] * 3, rel=0.2)
     assert len(set(np.round(distances(found), 4))) == 1
     assert "with which people are about 1.70 m tall" in told
-    assert "are they in squares of a chessboard" in told
+    assert "Are they in squares of a chessboard" in told
     assert f"multiplied by {found[0].view.translation.norm() / 4 / factor:.3g}," in told
 
 
@@ -97,7 +97,7 @@ def test_a_stranger_whose_rays_pass_says_nothing_of_the_unit(films: list[Observe
 def test_a_camera_of_another_film_is_told(films: list[ObservedFilm]) -> None:
     people = match_people(films)
     assert unmatched_films(films, people) == []
-    assert missing_rays(films, dict(enumerate(people))) == []
+    assert distant_rays(films, dict(enumerate(people))) == []
     high = camera_at(TURNS[2])
     high = replace(high, translation=high.translation + np.array([0.0, 1.0, 0.0]))
     wrong = moved(films, 2, high)
@@ -126,11 +126,11 @@ def test_rays_that_miss_are_told(films: list[ObservedFilm]) -> None:
     wrong = moved(films[:2], 1, high)
     people = dict(enumerate(match_people(wrong)))
     assert [{film for film, _ in tracks} for tracks in people.values()] == [{0, 1}, {0, 1}]
-    told = missing_rays(wrong, people)
+    told = distant_rays(wrong, people)
     assert [sentence.partition(":")[0] for sentence in told] == ["person0", "person1"]
     assert all("rays of films[0] and films[1] miss one another by 0.1" in sentence for sentence in told)
     placed = [film.standing(film.view.rotation, film.view.translation) for film in wrong]
-    assert missing_rays(placed, people) == []  # as well as they could be found
+    assert distant_rays(placed, people) == []  # as well as they could be found
 
 
 def test_people_of_impossible_size_or_distance_are_told() -> None:
@@ -146,9 +146,9 @@ def test_bodies_far_from_one_of_several_cameras_are_told() -> None:
     (film,) = fit.films
     near = film.standing(torch.eye(3), torch.tensor([0.0, 0.0, -20.0]))
     far = film.standing(torch.eye(3), torch.tensor([0.0, 150.0, 0.0]))
-    assert find_impossible(fit) == []
-    assert find_impossible(replace(fit, films=(film, near))) == []
-    told = find_impossible(replace(fit, films=(film, near, far)))
+    assert find_impossible_people(fit) == []
+    assert find_impossible_people(replace(fit, films=(film, near))) == []
+    told = find_impossible_people(replace(fit, films=(film, near, far)))
     assert [sentence.partition(";")[0] for sentence in told] == [
         f"person{person} is 150 m away from a camera" for person in (0, 1)
     ]
@@ -156,6 +156,6 @@ def test_bodies_far_from_one_of_several_cameras_are_told() -> None:
     tall = replace(motion.shape, values=motion.shape.values + 40.0)
     assert float(statures(motion.model, tall.values[None])) > 2.6
     grown = replace(fit, films=(film, near), motions={1: replace(motion, shape=tall)})
-    (sentence,) = find_impossible(grown)
+    (sentence,) = find_impossible_people(grown)
     assert sentence.startswith("person1 is ")
     assert "m tall; expected 0.5 to 2.6 m" in sentence

@@ -193,7 +193,7 @@ def test_a_known_stature_holds_in_every_window(people: FilmPeople, fit: FilmFit)
 
 def test_a_stature_of_several_people_is_whose(people: FilmPeople, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("warp_partdr.pipelines.film.match_people", lambda films: [((0, 0),), ((0, 0),)])
-    with pytest.raises(InputError, match=r"stature: 1\.8 m, of 2 people; expected one of them, person 0 to 1"):
+    with pytest.raises(InputError, match=r"stature: 1\.8 m, for 2 people; expected one of them, person 0 to 1"):
         fit_film([ObservedFilm.of(people)], options=replace(SHORT_WINDOWS, stature=1.8))
     monkeypatch.setattr("warp_partdr.pipelines.film.match_people", lambda films: [((0, 0), (1, 0))])
     with pytest.raises(InputError, match=r"stature: 1\.8 m, for 1 people and 2 cameras"):

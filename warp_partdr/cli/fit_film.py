@@ -106,7 +106,7 @@ def fit_films(run: FilmRun) -> None:
     from ..kernels.launch import set_num_threads
     from ..pipelines.film import fit_film
     from ..pipelines.film_pieces import FilmPieces
-    from ..pipelines.found_films import FilmSearch
+    from ..pipelines.film_search import FilmSearch
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save_film import CAMERAS, overlay_name, save_film_fit
     from ..solve.scene.options import SceneOptions

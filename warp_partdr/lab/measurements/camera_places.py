@@ -23,7 +23,7 @@ import torch
 from ...body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
 from ...inputs.scene import Scene, View
 from ...metrics import mpjpe, pa_mpjpe
-from ...pipelines.camera_places import place_cameras
+from ...pipelines.camera_poses import place_cameras
 from ...pipelines.film_cameras import spread
 from ...solve.scene.fitting import fit_scene
 from ...solve.scene.observations import observe_scene

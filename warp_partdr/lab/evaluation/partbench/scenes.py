@@ -11,7 +11,7 @@ import torch
 
 from ....errors import InputError
 from ....inputs.scene import View
-from ....pipelines.camera_places import place_cameras
+from ....pipelines.camera_poses import place_cameras
 from ....solve.mesh.mesh_options import MeshOptions
 from ....solve.scene.fitting import fit_scene
 from ....solve.scene.observations import observe_scene
