@@ -1,4 +1,4 @@
-"""Sizes of people in clips: one for all frames, stretched as far as many looks allow."""
+"""Sizes of people in clips: one for all frames, stretched as far as many observations allow."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from warp_partdr.solve.scene.fitting import fit_scene
 from warp_partdr.solve.scene.observations import observe_scene
 from warp_partdr.solve.scene.options import SceneOptions
 
-FRAMES = 31  # eight looks
+FRAMES = 31  # eight observations
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def sizes(observed_bodies: list[ObservedBody]) -> torch.Tensor:
     return torch.stack([observed.body.lengths.sum() for observed in observed_bodies])
 
 
-def test_more_looks_are_stretched_more():
+def test_more_observations_are_stretched_more():
     assert stretch(1) == 1.0
     factors = [stretch(count) for count in (2, 4, 8, 16, 1000)]
     assert factors == sorted(factors)

@@ -43,7 +43,7 @@ def line(*widths: float, frame: int = 0) -> list[SceneObservation]:
     return [beside(one, person, far, frame=frame, parts=False) for person, far in enumerate(widths)]
 
 
-def looked(observations: list[SceneObservation]) -> tuple[Scene, list[ObservedBody]]:
+def observe_all(observations: list[SceneObservation]) -> tuple[Scene, list[ObservedBody]]:
     scene = Scene(make_views(3, 1).scene.views, observations)
     return scene, observe_scene(scene, "cpu")
 
@@ -65,13 +65,13 @@ def energy_of(scene: Scene, options: SceneOptions) -> tuple[MeshEnergy, Starts]:
     ],
 )
 def test_who_overlaps_is_drawn_together(widths: tuple[float, ...], clusters: tuple[tuple[int, ...], ...]) -> None:
-    scene, observed_bodies = looked(line(*widths))
+    scene, observed_bodies = observe_all(line(*widths))
     assert find_clusters(observed_bodies, scene.num_people) == clusters
 
 
 def test_people_who_meet_in_one_frame_are_drawn_together_in_all() -> None:
     """Two who meet in one of the frames are drawn together in all."""
-    scene, observed_bodies = looked(line(0.0, 3.0) + line(0.0, 0.2, frame=1))
+    scene, observed_bodies = observe_all(line(0.0, 3.0) + line(0.0, 0.2, frame=1))
     assert find_clusters(observed_bodies, scene.num_people) == ((0, 1),)
 
 
@@ -87,13 +87,13 @@ def test_people_of_other_frames_or_views_do_not_overlap() -> None:
 
 
 def test_boxes_are_those_of_the_picture_however_small_labels_are_kept() -> None:
-    _, observed_bodies = looked(line(0.0, 0.2))
+    _, observed_bodies = observe_all(line(0.0, 0.2))
     evidence = replace(observed_bodies[1].evidence, window=Crop(0.0, 0.0, 0.1, (1, 1)))
     assert find_clusters([observed_bodies[0], replace(observed_bodies[1], evidence=evidence)], 2) == ((0, 1),)
 
 
 def test_a_crowd_in_a_line_is_one_cluster() -> None:
-    scene, observed_bodies = looked(line(*(0.6 * place for place in range(9))))
+    scene, observed_bodies = observe_all(line(*(0.6 * place for place in range(9))))
     assert find_clusters(observed_bodies, scene.num_people) == (tuple(range(9)),)
 
 

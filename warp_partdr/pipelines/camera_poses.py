@@ -93,7 +93,8 @@ class RelativePoses:
 
     def applied_to(self, views: Sequence[View]) -> list[View]:
         """Returns copies of views that have these poses relative to the first view, which keeps its pose."""
-        rotation, translation = views[0].rotation.double(), views[0].translation.double()
+        rotation = views[0].rotation.double()
+        translation = views[0].translation.double()
         placed: list[View] = []
         for view, relative, offset in zip(views, self.rotations, self.translations, strict=True):
             moved = (relative @ translation + offset).float()
@@ -126,15 +127,17 @@ class PeopleInViews:
         observed_bodies = with_common_size(scene, observed_bodies, stature)
         instants = sorted({(observed.person, observed.frame) for observed in observed_bodies})
         columns = {instant: column for column, instant in enumerate(instants)}
-        shape = len(scene.views), len(columns)
-        rays = torch.zeros(*shape, len(LANDMARKS), 2, dtype=torch.float64)
-        confidence = torch.zeros(*shape, len(LANDMARKS), dtype=torch.float64)
-        landmarks = torch.zeros(*shape, len(LANDMARKS), 3, dtype=torch.float64)
-        pelvises = torch.zeros(*shape, 3, dtype=torch.float64)
-        visible = torch.zeros(shape, dtype=torch.bool)
+        num_views = len(scene.views)
+        num_instants = len(columns)
+        rays = torch.zeros(num_views, num_instants, len(LANDMARKS), 2, dtype=torch.float64)
+        confidence = torch.zeros(num_views, num_instants, len(LANDMARKS), dtype=torch.float64)
+        landmarks = torch.zeros(num_views, num_instants, len(LANDMARKS), 3, dtype=torch.float64)
+        pelvises = torch.zeros(num_views, num_instants, 3, dtype=torch.float64)
+        visible = torch.zeros(num_views, num_instants, dtype=torch.bool)
         for observed in observed_bodies:
             cell = observed.view, columns[observed.person, observed.frame]
-            crop, lens = observed.observation, observed.observation.lens
+            crop = observed.observation
+            lens = observed.observation.lens
             assert lens is not None
             keypoints = network_keypoints(crop.landmarks, crop.points, crop.confidence)
             rays[cell] = ((keypoints[:, :2] - lens[1:].to(keypoints)) / lens[0].to(keypoints)).double().cpu()
@@ -221,7 +224,8 @@ class PeopleInViews:
             rotations: Rotations of the cameras relative to the first one, shape (V, 3, 3).
             translations: Translations of the cameras [m], shape (V, 3).
         """
-        one, other = self._pairs.first, self._pairs.second
+        one = self._pairs.first
+        other = self._pairs.second
         turns = rotations[other] @ rotations[one].mT
         moves = translations[other] - (turns @ translations[one][..., None])[..., 0]
         rays = torch.cat([self.rays, torch.ones_like(self.rays[..., :1])], dim=-1)
@@ -241,7 +245,8 @@ class PeopleInViews:
 
     def _distances(self, turns: torch.Tensor) -> torch.Tensor:
         """Mean squared distances of landmarks in pairs of views after a rotation (P, 3, 3), shape (P, M) [m^2]."""
-        one, other = self._pairs.first, self._pairs.second
+        one = self._pairs.first
+        other = self._pairs.second
         return (self.landmarks[other] - self.landmarks[one] @ turns.mT[:, None]).square().sum(-1).mean(-1)
 
     @cached_property

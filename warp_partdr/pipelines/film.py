@@ -149,7 +149,8 @@ def fit_film(
     """
     check_films(films)
     check_type("options", options, SceneOptions | None, "such as SceneOptions.film()")
-    options, model = options or SceneOptions.film(), model or anny(device)
+    options = options or SceneOptions.film()
+    model = model or anny(device)
     warnings = [f"films[{index}]: {warning}" for index, film in enumerate(films) for warning in film.warnings]
     films, unit_warnings = in_metres(films)
     everyone = dict(enumerate(match_people(films)))
@@ -407,7 +408,9 @@ class _Blend:
             translation = weight * torch.from_numpy(bodies.translation[person, row])
             if frame in self._sums:
                 before = self._sums[frame]
-                weight, rotations, translation = weight + before[0], rotations + before[1], translation + before[2]
+                weight = weight + before[0]
+                rotations = rotations + before[1]
+                translation = translation + before[2]
             self._sums[frame] = weight, rotations, translation
 
     def motion(self, model: DetailedModel, span: range) -> Motion:

@@ -88,10 +88,10 @@ def _observe_shared_frames(films: Sequence[ObservedFilm], device: torch.device |
     """Observes the largest people of films, in frames in which several films show somebody."""
     own_frames = [np.unique(film.people.rows["frames"]) for film in films]
     frames, counts = np.unique(np.concatenate(own_frames), return_counts=True)
-    return observe_frames(films, [spread(frames[counts > 1])] * len(films), device)
+    return observe_frames(films, [choose_frames(frames[counts > 1])] * len(films), device)
 
 
-def spread(frames: np.ndarray) -> np.ndarray:
+def choose_frames(frames: np.ndarray) -> np.ndarray:
     """Chooses the frames to observe, evenly and at most ``FRAMES``."""
     indices = np.linspace(0, max(len(frames) - 1, 0), FRAMES).round().astype(int)
     return frames[np.unique(indices)[: len(frames)]]
@@ -153,7 +153,8 @@ def person_in_films(films: Sequence[ObservedFilm], observed_bodies: Sequence[Seq
 
 def _scene(films: Sequence[ObservedFilm], observed_bodies: Sequence[ObservedBody]) -> Scene:
     """Scene of the observations, with the films' cameras and times."""
-    views, observations = [film.small_view for film in films], [observed.source for observed in observed_bodies]
+    views = [film.small_view for film in films]
+    observations = [observed.source for observed in observed_bodies]
     times = uneven_times(films, range(1 + max(observation.frame for observation in observations)))
     return Scene(views, observations, films[0].people.rate, times=times)
 

@@ -32,7 +32,9 @@ class FilmObservations:
         observations: Callable[[int, int, range], Sequence[SceneObservation]],
         device: torch.device | str,
     ) -> None:
-        self._views, self._observations, self._device = views, observations, device
+        self._views = views
+        self._observations = observations
+        self._device = device
         self._length = observation_batch_size(device)
         self._blocks: dict[_Block, dict[int, ObservedBody]] = {}
 

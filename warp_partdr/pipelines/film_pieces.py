@@ -52,7 +52,8 @@ class FilmPieces:
         """
         if (known := self.known(name, arrays)) is not None:
             return known
-        made, path = make(), self._path(name)
+        made = make()
+        path = self._path(name)
         self.folder.mkdir(exist_ok=True)
         unfinished = path.with_suffix(".part.npz")
         np.savez(unfinished, **made)  # type: ignore[arg-type]

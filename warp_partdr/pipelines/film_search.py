@@ -96,7 +96,8 @@ class FilmSearch:
                 progress=report,
                 landmarks=self.options.landmarks,
             )
-            people, predictions = pieces.people(index, find), None
+            people = pieces.people(index, find)
+            predictions = None
         else:
             predict = partial(
                 find_film_predictions,

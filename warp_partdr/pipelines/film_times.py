@@ -20,7 +20,7 @@ from ..networks.regression.landmarks import LANDMARKS
 from ..networks.regression.predicted import posed_landmarks
 from ..solve.ellipsoids.stages import Progress
 from ..solve.mesh.observed_body import ObservedBody
-from .film_cameras import observe_frames, person_in_films, spread
+from .film_cameras import choose_frames, observe_frames, person_in_films
 from .matched_times import match_films, nearest_frames
 from .observed_film import ObservedFilm
 from .same_people import check_each_film
@@ -73,7 +73,8 @@ def film_starts(
 
 def _with_even_times(film: ObservedFilm, other: ObservedFilm) -> ObservedFilm:
     """Returns a copy whose frames are evenly spaced, at the usual frame rate of another film."""
-    rate, times = other.people.rate, film.people.times
+    rate = other.people.rate
+    times = film.people.times
     if is_even(times, rate):
         return film
     wanted = np.arange(round(float(times[-1]) * rate) + 1) / rate
@@ -136,11 +137,14 @@ def _peaks(one: np.ndarray, other: np.ndarray, shared: float) -> list[tuple[int,
     """
     alike: dict[int, float] = {}
     for offset in range(1 - len(one), len(other)):
-        start, stop = max(0, -offset), min(len(one), len(other) - offset)
-        own, theirs = one[start:stop], other[start + offset : stop + offset]
+        start = max(0, -offset)
+        stop = min(len(one), len(other) - offset)
+        own = one[start:stop]
+        theirs = other[start + offset : stop + offset]
         both = np.isfinite(own[:, 0] + theirs[:, 0])
         if both.sum() >= shared:
-            first, second = _centred(own[both]), _centred(theirs[both])
+            first = _centred(own[both])
+            second = _centred(theirs[both])
             size = np.sqrt(np.square(first).sum() * np.square(second).sum())
             alike[offset] = float((first * second).sum() / max(size, 1e-12))
     return [
@@ -165,7 +169,7 @@ def _energies(
     """Energies after two films are placed by a person, for each move of a rough offset [frames]."""
     first = films[0].people.of(tracks[0])["frames"]
     second = films[1].people.of(tracks[1])["frames"]
-    frames = spread(first[np.isin(first + rough, second)])
+    frames = choose_frames(first[np.isin(first + rough, second)])
     later_frames = np.unique([frames + rough + move for move in moves])
     observed = observe_frames(films, [frames, later_frames], device)
     later = {each.frame: each for each in observed[1, tracks[1]]}

@@ -86,7 +86,8 @@ def uneven_times(films: Sequence[ObservedFilm], frames: range) -> np.ndarray | N
 
 def _first_mismatch(films: Sequence[ObservedFilm]) -> str:
     """Describes the first frame whose time is not that of the longest film. It is empty if all films match."""
-    times, near = shared_times(films), _NEAR / films[0].people.rate
+    times = shared_times(films)
+    near = _NEAR / films[0].people.rate
     for index, film in enumerate(films):
         off = np.abs(film.people.times - times[: len(film.people.times)])
         if (off > near).any():

@@ -83,12 +83,14 @@ class ObservedFilm:
         camera = camera.fitted(size)
         if not camera.distorts:
             return cls(people, View.of(camera), given=given, by_calibration=True, warnings=warnings)
-        rows, small = people.rows.copy(), camera.resized(kept_size(size))
+        rows = people.rows.copy()
+        small = camera.resized(kept_size(size))
         rows["keypoints"] = _without_distortion(rows["keypoints"], camera)
         packed = [pack_owners(small.undistort_picture(people.owners(frame))) for frame in range(len(people.times))]
         if given is not None:
             given = _given_without_distortion(given, camera, small)
-        people, view = replace(people, rows=rows, packed=tuple(packed)), View.of(camera)
+        people = replace(people, rows=rows, packed=tuple(packed))
+        view = View.of(camera)
         return cls(people, view, camera, given, by_calibration=True, warnings=warnings)
 
     def taken(self, frames: np.ndarray, times: np.ndarray) -> ObservedFilm:
@@ -153,7 +155,8 @@ class ObservedFilm:
             view: Index of the view in the scene.
         """
         for row in rows:
-            frame, index = int(row["frames"]), int(row["places"])
+            frame = int(row["frames"])
+            index = int(row["places"])
             full = None if self.given is None else self.given.keypoints_of(frame, index)
             if full is None:
                 full = row_keypoints(row)
@@ -195,7 +198,8 @@ def _size_warnings(camera: CalibratedCamera, size: tuple[int, int]) -> tuple[str
         return ()
     zoom = camera.fitted(size).focal[0] / camera.focal[0]
     taken = "the difference is taken for a codec's padding" if zoom == 1 else f"the camera is scaled by {zoom:.4g}"
-    new, own = _size_text(size), _size_text(camera.size)
+    new = _size_text(size)
+    own = _size_text(camera.size)
     return (f"pictures of {new}, calibrated at {own}: {taken}",)
 
 

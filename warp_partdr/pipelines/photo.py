@@ -64,8 +64,10 @@ class PhotoFit:
         """Indices of the people whose masks cover a person's body."""
         zoom = min(1.0, _COMPARED / max(self.owners.shape))
         height, width = self.owners.shape
-        rows, columns = _nearest(height, zoom), _nearest(width, zoom)
-        size, mesh = (len(rows), len(columns)), self.fits[index]
+        rows = _nearest(height, zoom)
+        columns = _nearest(width, zoom)
+        size = (len(rows), len(columns))
+        mesh = self.fits[index]
         drawn = mesh.draw(size, camera=zoomed(mesh.camera, zoom, size)).labels[0].cpu().numpy() > 0
         counts = np.bincount(self.owners[rows[:, None], columns][drawn], minlength=len(self.people) + 1)[1:]
         counts[index] = 0
@@ -151,7 +153,10 @@ class _PeopleEvidence:
         keypoints_from: KeypointNetwork | None,
         count: int,
     ) -> None:
-        self._people, self._owners, self._picture, self._keypoints_from = people, owners, picture, keypoints_from
+        self._people = people
+        self._owners = owners
+        self._picture = picture
+        self._keypoints_from = keypoints_from
         self._parts = None if parts_from is None else PeopleParts(parts_from, picture, people, owners, count)
 
     def of(self, index: int) -> tuple[list[Evidence], list[str], dict[str, str | None]]:

@@ -43,7 +43,8 @@ def distant_rays(films: Sequence[ObservedFilm], people: Mapping[int, Sequence[Tr
     found: list[str] = []
     for person, tracks in people.items():
         for one, other in combinations(tracks, 2):
-            first, second = films[one[0]], films[other[0]]
+            first = films[one[0]]
+            second = films[other[0]]
             if one[0] == other[0] or not (first.by_calibration and second.by_calibration):
                 continue
             met = meeting(first, first.people.of(one[1]), second, second.people.of(other[1]))

@@ -122,7 +122,8 @@ def meeting(one: ObservedFilm, rows: np.ndarray, other: ObservedFilm, other_rows
         return Meeting(np.inf, np.nan, compared=False)
     start, rays = _rays(one, keypoints[..., :2])
     other_start, other_rays = _rays(other, other_keypoints[..., :2])
-    normal, between = np.cross(rays, other_rays), other_start - start
+    normal = np.cross(rays, other_rays)
+    between = other_start - start
     length = np.linalg.norm(normal, axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = np.abs(normal @ between) / length

@@ -24,9 +24,11 @@ from ..mesh.observed_body import ObservedBody
 from .depth_order import grown
 
 # Measured on 600 people of PartBench's kind who are in none of its levels, in motions that networks learn from
-# (scripts/learn_sizes.py). If the mean of n observations changes by 1, the true logarithm changes by 1 / (a + b / n).
-# Both are taken relative to the mean person, whose sum of lengths is _MIDDLE [m].
-_SHRUNK, _NOISE, _MIDDLE = 0.771, 0.319, 2.60
+# (scripts/learn_sizes.py). If the mean logarithm of n observations changes by 1, the true logarithm changes by
+# 1 / (_SHRUNK + _NOISE / n). Both are relative to the mean person.
+_SHRUNK = 0.771
+_NOISE = 0.319
+_MIDDLE = 2.60  # [m], sum of the lengths of the mean person
 _APART = 4 / 30  # [s] between two observations that count as two
 _ROUNDED = 1e-6  # share of _APART by which times may be rounded
 

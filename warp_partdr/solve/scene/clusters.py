@@ -27,7 +27,8 @@ def find_clusters(observed_bodies: Sequence[ObservedBody], num_people: int) -> C
     for group in by_picture.values():
         people = np.array([observed.person for observed in group])
         boxes = np.array([_box(observed) for observed in group])
-        low, high = boxes[:, :2], boxes[:, 2:]
+        low = boxes[:, :2]
+        high = boxes[:, 2:]
         overlap = ((low < high[:, None]) & (high > low[:, None])).all(-1)
         near[np.ix_(people, people)] |= overlap
     for _ in range(num_people.bit_length()):  # each product doubles the number of people between two

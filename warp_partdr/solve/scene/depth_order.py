@@ -34,7 +34,8 @@ def order_people(plan: ScenePlan, observed_bodies: Sequence[ObservedBody]) -> tu
     Returns:
         The starts and the observed bodies after the exchanges.
     """
-    observed_bodies, scene = list(observed_bodies), plan.scene
+    observed_bodies = list(observed_bodies)
+    scene = plan.scene
     people = gather_scene(plan, observed_bodies)
     if not _labels_tell_order(plan, people):
         return people, observed_bodies
@@ -134,8 +135,10 @@ def _best_exchange(
     boxes = [(points.amin(0), points.amax(0)) for points in bodies[..., :2]]
     tries: list[dict[int, float]] = [{}]
     for one, other in combinations(range(len(shown)), 2):
-        (low, high), (from_, to) = boxes[one], boxes[other]
-        if shown[one] and shown[other] and bool((torch.minimum(high, to) > torch.maximum(low, from_)).all()):
+        low, high = boxes[one]
+        other_low, other_high = boxes[other]
+        overlap = bool((torch.minimum(high, other_high) > torch.maximum(low, other_low)).all())
+        if shown[one] and shown[other] and overlap:
             front, back = sorted((one, other), key=distances.__getitem__)
             factor = math.sqrt(_APART * distances[back] / distances[front])
             tries.append({front: factor, back: 1 / factor})

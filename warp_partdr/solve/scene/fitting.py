@@ -137,7 +137,8 @@ def fit_scene(
     network_done = time.perf_counter()
     best = _refine(plan, observed_bodies, grounded, lambda done: report("scene", done, options.mesh.iterations))
     with torch.no_grad():
-        drawn, pelvises = plan.energy.drawn, plan.energy.place(best.people, best.unknowns).pelvises
+        drawn = plan.energy.drawn
+        pelvises = plan.energy.place(best.people, best.unknowns).pelvises
         assert pelvises is not None
         shape, rotations, translation = drawn.whole_pose(model, best.people, best.unknowns)
         positions = translation + pelvises
@@ -164,13 +165,13 @@ def _refine(
     plan: ScenePlan, observed_bodies: Sequence[ObservedBody], grounded: Grounded | None, progress: Callable[[int], None]
 ) -> RefinedPeople:
     """Refines people in several depth orders, and returns those in the best one."""
-    options, scene = plan.options, plan.scene
+    options = plan.options
+    scene = plan.scene
     with torch.no_grad():
-        people, observed_bodies = (
-            order_people(plan, observed_bodies)
-            if options.exchanges
-            else (gather_scene(plan, observed_bodies), observed_bodies)
-        )
+        if options.exchanges:
+            people, observed_bodies = order_people(plan, observed_bodies)
+        else:
+            people = gather_scene(plan, observed_bodies)
     best = refine_starts(plan.energy, _held(people, grounded), progress)
     # A refined state fits its own order. So if there is only one frame, the other order is refined, too, before the two
     # are compared.
@@ -184,7 +185,8 @@ def _refine(
         other = refine_starts(plan.energy, _held(people, grounded), progress)
         if sum(other.energies.values()) >= sum(best.energies.values()):
             break
-        best, observed_bodies = other, exchanged
+        best = other
+        observed_bodies = exchanged
     return best
 
 

@@ -86,7 +86,9 @@ def find_ground(bodies: Standing, level: np.ndarray, given: Ground | None = None
         given: Ground relative to the camera, if it is known.
     """
     owners = np.eye(int(bodies.people.max()) + 1)[bodies.people]
-    rows, sizes, shares = np.arange(len(owners)), np.zeros(owners.shape[1]), bodies.confidence
+    rows = np.arange(len(owners))
+    sizes = np.zeros(owners.shape[1])
+    shares = bodies.confidence
     normal, offset = (np.asarray(level, dtype=np.float64), None) if given is None else (given.normal, given.offset)
     for _ in range(_ROUNDS):
         factors = np.exp(owners @ sizes)
@@ -108,8 +110,10 @@ def find_ground(bodies: Standing, level: np.ndarray, given: Ground | None = None
         unknown = np.arange(0 if given is None else 3, 3 + len(sizes))
         step = np.zeros(3 + len(sizes))
         step[unknown] = np.linalg.lstsq(np.concatenate(left)[:, unknown], np.concatenate(right), rcond=None)[0]
-        normal, offset = normal + step[:2] @ turns, offset + float(step[2])
-        normal, sizes = normal / np.linalg.norm(normal), np.clip(sizes + step[3:], -_MOST, _MOST)
+        normal = normal + step[:2] @ turns
+        offset = offset + float(step[2])
+        normal = normal / np.linalg.norm(normal)
+        sizes = np.clip(sizes + step[3:], -_MOST, _MOST)
     assert offset is not None
     return Grounded(Ground(normal, offset), sizes, shares)
 
@@ -153,7 +157,8 @@ def stand_on_ground(
 
 def _standing(plan: ScenePlan, observed_bodies: Sequence[ObservedBody], eye: np.ndarray) -> Standing:
     """Bodies from which the fit starts, relative to the position of the only camera."""
-    scene, people = plan.scene, gather_scene(plan, observed_bodies)
+    scene = plan.scene
+    people = gather_scene(plan, observed_bodies)
     names = plan.energy.drawn.model.landmark_names
     points = plan.energy.place(people, people.at_rest()).points.double().cpu().numpy() - eye
     confidence = np.zeros(len(points))

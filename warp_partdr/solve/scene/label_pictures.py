@@ -36,7 +36,8 @@ def cluster_pictures(
     """
     if not clusters:
         return None
-    scene, like = plan.scene, observed_bodies[0].body.log_scale
+    scene = plan.scene
+    like = observed_bodies[0].body.log_scale
     slots, rows = slots_of(clusters, scene.num_people, like.device)
     places: list[list[int]] = rows.tolist()
     shape = len(clusters) * scene.num_frames * len(scene.views), size, size

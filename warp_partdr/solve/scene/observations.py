@@ -40,7 +40,8 @@ def observe_batches(
     views: Sequence[View], batches: Sequence[Sequence[SceneObservation]], device: torch.device | str
 ) -> list[list[ObservedBody]]:
     """Predicts a body for each observation, batch by batch. On the CPU, threads share the batches."""
-    network, on_cpu = packaged_network(str(device)), torch.device(device).type == "cpu"
+    network = packaged_network(str(device))
+    on_cpu = torch.device(device).type == "cpu"
     found: list[list[ObservedBody]] = [[] for _ in batches]
 
     @one_torch_thread()

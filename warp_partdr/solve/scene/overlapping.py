@@ -79,7 +79,8 @@ def _fit_overlapping(
     assert isinstance(camera, Perspective)
     observed_bodies = [ObservedBody.of_fit(each, person) for person, each in enumerate(results)]
     # The scene has no ground, because a photo's ground is found from all of its people (``results.scene_places``).
-    scene_options, device = SceneOptions(mesh=options, ground=0.0), results[0].parameters.shift.device
+    scene_options = SceneOptions(mesh=options, ground=0.0)
+    device = results[0].parameters.shift.device
     scene = Scene([View(camera)], [observed.source for observed in observed_bodies])
     fit = fit_scene(
         scene, options=scene_options, model=model, device=device, progress=progress, observed_bodies=observed_bodies

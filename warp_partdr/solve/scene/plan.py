@@ -56,7 +56,8 @@ def plan_scene(
         (observed.observation.label_set for observed in observed_bodies if observed.observation.label_set is not None),
         None,
     )
-    drawn, clusters = draw_model(model, options.mesh, label_set), find_clusters(observed_bodies, scene.num_people)
+    drawn = draw_model(model, options.mesh, label_set)
+    clusters = find_clusters(observed_bodies, scene.num_people)
     groups = 0 if label_set is None else label_set.num_groups
     if drawn.mesh is not None:
         check_room(clusters, groups)

@@ -38,7 +38,9 @@ def gather_scene(plan: ScenePlan, observed_bodies: Sequence[ObservedBody]) -> St
         plan: Plan of the scene's fit.
         observed_bodies: Bodies that ``observe_scene`` returns.
     """
-    scene, drawn, table = plan.scene, plan.energy.drawn, _Table.of(plan.scene, observed_bodies)
+    scene = plan.scene
+    drawn = plan.energy.drawn
+    table = _Table.of(plan.scene, observed_bodies)
     cameras = CameraPoses.of(scene.views, observed_bodies[0].body.log_scale)
     start = find_start_bodies(scene, observed_bodies, cameras)
     known = _shapes(plan.model, start.body, scene)
@@ -50,7 +52,8 @@ def gather_scene(plan: ScenePlan, observed_bodies: Sequence[ObservedBody]) -> St
 
     smooth = rates = None
     if scene.num_frames > 1 and plan.options.smoothing > 0:
-        width, times = plan.options.smoothing, torch.from_numpy(scene.frame_times).to(rotations.device)
+        width = plan.options.smoothing
+        times = torch.from_numpy(scene.frame_times).to(rotations.device)
         shares = time_shares(table.observed.view(-1, scene.num_frames), times, _START_WIDTH * width).to(rotations)
         each = rotations.unflatten(0, (scene.num_people, -1))
         rotations = nearest_rotation(torch.einsum("pts,ps...->pt...", shares, each).flatten(0, 1))

@@ -70,7 +70,8 @@ class StartBodies:
         Args:
             shares: Shares of all frames in the smooth position of each frame, shape (P, T, T).
         """
-        body, cameras = self.body, self.cameras
+        body = self.body
+        cameras = self.cameras
         world = pelvises_in_world(body.log_scale, body.shift, self.lenses, cameras.rotations, cameras.translations)
         smooth = (shares @ world.unflatten(0, (len(shares), -1))).flatten(0, 1)
         pelvises = (smooth[:, None] @ cameras.rotations.mT)[:, 0] + cameras.translations
@@ -110,7 +111,8 @@ def _reference_indices(scene: Scene, observed_bodies: Sequence[ObservedBody]) ->
         totals[observed.person, observed.view] += float(observed.evidence.keypoints.confidence.sum())
     best: dict[tuple[int, int], int] = {}
     for index, observed in enumerate(observed_bodies):
-        person, key = observed.person, (observed.person, observed.frame)
+        person = observed.person
+        key = (observed.person, observed.frame)
         if key not in best or totals[person, observed.view] > totals[person, observed_bodies[best[key]].view]:
             best[key] = index
     references: list[int] = []
@@ -134,7 +136,8 @@ def _join_bodies(
         groups.setdefault((observed.person, observed.frame), []).append(observed)
     for person in range(scene.num_people):
         own = BodyParameters.joined([observed.body for observed in observed_bodies if observed.person == person])
-        lengths, thicknesses = own.lengths.mean(0, keepdim=True), own.thicknesses.mean(0, keepdim=True)
+        lengths = own.lengths.mean(0, keepdim=True)
+        thicknesses = own.thicknesses.mean(0, keepdim=True)
         for reference in references[person * scene.num_frames : (person + 1) * scene.num_frames]:
             body = replace(reference.body, lengths=lengths, thicknesses=thicknesses)
             group = groups[reference.person, reference.frame]
@@ -170,12 +173,14 @@ def _mean_rotation(rotations: torch.Tensor) -> torch.Tensor:
 
 def _meeting_point(group: Sequence[ObservedBody], cameras: CameraPoses) -> torch.Tensor:
     """Point that is nearest to the rays through the pelvises, shape (3,) [m]."""
-    normal, right = cameras.rotations.new_zeros(3, 3), cameras.rotations.new_zeros(3)
+    normal = cameras.rotations.new_zeros(3, 3)
+    right = cameras.rotations.new_zeros(3)
     eye = torch.eye(3).to(normal)
     for observed in group:
         _, pelvis = through_lens(observed.body.camera(REFERENCE_SIZE), observed.observation.lens, REFERENCE_SIZE)
         assert pelvis is not None
-        rotation, translation = cameras.rotations[observed.view], cameras.translations[observed.view]
+        rotation = cameras.rotations[observed.view]
+        translation = cameras.translations[observed.view]
         ray = rotation.mT @ torch.nn.functional.normalize(pelvis[0], dim=0)
         across = eye - ray[:, None] * ray
         # Rays may be parallel. So the distance that the view alone gives has a small weight.
