@@ -163,8 +163,9 @@ def test_networks_that_see_nothing_leave_the_packaged_keypoints(film: Path) -> N
     )
     people, predictions = find_film_predictions(film, blind)
     assert predictions.warnings == [
-        f"no keypoints of the given network in {COUNT} of {COUNT} observations; the packaged one's taken",
-        f"no labels of the given network in {COUNT} of {COUNT} observations; keypoints alone taken",
+        f"the given network found no keypoints in {COUNT} of {COUNT} observations; those of the packaged network are "
+        "used",
+        f"the given network found no labels in {COUNT} of {COUNT} observations; only the keypoints are used",
     ]
     (observation,) = ObservedFilm.of(people, given=predictions).observations(people.rows[:1], 0, 0)
     assert observation.keypoints.skeleton == "blazepose33"

@@ -170,7 +170,7 @@ def test_labels_along_no_bone_are_left_out_and_that_is_told():
     )
     assert observed.observation.labels is None
     (warning,) = observed.evidence.warnings
-    assert warning.endswith("keypoints alone taken")
+    assert warning.endswith("only the keypoints are used")
 
 
 def test_pixels_that_several_claim_or_somebody_does_not_know_are_ignored():

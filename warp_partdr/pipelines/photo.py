@@ -173,14 +173,16 @@ class _PeopleEvidence:
             given = find_keypoints(self._keypoints_from, self._picture, person)
             weighed = [] if given is None else _weighed(given, readings[0].picture if readings else None)
             if not weighed:
-                warnings.append("keypoints: none of the given network on this person; the packaged one's taken")
+                warnings.append(
+                    "keypoints: the given network found none on this person; those of the packaged network are used"
+                )
             else:
                 readings, names["keypoints"] = weighed, self._keypoints_from.name
         if self._parts is not None:
             parts = self._parts.of(index)
             weighed = [] if parts is None else _weighed(readings[0].keypoints, parts)
             if not weighed:
-                warnings.append("labels: none of the given network along the bones; the mask taken")
+                warnings.append("labels: the given network found none along the bones; the mask is used")
             else:
                 readings, names["parts"] = weighed, self._parts.network.name
         if readings[0].picture is None:

@@ -89,7 +89,7 @@ def depths_of(scene: Scene, joints: np.ndarray) -> np.ndarray:
 
 
 def in_wrong_order(sample: SceneSample, observed_bodies: Sequence[ObservedBody]) -> list[ObservedBody]:
-    """Sights of a pair with the one behind in front: each grows about the camera, and so looks alone as before."""
+    """Resizes a pair so that the person behind is in front. Each body grows about the camera and keeps its picture."""
     front = int(sample.order[0])
     away = {observed.person: _distance(observed) for observed in observed_bodies}
     ratio = away[1 - front] / away[front]

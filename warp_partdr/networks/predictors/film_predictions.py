@@ -101,16 +101,19 @@ class FilmPredictions:
 
     @property
     def warnings(self) -> list[str]:
-        """Sentences about networks that saw nothing of somebody in some frames."""
+        """Warnings about networks that found nothing on a person in some frames, a sentence each."""
         total, warnings = len(self.frames), []
         blank = total - int((self.keypoints[..., 2] > 0).any(1).sum())
         if self.networks.keypoints_from is not None and blank:
             warnings.append(
-                f"no keypoints of the given network in {blank} of {total} observations; the packaged one's taken"
+                f"the given network found no keypoints in {blank} of {total} observations; those of the packaged "
+                "network are used"
             )
         bare = total - sum(map(bool, self.packed))
         if self.networks.parts_from is not None and bare:
-            warnings.append(f"no labels of the given network in {bare} of {total} observations; keypoints alone taken")
+            warnings.append(
+                f"the given network found no labels in {bare} of {total} observations; only the keypoints are used"
+            )
         return warnings
 
     def arrays(self) -> dict[str, np.ndarray]:

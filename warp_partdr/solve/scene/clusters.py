@@ -17,7 +17,11 @@ Clusters = tuple[tuple[int, ...], ...]  # indices of people; each person is in o
 
 
 def find_clusters(observed_bodies: Sequence[ObservedBody], num_people: int) -> Clusters:
-    """Groups people who are drawn together: their boxes overlap in a picture, or both overlap a third person's."""
+    """Groups people who are drawn together.
+
+    Two people are in one cluster if their boxes overlap in any picture, or if a chain of overlapping people connects
+    them.
+    """
     if num_people == 1:
         return ((0,),)
     near = np.eye(num_people, dtype=bool)
@@ -63,7 +67,12 @@ def of_one(clusters: Clusters) -> Clusters:
 
 
 def slots_of(clusters: Clusters, num_people: int, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
-    """``slots`` and ``places`` of ``Slots``, shapes (K, C) and (P, 2)."""
+    """Numbers the people of K clusters, which have at most C people.
+
+    Returns:
+        Person in each slot of each cluster, shape (K, C), and cluster and slot of each person, shape (P, 2), both
+        int32. They are -1 where there is none.
+    """
     slots = np.full((len(clusters), max(map(len, clusters))), -1, dtype=np.int32)
     places = np.full((num_people, 2), -1, dtype=np.int32)
     for index, members in enumerate(clusters):

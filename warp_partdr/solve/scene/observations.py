@@ -62,8 +62,8 @@ def _observe(
     device: torch.device | str,
 ) -> list[ObservedBody]:
     """Predicts a body for each observation of one batch."""
-    # Evidence is weighed one person at a time, because label pictures of overlapping people are later drawn from its
-    # whole window. ``cut_out_people`` weighs many people together, but does not keep the labels of the window.
+    # Evidence is weighed one person at a time, because pictures of people who overlap are later drawn from the labels
+    # in its window. ``cut_out_people`` weighs many people at once, but it does not return these labels.
     evidence = [_weigh(observation) for observation in observations]
     crops = [
         crop_evidence(each, device=device, camera=views[observation.view].camera)
@@ -88,4 +88,4 @@ def _weigh(observation: SceneObservation) -> Evidence:
         if observation.parts is None:
             raise
         evidence = weigh_evidence(observation.keypoints)[0]
-        return replace(evidence, warnings=(f"{error}; keypoints alone taken",))
+        return replace(evidence, warnings=(f"{error}; only the keypoints are used",))

@@ -89,7 +89,7 @@ def gather_scene(plan: ScenePlan, observed_bodies: Sequence[ObservedBody]) -> St
 
 @dataclass(frozen=True)
 class _Table:
-    """Table with N bodies as rows and V views as columns, which has some of its cells observed.
+    """Table with N bodies as rows and V views as columns. Some of its cells have an observation.
 
     Attributes:
         rows: Index of the body of each observation, int64.
