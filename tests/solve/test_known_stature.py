@@ -124,7 +124,7 @@ def test_nobodys_is_told(stature):
 
 def test_of_several_people_it_is_whose():
     picture, _ = crowd(2)
-    with pytest.raises(InputError, match=r"stature: 1\.8 m, of 2 people; expected one of them, person 0 to 1"):
+    with pytest.raises(InputError, match=r"stature: 1\.8 m, for 2 people; expected one of them, person 0 to 1"):
         fit_photo(picture, options=FitOptions(stature=1.8))
     fit = fit_photo(picture, person=0, options=replace(FAST, mesh=QUICK_MESH, stature=1.8))
     assert statures(fit.fits[0].body.model, fit.fits[0].body.shape).item() == pytest.approx(1.8, abs=1e-4)
