@@ -24,7 +24,7 @@ from ...body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
 from ...inputs.scene import Scene, View
 from ...metrics import mpjpe, pa_mpjpe
 from ...pipelines.camera_poses import place_cameras
-from ...pipelines.film_cameras import spread
+from ...pipelines.film_cameras import choose_frames
 from ...solve.scene.fitting import fit_scene
 from ...solve.scene.observations import observe_scene
 from ...solve.scene.options import SceneOptions
@@ -90,7 +90,7 @@ def _errors_of(index: int, mocap: Path | None, device: str) -> list[float]:
 
 def _some_frames(scene: Scene) -> Scene:
     """Scene with as many of its frames as a film's cameras are placed by."""
-    chosen = spread(np.arange(scene.num_frames)).tolist()
+    chosen = choose_frames(np.arange(scene.num_frames)).tolist()
     return replace(
         scene, observations=[observation for observation in scene.observations if observation.frame in chosen]
     )
