@@ -80,7 +80,7 @@ _EXPORTS = {
     "predict_bodies": "networks.regression.predict",
     "load_keypoint_network": "networks.predictors.checkpoints",
     "load_part_network": "networks.predictors.checkpoints",
-    "find_film_sights": "networks.predictors.film_sights",
+    "find_film_predictions": "networks.predictors.film_predictions",
     "KeypointNetwork": "networks.predictors.networks",
     "PartNetwork": "networks.predictors.networks",
     "Energy": "solve.ellipsoids.energy",
@@ -104,7 +104,7 @@ _EXPORTS = {
     "save_registered": "results.save",
     "save_film_fit": "results.save_film",
     "save_photo_fit": "results.save_photo",
-    "place_cameras": "pipelines.camera_places",
+    "place_cameras": "pipelines.camera_poses",
     "fit_film": "pipelines.film",
     "place_film_cameras": "pipelines.film_cameras",
     "align_films": "pipelines.film_times",
@@ -112,9 +112,9 @@ _EXPORTS = {
     "match_films": "pipelines.matched_times",
     "fit_photo": "pipelines.photo",
     "Scene": "inputs.scene",
-    "Sight": "inputs.scene",
+    "SceneObservation": "inputs.scene",
     "View": "inputs.scene",
-    "SeenFilm": "pipelines.seen_film",
+    "ObservedFilm": "pipelines.observed_film",
 }
 
 __all__ = sorted(["__version__", *_EXPORTS])
@@ -155,7 +155,7 @@ if TYPE_CHECKING:
     from .inputs.part_labels import read_parts as read_parts
     from .inputs.part_labels import read_photo as read_photo
     from .inputs.scene import Scene as Scene
-    from .inputs.scene import Sight as Sight
+    from .inputs.scene import SceneObservation as SceneObservation
     from .inputs.scene import View as View
     from .interop.graph_cache import set_graph_memory as set_graph_memory
     from .kernels.launch import set_num_threads as set_num_threads
@@ -175,18 +175,18 @@ if TYPE_CHECKING:
     from .networks.detection.given_boxes import BoxNetwork as BoxNetwork
     from .networks.predictors.checkpoints import load_keypoint_network as load_keypoint_network
     from .networks.predictors.checkpoints import load_part_network as load_part_network
-    from .networks.predictors.film_sights import find_film_sights as find_film_sights
+    from .networks.predictors.film_predictions import find_film_predictions as find_film_predictions
     from .networks.predictors.networks import KeypointNetwork as KeypointNetwork
     from .networks.predictors.networks import PartNetwork as PartNetwork
     from .networks.regression.checkpoint import load_label_network as load_label_network
     from .networks.regression.predict import predict_bodies as predict_bodies
-    from .pipelines.camera_places import place_cameras as place_cameras
+    from .pipelines.camera_poses import place_cameras as place_cameras
     from .pipelines.film import fit_film as fit_film
     from .pipelines.film_cameras import place_film_cameras as place_film_cameras
     from .pipelines.film_times import align_films as align_films
     from .pipelines.matched_times import match_films as match_films
+    from .pipelines.observed_film import ObservedFilm as ObservedFilm
     from .pipelines.photo import fit_photo as fit_photo
-    from .pipelines.seen_film import SeenFilm as SeenFilm
     from .render.ellipsoids import Ellipsoids as Ellipsoids
     from .render.ellipsoids import draw_ellipsoids as draw_ellipsoids
     from .render.ellipsoids import ellipsoid_label_loss as ellipsoid_label_loss

@@ -109,7 +109,7 @@ def overlap(*, few_steps: bool) -> Found:
     for name, sample in (("pair", make_pair(PAIR)), ("group", make_group(1))):
         found |= _of_scene(name, fit_scene(sample.scene, options=options))
     scene = make_pair(PAIR, "clean").scene
-    readings = [weigh_evidence(sight.keypoints, sight.parts) for sight in scene.sights]
+    readings = [weigh_evidence(observation.keypoints, observation.parts) for observation in scene.observations]
     given = replace(_options("fast", few_steps), guess_camera=False)
     results = [fit_evidence(each, given, camera=scene.views[0].camera) for each in readings]
     for place, mesh in enumerate(refine_people(results, options=given.mesh)):

@@ -208,7 +208,7 @@ def test_photos_are_films_of_one_moment(run: Run, unplaced: SceneSample) -> None
         ("scene gray.mp4 other.mp4 --cameras rig.json", ["gray.mp4: 96 x 64 px; expected "]),
         (
             "scene left.mp4 right.mp4 --cameras rig.json --set stature=1.7",
-            ["stature: 1.7 m, of 1 people before 2 cameras"],
+            ["stature: 1.7 m, for 1 people and 2 cameras"],
         ),
     ],
 )

@@ -14,7 +14,7 @@ from warp_partdr.inputs.scene import PersonShape
 from warp_partdr.models.anny import anny
 from warp_partdr.networks.detection.film_people import SEEN, FilmPeople, kept_size
 from warp_partdr.pipelines.film import FilmFit, Motion
-from warp_partdr.pipelines.seen_film import SeenFilm
+from warp_partdr.pipelines.observed_film import ObservedFilm
 from warp_partdr.results.save_film import save_film_fit
 
 COUNT, RATE, SIZE = 20, 10, (200, 320)  # frames, frames a second, (H, W) [px]
@@ -39,7 +39,7 @@ def made_fit() -> FilmFit:
     seen["times"], seen["scores"] = seen["frames"] / RATE, 0.9
     owners = zlib.compress(np.zeros(kept_size(SIZE), np.uint8).tobytes())
     people = FilmPeople(SIZE, RATE, np.arange(COUNT) / RATE, seen, (owners,) * COUNT)
-    seen = SeenFilm.of(people, Perspective.of_picture(SIZE, focal=300))
+    seen = ObservedFilm.of(people, Perspective.of_picture(SIZE, focal=300))
     return FilmFit((seen,), {person: ((0, person),) for person in motions}, motions)
 
 

@@ -33,7 +33,7 @@ from warp_partdr.lab.evaluation.scene_scoring import (
 from warp_partdr.lab.synthetic.mocap import Clip
 from warp_partdr.lab.synthetic.scene_people import SceneSample, depths_of, in_wrong_order, make_clip
 from warp_partdr.models.anny import anny
-from warp_partdr.solve.scene.looks import look_at
+from warp_partdr.solve.scene.observations import observe_scene
 
 
 class Known:
@@ -159,16 +159,16 @@ def test_frames_that_are_fitted_apart_are_one_film() -> None:
 
 def test_half_of_the_pairs_start_in_the_wrong_order() -> None:
     sample = pair()
-    looks = look_at(sample.scene, "cpu")
+    observed_bodies = observe_scene(sample.scene, "cpu")
     with torch.no_grad():
-        wrong = in_wrong_order(sample, looks)
+        wrong = in_wrong_order(sample, observed_bodies)
 
     def distances(found):
-        return [float(look.observation.lens[0] / look.body.log_scale.exp()) for look in found]
+        return [float(observed.observation.lens[0] / observed.body.log_scale.exp()) for observed in found]
 
     front, back = sample.order
     assert distances(wrong)[front] > distances(wrong)[back]
-    for before, after in zip(looks, wrong, strict=True):  # in the picture all is as before
+    for before, after in zip(observed_bodies, wrong, strict=True):  # in the picture all is as before
         torch.testing.assert_close(before.body.shift, after.body.shift)
         ratio = after.body.lengths / before.body.lengths
         torch.testing.assert_close(ratio, (before.body.log_scale - after.body.log_scale).exp().expand_as(ratio))
@@ -247,7 +247,7 @@ def test_keypoints_that_were_missing_come_back_where_they_are() -> None:
     view = sample.scene.views[0]
     truth = view.camera.project(view.to_camera(torch.from_numpy(sample.joints[0])))[..., :2].numpy()
     low, high = truth.min((0, 1)) - 60, truth.max((0, 1)) + 60
-    shown = [sight.keypoints.points[sight.keypoints.visible] for sight in sample.scene.sights]
+    shown = [observation.keypoints.points[observation.keypoints.visible] for observation in sample.scene.observations]
     assert min(len(points) for points in shown) < 17
     for points in shown:
         assert ((points > low) & (points < high)).all()

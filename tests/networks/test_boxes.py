@@ -16,7 +16,7 @@ from warp_partdr.errors import InputError
 from warp_partdr.networks.detection.crops import Pyramid
 from warp_partdr.networks.detection.given_boxes import BoxNetwork, find_boxes, find_people_in_boxes
 from warp_partdr.networks.detection.people import find_people
-from warp_partdr.networks.predictors.film_sights import GivenNetworks
+from warp_partdr.networks.predictors.film_predictions import GivenNetworks
 from warp_partdr.networks.predictors.networks import KeypointNetwork, upright_crop
 from warp_partdr.pipelines.photo import PACKAGED, fit_photo
 from warp_partdr.solve.ellipsoids.options import FitOptions

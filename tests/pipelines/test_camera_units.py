@@ -15,10 +15,10 @@ from warp_partdr.inputs.calibrated_camera import CalibratedCamera
 from warp_partdr.lab.synthetic.scene_people import SceneSample, make_pair
 from warp_partdr.models.measuring import statures
 from warp_partdr.pipelines.camera_units import in_metres
-from warp_partdr.pipelines.film import find_impossible
-from warp_partdr.pipelines.rig_faults import missing_rays, unmatched_films
+from warp_partdr.pipelines.film import find_impossible_people
+from warp_partdr.pipelines.observed_film import ObservedFilm
+from warp_partdr.pipelines.rig_warnings import distant_rays, unmatched_films
 from warp_partdr.pipelines.same_people import match_people
-from warp_partdr.pipelines.seen_film import SeenFilm
 from warp_partdr.solve.scene.impossible import impossible_people
 
 TURNS = (-0.5, 0.4, 1.3)
@@ -31,20 +31,20 @@ def pair() -> SceneSample:
 
 
 @pytest.fixture(scope="module")
-def films(pair: SceneSample) -> list[SeenFilm]:
+def films(pair: SceneSample) -> list[ObservedFilm]:
     """Films of three cameras in metres, of which the second one has another order of people, and the third a lens."""
     cameras = [camera_at(turn, distortion=LENS if turn == TURNS[2] else ()) for turn in TURNS]
     orders = (0, 1), (1, 0), (0, 1)
     seen = (film_of(pair, camera, order=order, noise=2.0) for camera, order in zip(cameras, orders, strict=True))
-    return [SeenFilm.calibrated(people, camera) for people, camera in zip(seen, cameras, strict=True)]
+    return [ObservedFilm.calibrated(people, camera) for people, camera in zip(seen, cameras, strict=True)]
 
 
-def moved(films: Sequence[SeenFilm], place: int, camera: CalibratedCamera) -> list[SeenFilm]:
+def moved(films: Sequence[ObservedFilm], place: int, camera: CalibratedCamera) -> list[ObservedFilm]:
     """The films, one of which is said to be another camera's."""
-    return [SeenFilm.calibrated(film.people, camera) if each == place else film for each, film in enumerate(films)]
+    return [ObservedFilm.calibrated(film.people, camera) if each == place else film for each, film in enumerate(films)]
 
 
-def distances(films: Sequence[SeenFilm]) -> list[float]:
+def distances(films: Sequence[ObservedFilm]) -> list[float]:
     return [float(film.view.translation.norm()) for film in films]
 
 
@@ -55,7 +55,7 @@ def distances(films: Sequence[SeenFilm]) -> list[float]:
         (100.0, "translations are taken as centimetres, with which people are about 1."),
     ],
 )
-def test_people_tell_the_unit(films: list[SeenFilm], factor: float, words: str) -> None:
+def test_people_tell_the_unit(films: list[ObservedFilm], factor: float, words: str) -> None:
     assert all(len({place for place, _ in person}) == 1 for person in match_people([f.scaled(factor) for f in films]))
     found, (told,) = in_metres([film.scaled(factor) for film in films])
     assert distances(found) == pytest.approx([4.0] * 3, rel=1e-6)
@@ -68,16 +68,16 @@ def test_people_tell_the_unit(films: list[SeenFilm], factor: float, words: str) 
 
 
 @pytest.mark.parametrize("factor", [1 / 0.03, 1 / 0.058, 1 / 7])
-def test_squares_of_a_chessboard_make_people_as_tall_as_most(films: list[SeenFilm], factor: float) -> None:
+def test_squares_of_a_chessboard_make_people_as_tall_as_most(films: list[ObservedFilm], factor: float) -> None:
     found, (told,) = in_metres([film.scaled(factor) for film in films])
     assert distances(found) == pytest.approx([4.0] * 3, rel=0.2)
     assert len(set(np.round(distances(found), 4))) == 1
     assert "with which people are about 1.70 m tall" in told
-    assert "are they in squares of a chessboard" in told
+    assert "Are they in squares of a chessboard" in told
     assert f"multiplied by {found[0].view.translation.norm() / 4 / factor:.3g}," in told
 
 
-def test_metres_stay_and_so_do_cameras_that_nobody_calibrated(films: list[SeenFilm]) -> None:
+def test_metres_stay_and_so_do_cameras_that_nobody_calibrated(films: list[ObservedFilm]) -> None:
     for factor in (0.6, 1.0, 1.5):  # children and adults
         scaled = [film.scaled(factor) for film in films]
         assert in_metres(scaled) == (scaled, [])
@@ -86,7 +86,7 @@ def test_metres_stay_and_so_do_cameras_that_nobody_calibrated(films: list[SeenFi
     assert in_metres(films[:1]) == (films[:1], [])
 
 
-def test_a_stranger_whose_rays_pass_says_nothing_of_the_unit(films: list[SeenFilm]) -> None:
+def test_a_stranger_whose_rays_pass_says_nothing_of_the_unit(films: list[ObservedFilm]) -> None:
     """Nobody is the same in two films."""
     first = replace(films[0].people, rows=films[0].people.rows[films[0].people.rows["tracks"] == 0])
     second = replace(films[1].people, rows=films[1].people.rows[films[1].people.rows["tracks"] == 0])
@@ -94,10 +94,10 @@ def test_a_stranger_whose_rays_pass_says_nothing_of_the_unit(films: list[SeenFil
     assert in_metres(strangers) == (strangers, [])
 
 
-def test_a_camera_of_another_film_is_told(films: list[SeenFilm]) -> None:
+def test_a_camera_of_another_film_is_told(films: list[ObservedFilm]) -> None:
     people = match_people(films)
     assert unmatched_films(films, people) == []
-    assert missing_rays(films, dict(enumerate(people))) == []
+    assert distant_rays(films, dict(enumerate(people))) == []
     high = camera_at(TURNS[2])
     high = replace(high, translation=high.translation + np.array([0.0, 1.0, 0.0]))
     wrong = moved(films, 2, high)
@@ -112,25 +112,25 @@ def test_a_camera_of_another_film_is_told(films: list[SeenFilm]) -> None:
     assert unmatched_films(films[:1], match_people(films[:1])) == []
 
 
-def test_a_film_without_the_others_moments_is_not_compared(films: list[SeenFilm]) -> None:
+def test_a_film_without_the_others_moments_is_not_compared(films: list[ObservedFilm]) -> None:
     later = films[2].people.rows.copy()
     later["frames"] += 3
     late = [*films[:2], replace(films[2], people=replace(films[2].people, rows=later))]
     assert unmatched_films(late, match_people(late)) == []
 
 
-def test_rays_that_miss_are_told(films: list[SeenFilm]) -> None:
+def test_rays_that_miss_are_told(films: list[ObservedFilm]) -> None:
     """A camera that is said to be 13 cm higher than it is: people are still the same, but something is wrong."""
     high = camera_at(TURNS[1])
     high = replace(high, translation=high.translation + np.array([0.0, 0.13, 0.0]))
     wrong = moved(films[:2], 1, high)
     people = dict(enumerate(match_people(wrong)))
     assert [{film for film, _ in tracks} for tracks in people.values()] == [{0, 1}, {0, 1}]
-    told = missing_rays(wrong, people)
+    told = distant_rays(wrong, people)
     assert [sentence.partition(":")[0] for sentence in told] == ["person0", "person1"]
     assert all("rays of films[0] and films[1] miss one another by 0.1" in sentence for sentence in told)
     placed = [film.standing(film.view.rotation, film.view.translation) for film in wrong]
-    assert missing_rays(placed, people) == []  # as well as they could be found
+    assert distant_rays(placed, people) == []  # as well as they could be found
 
 
 def test_people_of_impossible_size_or_distance_are_told() -> None:
@@ -146,9 +146,9 @@ def test_bodies_far_from_one_of_several_cameras_are_told() -> None:
     (film,) = fit.films
     near = film.standing(torch.eye(3), torch.tensor([0.0, 0.0, -20.0]))
     far = film.standing(torch.eye(3), torch.tensor([0.0, 150.0, 0.0]))
-    assert find_impossible(fit) == []
-    assert find_impossible(replace(fit, films=(film, near))) == []
-    told = find_impossible(replace(fit, films=(film, near, far)))
+    assert find_impossible_people(fit) == []
+    assert find_impossible_people(replace(fit, films=(film, near))) == []
+    told = find_impossible_people(replace(fit, films=(film, near, far)))
     assert [sentence.partition(";")[0] for sentence in told] == [
         f"person{person} is 150 m away from a camera" for person in (0, 1)
     ]
@@ -156,6 +156,6 @@ def test_bodies_far_from_one_of_several_cameras_are_told() -> None:
     tall = replace(motion.shape, values=motion.shape.values + 40.0)
     assert float(statures(motion.model, tall.values[None])) > 2.6
     grown = replace(fit, films=(film, near), motions={1: replace(motion, shape=tall)})
-    (sentence,) = find_impossible(grown)
+    (sentence,) = find_impossible_people(grown)
     assert sentence.startswith("person1 is ")
     assert "m tall; expected 0.5 to 2.6 m" in sentence

@@ -18,7 +18,7 @@ from warp_partdr.models.measuring import statures
 from warp_partdr.networks.detection.film_people import FilmPeople, find_film_people, kept_size
 from warp_partdr.pipelines.film import FilmFit, film_shots, fit_film, windows
 from warp_partdr.pipelines.film_pieces import FilmPieces
-from warp_partdr.pipelines.seen_film import SeenFilm
+from warp_partdr.pipelines.observed_film import ObservedFilm
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.scene.fitting import SceneFit, fit_scene
 from warp_partdr.solve.scene.options import SceneOptions
@@ -40,7 +40,7 @@ def people(tmp_path_factory: pytest.TempPathFactory) -> FilmPeople:
 
 @pytest.fixture(scope="module")
 def fit(people: FilmPeople) -> FilmFit:
-    return fit_film([SeenFilm.of(people)], options=SHORT_WINDOWS)
+    return fit_film([ObservedFilm.of(people)], options=SHORT_WINDOWS)
 
 
 def test_people_of_a_film_are_kept_small(people: FilmPeople) -> None:
@@ -72,7 +72,7 @@ def test_a_motion_is_smooth_across_windows(fit: FilmFit) -> None:
 
 def test_one_window_needs_no_shape_before(people: FilmPeople, fit: FilmFit) -> None:
     told: list[str] = []
-    film = [SeenFilm.of(people)]
+    film = [ObservedFilm.of(people)]
     whole = fit_film(
         film, options=replace(SHORT_WINDOWS, window=64), progress=lambda name, done, total: told.append(name)
     )
@@ -102,7 +102,7 @@ def test_a_run_that_was_ended_goes_on_where_it_was(
 
     monkeypatch.setattr("warp_partdr.pipelines.film.fit_scene", fit_twice)
     with pytest.raises(KeyboardInterrupt):
-        fit_film([SeenFilm.of(seen)], options=SHORT_WINDOWS, pieces=pieces)
+        fit_film([ObservedFilm.of(seen)], options=SHORT_WINDOWS, pieces=pieces)
     assert done == [3, 7]  # the shape, and the first window
     (pieces.folder / "window0.npz").write_bytes(b"a full disk")  # a damaged piece is made again
     done.clear()
@@ -113,9 +113,9 @@ def test_a_run_that_was_ended_goes_on_where_it_was(
     assert found.warnings == told
     assert again.starts(lambda: pytest.fail("starts are known")) == [0.0, 0.25]
     with pytest.raises(KeyboardInterrupt):
-        fit_film([SeenFilm.of(found)], options=SHORT_WINDOWS, pieces=again)
+        fit_film([ObservedFilm.of(found)], options=SHORT_WINDOWS, pieces=again)
     done.clear()
-    whole = fit_film([SeenFilm.of(found)], options=SHORT_WINDOWS, pieces=again)
+    whole = fit_film([ObservedFilm.of(found)], options=SHORT_WINDOWS, pieces=again)
     assert done == [7]  # the last window
     # Bit for bit what a run without a break gives.
     assert torch.equal(whole.motions[0].rotations, fit.motions[0].rotations)
@@ -143,7 +143,7 @@ def test_shots_are_fitted_apart(people: FilmPeople, monkeypatch: pytest.MonkeyPa
 
     cut, options = 6, replace(SHORT_WINDOWS, window=5, overlap=1)
     monkeypatch.setattr("warp_partdr.pipelines.film.fit_scene", fit_once)
-    fit = fit_film([SeenFilm.of(cut_at(people, cut))], options=options)
+    fit = fit_film([ObservedFilm.of(cut_at(people, cut))], options=options)
     assert fit.shots == [range(cut), range(cut, COUNT)]
     assert scenes[2:] == [(1, len(window)) for shot in fit.shots for window in windows(*shot_ends(shot), 5, 1)]
     assert {number: motion.frames.tolist() for number, motion in fit.motions.items()} == {
@@ -154,7 +154,7 @@ def test_shots_are_fitted_apart(people: FilmPeople, monkeypatch: pytest.MonkeyPa
     rows["frames"] -= cut
     rows["times"] -= people.times[cut]
     alone = replace(people, rows=rows, times=people.times[cut:] - people.times[cut], packed=people.packed[cut:])
-    expected = fit_film([SeenFilm.of(alone)], options=options).motions[0]
+    expected = fit_film([ObservedFilm.of(alone)], options=options).motions[0]
     torch.testing.assert_close(fit.motions[0].translation, expected.translation, atol=2e-3, rtol=0)
     torch.testing.assert_close(fit.motions[0].rotations, expected.rotations, atol=1e-2, rtol=0)
 
@@ -164,7 +164,7 @@ def shot_ends(shot: range) -> tuple[int, int]:
 
 
 def test_films_share_the_cuts_that_all_of_them_have(people: FilmPeople) -> None:
-    films = [SeenFilm.of(replace(people, cuts=cuts)) for cuts in ((3, 8), (8,), (5, 8, 11))]
+    films = [ObservedFilm.of(replace(people, cuts=cuts)) for cuts in ((3, 8), (8,), (5, 8, 11))]
     assert film_shots(films) == [range(8), range(8, COUNT)]
     assert film_shots(films[:1]) == [range(3), range(3, 8), range(8, COUNT)]
 
@@ -182,7 +182,7 @@ def test_a_person_has_one_shape(fit: FilmFit) -> None:
 
 
 def test_a_known_stature_holds_in_every_window(people: FilmPeople, fit: FilmFit) -> None:
-    tall = fit_film([SeenFilm.of(people)], options=replace(SHORT_WINDOWS, stature=2.0))
+    tall = fit_film([ObservedFilm.of(people)], options=replace(SHORT_WINDOWS, stature=2.0))
     found, guessed = (
         statures(each.motions[0].model, each.motions[0].shape.values[None]).item() for each in (tall, fit)
     )
@@ -193,22 +193,22 @@ def test_a_known_stature_holds_in_every_window(people: FilmPeople, fit: FilmFit)
 
 def test_a_stature_of_several_people_is_whose(people: FilmPeople, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("warp_partdr.pipelines.film.match_people", lambda films: [((0, 0),), ((0, 0),)])
-    with pytest.raises(InputError, match=r"stature: 1\.8 m, of 2 people; expected one of them, person 0 to 1"):
-        fit_film([SeenFilm.of(people)], options=replace(SHORT_WINDOWS, stature=1.8))
+    with pytest.raises(InputError, match=r"stature: 1\.8 m, for 2 people; expected one of them, person 0 to 1"):
+        fit_film([ObservedFilm.of(people)], options=replace(SHORT_WINDOWS, stature=1.8))
     monkeypatch.setattr("warp_partdr.pipelines.film.match_people", lambda films: [((0, 0), (1, 0))])
-    with pytest.raises(InputError, match=r"stature: 1\.8 m, of 1 people before 2 cameras"):
-        fit_film([SeenFilm.of(people)] * 2, options=replace(SHORT_WINDOWS, stature=1.8))
+    with pytest.raises(InputError, match=r"stature: 1\.8 m, for 1 people and 2 cameras"):
+        fit_film([ObservedFilm.of(people)] * 2, options=replace(SHORT_WINDOWS, stature=1.8))
 
 
 def test_films_people_and_options_at_fault_are_named(people: FilmPeople, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="films: none; expected at least one"):
         fit_film([])
     with pytest.raises(TypeError, match="options: dict; expected SceneOptions or None"):
-        fit_film([SeenFilm.of(people)], options={"window": 4})  # type: ignore[arg-type]
+        fit_film([ObservedFilm.of(people)], options={"window": 4})  # type: ignore[arg-type]
     with pytest.raises(InputError, match="person: 1; expected 0 to 0"):
-        fit_film([SeenFilm.of(people)], person=1)
+        fit_film([ObservedFilm.of(people)], person=1)
     with pytest.raises(TypeError, match="people"):
-        SeenFilm.of("walk.mp4")  # type: ignore[arg-type]
+        ObservedFilm.of("walk.mp4")  # type: ignore[arg-type]
     gray = write_film(tmp_path / "gray.mp4", [np.full((64, 96, 3), 90, np.uint8)] * 6)
     with pytest.raises(InputError, match=r"gray\.mp4: nobody found in 6 frames"):
         find_film_people(gray)

@@ -15,7 +15,7 @@ from warp_partdr.lab.synthetic.mocap import Clip, rotation_matrices
 from warp_partdr.lab.synthetic.scene_people import SceneSample, make_clip
 from warp_partdr.networks.detection.film_people import FilmPeople
 from warp_partdr.pipelines.film_times import align_films
-from warp_partdr.pipelines.seen_film import SeenFilm
+from warp_partdr.pipelines.observed_film import ObservedFilm
 
 FRAMES, RATE = 26, 10.0
 SWINGS = {"left_upper_arm": 1.1, "right_upper_arm": -0.9, "left_upper_leg": 0.8, "right_upper_leg": -0.8}
@@ -32,7 +32,7 @@ def swinging(moves: float) -> SceneSample:
     return make_clip(3, clip, RATE, "clean")
 
 
-def film(sample: SceneSample, turn: float, frames: Sequence[int]) -> SeenFilm:
+def film(sample: SceneSample, turn: float, frames: Sequence[int]) -> ObservedFilm:
     """Some of the frames, as a camera at this angle sees them, at their times since the first of these."""
     camera, times = camera_at(turn), (np.array(frames) - frames[0]) / RATE
     rows, packed = [], []
@@ -43,7 +43,7 @@ def film(sample: SceneSample, turn: float, frames: Sequence[int]) -> SeenFilm:
         rows.append(one.rows)
         packed += one.packed
     people = FilmPeople(SIZE, RATE, times, np.concatenate(rows), tuple(packed))
-    return SeenFilm.of(people, camera.without_distortion)
+    return ObservedFilm.of(people, camera.without_distortion)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_whoever_stands_still_tells_nothing(moving: SceneSample) -> None:
         align_films([one, other])
 
 
-def since(film: SeenFilm, frame: int) -> SeenFilm:
+def since(film: ObservedFilm, frame: int) -> ObservedFilm:
     """The film without the frames before one."""
     times = film.people.times
     return film.taken(np.arange(frame, len(times)), times[frame:] - times[frame])

@@ -14,11 +14,11 @@ from warp_partdr.errors import InputError
 from warp_partdr.inputs.scene import Scene
 from warp_partdr.lab.synthetic.scene_people import make_pair
 from warp_partdr.networks.detection.film_people import FilmPeople
-from warp_partdr.networks.predictors.film_sights import FilmSights, GivenNetworks, pack_groups
+from warp_partdr.networks.predictors.film_predictions import FilmPredictions, GivenNetworks, pack_groups
 from warp_partdr.pipelines.film import fit_film
 from warp_partdr.pipelines.film_cameras import place_film_cameras
 from warp_partdr.pipelines.matched_times import match_films, nearest_frames
-from warp_partdr.pipelines.seen_film import SeenFilm
+from warp_partdr.pipelines.observed_film import ObservedFilm
 from warp_partdr.solve.scene.options import SceneOptions
 
 VARIABLE = np.array([0.0, 0.033, 0.066, 0.1, 0.2, 0.3, 0.4, 0.433, 0.466, 0.5, 0.533, 0.6])
@@ -30,15 +30,15 @@ def still() -> FilmPeople:
     return film_of(make_pair(101), camera_at(0.0), order=(0,), frames=40)
 
 
-def timed(people: FilmPeople, times: np.ndarray, rate: float) -> SeenFilm:
+def timed(people: FilmPeople, times: np.ndarray, rate: float) -> ObservedFilm:
     """A film with frames at these times [s], which its keypoints' x tell, too."""
     rows = people.rows[: len(times)].copy()
     rows["times"] = times
     rows["keypoints"][..., 0] = times[:, None]
-    return SeenFilm.of(replace(people, rate=rate, times=times, rows=rows, packed=people.packed[: len(times)]))
+    return ObservedFilm.of(replace(people, rate=rate, times=times, rows=rows, packed=people.packed[: len(times)]))
 
 
-def told_times(film: SeenFilm) -> np.ndarray:
+def told_times(film: ObservedFilm) -> np.ndarray:
     return np.asarray(film.people.rows["keypoints"][:, 0, 0], dtype=np.float64)
 
 
@@ -106,11 +106,11 @@ def test_a_frame_shows_one_moment_at_most() -> None:
     assert nearest_frames(times[:1], moments, 0.05).tolist() == [0, -1, -1, -1]
 
 
-def test_sights_of_networks_go_with_their_frames() -> None:
+def test_predictions_of_networks_go_with_their_frames() -> None:
     frames, places = np.array([0, 1, 1, 2, 3]), np.array([0, 0, 1, 0, 0])
     keypoints = np.arange(15, dtype=np.float32).reshape(5, 1, 3)
     packed = tuple(pack_groups(np.full((2, 3), row, np.uint8)) for row in range(5))
-    taken = FilmSights(GivenNetworks(), frames, places, keypoints, (2, 3), packed).taken(np.array([1, -1, 3]))
+    taken = FilmPredictions(GivenNetworks(), frames, places, keypoints, (2, 3), packed).taken(np.array([1, -1, 3]))
     assert taken.frames.tolist() == [0, 0, 2]
     assert taken.places.tolist() == [0, 1, 0]
     np.testing.assert_array_equal(taken.keypoints, keypoints[[1, 2, 4]])
@@ -149,7 +149,7 @@ def test_windows_of_a_film_know_its_times(
     people = replace(still, rate=30, times=times, rows=still.rows[: len(times)], packed=still.packed[: len(times)])
     monkeypatch.setattr("warp_partdr.pipelines.film.fit_scene", fit)
     with pytest.raises(_SeenError):
-        fit_film([SeenFilm.of(people)], options=SceneOptions(window=64))
+        fit_film([ObservedFilm.of(people)], options=SceneOptions(window=64))
     (scene,) = scenes
     np.testing.assert_allclose(scene.frame_times, times)
     assert (scene.times is None) == (times is not VARIABLE)  # even films have the sums that they had
@@ -157,7 +157,7 @@ def test_windows_of_a_film_know_its_times(
 
 def test_a_scene_s_times_must_rise_and_replace_the_frame_rate() -> None:
     scene = make_pair(101, "clean").scene
-    film = [replace(sight, frame=frame) for frame in range(3) for sight in scene.sights]
+    film = [replace(observation, frame=frame) for frame in range(3) for observation in scene.observations]
     for wrong in ([0.0, 0.1], [0.0, 0.2, 0.2], [0.0, 0.2, np.nan], ["a", "b", "c"], [[0.0, 1.0, 2.0]]):
         with pytest.raises(InputError, match="times: "):
             Scene(scene.views, film, times=wrong)

@@ -120,14 +120,14 @@ def test_what_sees_nothing_is_told_and_left_out(found: FoundPerson, alone: Photo
     beside = keypoint_network(found, 5.0)
     fit = fit_photo(PHOTO, options=FAST, parts_from=blind, keypoints_from=beside)
     assert fit.fits[0].ellipbody.warnings == (
-        "keypoints: none of the given network on this person; the packaged one's taken",
-        "labels: none of the given network along the bones; the mask taken",
+        "keypoints: the given network found none on this person; those of the packaged network are used",
+        "labels: the given network found none along the bones; the mask is used",
     )
     assert fit.sources[0] == {"keypoints": PACKAGED, "parts": PACKAGED}
     np.testing.assert_array_equal(fit.fits[0].vertices, alone.fits[0].vertices)
     elsewhere = replace(blind, predict=lambda pictures: corner(pictures.shape[0]))
     fit = fit_photo(PHOTO, options=FAST, parts_from=elsewhere)
-    assert fit.fits[0].ellipbody.warnings == ("labels: none of the given network along the bones; the mask taken",)
+    assert fit.fits[0].ellipbody.warnings == ("labels: the given network found none along the bones; the mask is used",)
 
 
 def corner(count: int) -> torch.Tensor:

@@ -14,8 +14,8 @@ from warp_partdr.body.skeletons import MPJPE_JOINTS
 from warp_partdr.errors import InputError
 from warp_partdr.lab.synthetic.scene_people import SceneSample, make_pair
 from warp_partdr.pipelines.film import fit_film
+from warp_partdr.pipelines.observed_film import ObservedFilm
 from warp_partdr.pipelines.same_people import match_people, meeting, ray_distance
-from warp_partdr.pipelines.seen_film import SeenFilm
 
 LENS = (-0.4, 0.1, 0.003, -0.002)
 
@@ -29,7 +29,7 @@ def test_rays_say_who_is_who(pair: SceneSample) -> None:
     cameras = [camera_at(turn) for turn in (-0.5, 0.4, 1.5)]
     orders = (0, 1), (1, 0), (1, 0)
     films = [
-        SeenFilm.calibrated(film_of(pair, camera, order=order, noise=2.0), camera)
+        ObservedFilm.calibrated(film_of(pair, camera, order=order, noise=2.0), camera)
         for camera, order in zip(cameras, orders, strict=True)
     ]
     assert {tuple(sorted(person)) for person in match_people(films)} == {
@@ -45,7 +45,7 @@ def test_rays_miss_by_as_much_as_a_camera_is_too_high(pair: SceneSample) -> None
     one, other = camera_at(-0.3), camera_at(0.3)
     seen = [film_of(pair, camera) for camera in (one, other)]
     high = replace(other, translation=other.translation + np.array([0.0, 0.05, 0.0]))
-    films = [SeenFilm.calibrated(people, camera) for people, camera in zip(seen, (one, high), strict=True)]
+    films = [ObservedFilm.calibrated(people, camera) for people, camera in zip(seen, (one, high), strict=True)]
     found = ray_distance(films[0], films[0].people.of(0), films[1], films[1].people.of(0))
     assert found == pytest.approx(0.05, rel=0.1)
 
@@ -58,7 +58,7 @@ def test_rays_that_meet_behind_a_camera_do_not_meet(pair: SceneSample) -> None:
     rows["keypoints"][..., 1] = 2 * other.principal[1] - rows["keypoints"][..., 1]
     away = np.diag([-1.0, 1.0, -1.0])
     back = replace(other, rotation=away @ other.rotation, translation=away @ other.translation)
-    films = [SeenFilm.calibrated(first, one), SeenFilm.calibrated(replace(second, rows=rows), back)]
+    films = [ObservedFilm.calibrated(first, one), ObservedFilm.calibrated(replace(second, rows=rows), back)]
     met = meeting(films[0], films[0].people.of(0), films[1], films[1].people.of(0))
     assert (met.compared, met.distance) == (True, np.inf)
 
@@ -69,7 +69,7 @@ def test_unsure_keypoints_are_not_compared(pair: SceneSample) -> None:
     unsure = second.rows.copy()
     unsure["keypoints"][..., 2] *= 0.4
     both = zip((first, replace(second, rows=unsure)), cameras, strict=True)
-    films = [SeenFilm.calibrated(people, camera) for people, camera in both]
+    films = [ObservedFilm.calibrated(people, camera) for people, camera in both]
     for mine, theirs in ((0, 1), (1, 0)):
         assert not meeting(films[mine], films[mine].people.of(0), films[theirs], films[theirs].people.of(0)).compared
 
@@ -80,7 +80,7 @@ def test_where_rays_meet_limbs_have_the_lengths_of_people(pair: SceneSample) -> 
     seen = [film_of(pair, camera) for camera in cameras]
     for unit, expected in ((1.0, True), (100.0, False), (0.01, False)):
         scaled = [replace(camera, translation=unit * camera.translation) for camera in cameras]
-        films = [SeenFilm.calibrated(people, camera) for people, camera in zip(seen, scaled, strict=True)]
+        films = [ObservedFilm.calibrated(people, camera) for people, camera in zip(seen, scaled, strict=True)]
         found = ray_distance(films[0], films[0].people.of(0), films[1], films[1].people.of(0))
         assert np.isfinite(found) == expected
 
@@ -93,7 +93,7 @@ def test_who_is_largest_in_the_pictures_is_first(pair: SceneSample) -> None:
             people = film_of(pair, camera)
             rows = people.rows.copy()
             rows["boxes"] = np.where((rows["tracks"] == large)[:, None], [0.0, 0, 300, 400], [0.0, 0, 100, 200])
-            films.append(SeenFilm.calibrated(replace(people, rows=rows), camera))
+            films.append(ObservedFilm.calibrated(replace(people, rows=rows), camera))
         assert match_people(films)[0] == ((0, large), (1, large))
 
 
@@ -101,7 +101,7 @@ def test_one_whom_one_camera_sees_is_a_person_too(pair: SceneSample) -> None:
     cameras = [camera_at(-0.5), camera_at(0.4)]
     first, second = (film_of(pair, camera) for camera in cameras)
     alone = replace(second, rows=second.rows[second.rows["tracks"] == 0])
-    films = [SeenFilm.calibrated(people, camera) for people, camera in zip((first, alone), cameras, strict=True)]
+    films = [ObservedFilm.calibrated(people, camera) for people, camera in zip((first, alone), cameras, strict=True)]
     assert set(match_people(films)) == {((0, 0), (1, 0)), ((0, 1),)}
 
 
@@ -115,7 +115,7 @@ def test_two_tracks_of_one_frame_are_two_people_however_near(pair: SceneSample) 
     rows = np.concatenate([own, again])
     alone = replace(second, rows=second.rows[second.rows["tracks"] == 0])
     both = zip((replace(first, rows=rows), alone), cameras, strict=True)
-    people = match_people([SeenFilm.calibrated(film, camera) for film, camera in both])
+    people = match_people([ObservedFilm.calibrated(film, camera) for film, camera in both])
     assert sorted(people) == [((0, 0), (1, 0)), ((0, 1),)]
 
 
@@ -125,7 +125,7 @@ def test_a_track_that_ends_and_goes_on_is_one_person(pair: SceneSample) -> None:
     broken = first.rows.copy()
     broken["tracks"][(broken["tracks"] == 0) & (broken["frames"] > 2)] = 2
     both = zip((replace(first, rows=broken), second), cameras, strict=True)
-    people = match_people([SeenFilm.calibrated(film, camera) for film, camera in both])
+    people = match_people([ObservedFilm.calibrated(film, camera) for film, camera in both])
     assert set(people) == {((0, 0), (0, 2), (1, 0)), ((0, 1), (1, 1))}
 
 
@@ -134,14 +134,14 @@ def test_people_who_were_never_there_at_once_are_not_compared(pair: SceneSample)
     first, second = film_of(pair, camera), film_of(pair, other)
     later = second.rows.copy()
     later["frames"] += 3
-    films = [SeenFilm.calibrated(first, camera), SeenFilm.calibrated(replace(second, rows=later), other)]
+    films = [ObservedFilm.calibrated(first, camera), ObservedFilm.calibrated(replace(second, rows=later), other)]
     assert ray_distance(films[0], first.rows, films[1], later) == np.inf
 
 
 def test_distortion_is_taken_away(pair: SceneSample) -> None:
     straight, bent = camera_at(0.3), camera_at(0.3, distortion=LENS)
     truth, seen = film_of(pair, straight), film_of(pair, bent)
-    film = SeenFilm.calibrated(seen, bent)
+    film = ObservedFilm.calibrated(seen, bent)
     sure = truth.rows["keypoints"][..., 2] > 0
     off = np.abs(film.people.rows["keypoints"] - truth.rows["keypoints"])[sure]
     assert off.max() < 0.01
@@ -149,7 +149,7 @@ def test_distortion_is_taken_away(pair: SceneSample) -> None:
     assert film.lens is not None
     assert film.lens.size == SIZE
     with pytest.raises(InputError, match="picture: 640 x 480 px; expected 320 x 200, as calibrated"):
-        SeenFilm.calibrated(seen, replace(bent, size=(200, 320)))
+        ObservedFilm.calibrated(seen, replace(bent, size=(200, 320)))
 
 
 def test_two_films_put_people_where_they_are(pair: SceneSample) -> None:
@@ -159,7 +159,7 @@ def test_two_films_put_people_where_they_are(pair: SceneSample) -> None:
     world = camera_at(-0.6)
     truth = centred_joints(pair) @ world.rotation.T + world.translation
     films = [
-        SeenFilm.calibrated(film_of(pair, camera_at(turn, distortion=lens), order=order, noise=1.0), camera)
+        ObservedFilm.calibrated(film_of(pair, camera_at(turn, distortion=lens), order=order, noise=1.0), camera)
         for (turn, lens, order), camera in zip(((-0.6, (), (0, 1)), (0.5, LENS, (1, 0))), cameras, strict=True)
     ]
     both, alone = fit_film(films, options=QUICK_SCENE), fit_film(films[:1], options=QUICK_SCENE)
@@ -182,7 +182,7 @@ def test_two_films_put_people_where_they_are(pair: SceneSample) -> None:
 
 def test_films_at_fault_are_named(pair: SceneSample) -> None:
     camera = camera_at(0.0)
-    film = SeenFilm.calibrated(film_of(pair, camera), camera)
+    film = ObservedFilm.calibrated(film_of(pair, camera), camera)
     slow = replace(film, people=replace(film.people, times=np.arange(3) / 10))
     with pytest.raises(InputError, match=r"films\[1\]: frame 1 is 0\.067 s from that of another film; expected films"):
         fit_film([film, slow])

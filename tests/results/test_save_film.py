@@ -19,7 +19,7 @@ from warp_partdr.errors import InputError
 from warp_partdr.inputs.films import read_frames
 from warp_partdr.models.anny import anny
 from warp_partdr.networks.detection.person import SKELETON
-from warp_partdr.pipelines.film import FilmFit, find_misfits
+from warp_partdr.pipelines.film import FilmFit, find_distant_keypoints
 from warp_partdr.results.load_film import load_film_fit
 from warp_partdr.results.predictions import load_film_bodies
 from warp_partdr.results.save_film import save_film_fit
@@ -49,7 +49,7 @@ def test_a_body_far_from_its_keypoints_is_told(tmp_path: Path, off: float) -> No
     mine = (rows["tracks"] == 1) & (rows["frames"] >= LATE)
     sizes = (rows["boxes"][mine, 2:] - rows["boxes"][mine, :2]).max(1)
     rows["keypoints"][mine, :, 0] += off * sizes[:, None]
-    fit = replace(fit, warnings=tuple(find_misfits(fit)))
+    fit = replace(fit, warnings=tuple(find_distant_keypoints(fit)))
     told = save_film_fit(fit, tmp_path / "out", films=[film])["warnings"]
     expected = f"{film}: person1 ends 9.0 % of the person's size from BlazePose's keypoints; expected at most 6 %"
     assert told == ([expected] if off > 0.06 else [])

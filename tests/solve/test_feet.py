@@ -20,7 +20,7 @@ from warp_partdr.solve.mesh.energy import MeshEnergy
 from warp_partdr.solve.mesh.feet import FEET, slides
 from warp_partdr.solve.mesh.starts import Starts
 from warp_partdr.solve.scene.fitting import fit_scene
-from warp_partdr.solve.scene.looks import look_at
+from warp_partdr.solve.scene.observations import observe_scene
 from warp_partdr.solve.scene.options import SceneOptions
 from warp_partdr.solve.scene.plan import plan_scene
 from warp_partdr.solve.scene.start import gather_scene
@@ -30,10 +30,10 @@ STANDS, MOVES = 0.15, 0.75  # [m/s]
 
 
 def prepared(scene: Scene, options: SceneOptions = QUICK_SCENE) -> tuple[MeshEnergy, Starts]:
-    looks = look_at(scene, "cpu")
-    plan = plan_scene(scene, looks, anny(), options)
+    observed_bodies = observe_scene(scene, "cpu")
+    plan = plan_scene(scene, observed_bodies, anny(), options)
     with torch.no_grad():
-        return plan.energy, gather_scene(plan, looks)
+        return plan.energy, gather_scene(plan, observed_bodies)
 
 
 def moving(*velocities: tuple[float, float, float]) -> torch.Tensor:
@@ -185,8 +185,8 @@ def test_nothing_moves_so_as_to_count_less() -> None:
 
 def test_feet_of_each_person_are_compared_with_their_own_a_frame_before() -> None:
     sample = make_pair(101, "clean")
-    sights = [replace(each, frame=frame) for each in sample.scene.sights for frame in range(5)]
-    scene = replace(sample.scene, sights=sights)
+    observations = [replace(each, frame=frame) for each in sample.scene.observations for frame in range(5)]
+    scene = replace(sample.scene, observations=observations)
     energy, people = prepared(scene)
     moves = 0.01 * torch.randn(people.learning_rates().shape, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
@@ -201,14 +201,14 @@ def test_feet_of_each_person_are_compared_with_their_own_a_frame_before() -> Non
 
 
 def test_only_films_whose_frames_are_near_one_another_have_feet_that_stand() -> None:
-    sight = make_pair(101, "clean").scene.sights[0]
+    observation = make_pair(101, "clean").scene.observations[0]
     views = make_pair(101, "clean").scene.views
-    film = Scene(views, [replace(sight, frame=frame) for frame in range(3)])
+    film = Scene(views, [replace(observation, frame=frame) for frame in range(3)])
     assert prepared(film)[1].rates.tolist() == [30, 30]
     uneven = replace(film, times=[0.0, 0.1, 0.6])
     assert prepared(uneven)[1].rates.tolist() == [10, 0]
     for other, options in (
-        (replace(film, sights=[sight]), QUICK_SCENE),
+        (replace(film, observations=[observation]), QUICK_SCENE),
         (replace(film, frame_rate=5.0), QUICK_SCENE),
         (film, replace(QUICK_SCENE, smoothing=0.0)),
         (film, replace(QUICK_SCENE, sliding=0.0)),

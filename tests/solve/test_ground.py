@@ -12,12 +12,12 @@ from helpers.quick import QUICK_SCENE
 
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.inputs.keypoints import Keypoints2D
-from warp_partdr.inputs.scene import Ground, Scene, Sight
+from warp_partdr.inputs.scene import Ground, Scene, SceneObservation
 from warp_partdr.lab.synthetic.scene_people import make_group, make_views
 from warp_partdr.models.anny import anny
 from warp_partdr.solve.scene.fitting import fit_scene
-from warp_partdr.solve.scene.ground import Standing, feet_seen, find_ground, stand_on_ground
-from warp_partdr.solve.scene.looks import look_at
+from warp_partdr.solve.scene.ground import Standing, ankle_confidence, find_ground, stand_on_ground
+from warp_partdr.solve.scene.observations import observe_scene
 from warp_partdr.solve.scene.options import SceneOptions
 from warp_partdr.solve.scene.plan import plan_scene
 
@@ -85,12 +85,12 @@ def test_a_camera_is_held_near_the_horizon() -> None:
 
 def test_whose_ankles_are_not_seen_in_a_frame_does_not_stand_in_it_alone() -> None:
     group = make_group(0).scene
-    sights = [replace(each, frame=frame) for each in group.sights[:2] for frame in range(2)]
-    sights[1] = without_ankles(sights[1])
-    scene = replace(group, sights=sights)
-    looks = look_at(scene, "cpu")
+    observations = [replace(each, frame=frame) for each in group.observations[:2] for frame in range(2)]
+    observations[1] = without_ankles(observations[1])
+    scene = replace(group, observations=observations)
+    observed_bodies = observe_scene(scene, "cpu")
     with torch.no_grad():
-        _, grounded = stand_on_ground(plan_scene(scene, looks, anny(), QUICK_SCENE), looks)
+        _, grounded = stand_on_ground(plan_scene(scene, observed_bodies, anny(), QUICK_SCENE), observed_bodies)
     assert grounded is not None
     assert (grounded.shares > 0).tolist() == [True, False, True, True]
 
@@ -101,7 +101,7 @@ def test_who_jumps_or_is_not_seen_is_not_on_the_ground() -> None:
     found = find_ground(bodies, turn @ LEVEL)
     assert found.shares[0] < 0.1 < 0.8 < found.shares[1:].min()
     assert np.abs(found.sizes).max() < 0.05
-    unseen = replace(bodies, seen=np.array([0.0, 1, 1, 1, 1, 1]))
+    unseen = replace(bodies, confidence=np.array([0.0, 1, 1, 1, 1, 1]))
     assert find_ground(unseen, turn @ LEVEL).shares[0] == 0
     assert abs(find_ground(unseen, turn @ LEVEL).sizes[0]) < 1e-9
 
@@ -110,10 +110,10 @@ def test_feet_are_seen_as_surely_as_ankles_are(tmp_path: Path) -> None:
     confidence = np.full(17, 0.5, np.float32)
     confidence[-2:] = 0.8, 0.4  # coco17's ankles
     points = np.ones((17, 2), np.float32)
-    assert feet_seen(Keypoints2D("coco17", points, confidence)) == pytest.approx(0.6)
+    assert ankle_confidence(Keypoints2D("coco17", points, confidence)) == pytest.approx(0.6)
     (tmp_path / "trunk.json").write_text('{"landmarks": ["nose", "left_knee", "right_knee"]}')
     trunk = Keypoints2D(skeleton(tmp_path / "trunk.json"), points[:3], np.ones(3, np.float32))
-    assert feet_seen(trunk) == 0  # nobody knows where feet are
+    assert ankle_confidence(trunk) == 0  # nobody knows where feet are
 
 
 def test_who_lies_is_not_on_the_ground() -> None:
@@ -135,17 +135,17 @@ def test_impossible_grounds_are_refused() -> None:
         SceneOptions(ground=-1)
     scene = make_views(3, 1).scene
     known = replace(scene, ground=Ground(np.array([0.0, -1.0, 0.0]), -1.6))
-    with pytest.raises(ValueError, match=r"options.ground: 0, of a scene whose ground is known"):
+    with pytest.raises(ValueError, match=r"options.ground: 0, for a scene whose ground is known"):
         fit_scene(known, options=SceneOptions(ground=0))
     with pytest.raises(TypeError, match="ground"):
         replace(scene, ground="floor")
 
 
-def without_ankles(sight: Sight) -> Sight:
-    confidence = sight.keypoints.confidence.copy()
+def without_ankles(observation: SceneObservation) -> SceneObservation:
+    confidence = observation.keypoints.confidence.copy()
     confidence[-2:] = 0
-    points = np.where(confidence[:, None] > 0, sight.keypoints.points, 0).astype(np.float32)
-    return replace(sight, keypoints=replace(sight.keypoints, points=points, confidence=confidence))
+    points = np.where(confidence[:, None] > 0, observation.keypoints.points, 0).astype(np.float32)
+    return replace(observation, keypoints=replace(observation.keypoints, points=points, confidence=confidence))
 
 
 def same(one: Scene, options: SceneOptions) -> bool:
@@ -158,16 +158,20 @@ def same(one: Scene, options: SceneOptions) -> bool:
 def test_what_needs_no_ground_is_bit_for_bit_as_without() -> None:
     assert same(make_views(3, 1).scene, QUICK_SCENE)
     group = make_group(0).scene
-    assert same(replace(group, sights=[without_ankles(sight) for sight in group.sights]), QUICK_SCENE)
+    assert same(
+        replace(group, observations=[without_ankles(observation) for observation in group.observations]), QUICK_SCENE
+    )
 
 
 def test_feet_of_a_group_come_to_one_ground(device) -> None:
     sample = make_group(6, "clean")
     with torch.no_grad():
-        looks = look_at(sample.scene, device)
+        observed_bodies = observe_scene(sample.scene, device)
     off = {}
     for weight in (0.0, 0.1):
-        fit = fit_scene(sample.scene, options=replace(QUICK_SCENE, ground=weight), device=device, looks=looks)
+        fit = fit_scene(
+            sample.scene, options=replace(QUICK_SCENE, ground=weight), device=device, observed_bodies=observed_bodies
+        )
         lowest = fit.vertices[:, 0, :, 1].amax(1).cpu().numpy()  # the world's y is down
         off[weight] = float(np.std(lowest))
     assert fit.ground is not None

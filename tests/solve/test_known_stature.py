@@ -124,7 +124,7 @@ def test_nobodys_is_told(stature):
 
 def test_of_several_people_it_is_whose():
     picture, _ = crowd(2)
-    with pytest.raises(InputError, match=r"stature: 1\.8 m, of 2 people; expected one of them, person 0 to 1"):
+    with pytest.raises(InputError, match=r"stature: 1\.8 m, for 2 people; expected one of them, person 0 to 1"):
         fit_photo(picture, options=FitOptions(stature=1.8))
     fit = fit_photo(picture, person=0, options=replace(FAST, mesh=QUICK_MESH, stature=1.8))
     assert statures(fit.fits[0].body.model, fit.fits[0].body.shape).item() == pytest.approx(1.8, abs=1e-4)
@@ -135,7 +135,7 @@ def test_a_person_of_a_film_has_it_in_all_frames_and_is_seen_as_without(device):
     one = make_views(1, 1).scene  # the first of whom all limbs are seen: a hidden one may end anywhere
     turn = rotation_from_axis_angle(torch.tensor([0.3, -0.2, 0.1]))
     view = replace(one.views[0], rotation=turn, translation=torch.tensor([0.5, -0.3, 1.0]))
-    scene = replace(one, views=[view], sights=[replace(one.sights[0], frame=frame) for frame in range(3)])
+    scene = replace(one, views=[view], observations=[replace(one.observations[0], frame=frame) for frame in range(3)])
     options = SceneOptions(mesh=QUICK_MESH)
     plain, tall = (fit_scene(scene, options=replace(options, stature=each), device=device) for each in (None, TALL))
     assert tall.statures.tolist() == pytest.approx([TALL], abs=1e-4)
@@ -150,10 +150,12 @@ def test_a_person_of_a_film_has_it_in_all_frames_and_is_seen_as_without(device):
 def test_a_film_of_several_people_or_before_several_cameras_is_told():
     options = SceneOptions(stature=TALL)
     for scene, told in (
-        (make_pair(101, "clean").scene, "2 people before 1 cameras"),
-        (make_views(3, 2).scene, "1 people before 2 cameras"),
+        (make_pair(101, "clean").scene, "2 people and 1 cameras"),
+        (make_views(3, 2).scene, "1 people and 2 cameras"),
     ):
-        with pytest.raises(InputError, match=f"stature: 1.93 m, of {told}; expected one person before one camera"):
+        with pytest.raises(
+            InputError, match=f"stature: 1.93 m, for {told}; expected one person in front of one camera"
+        ):
             fit_scene(scene, options=options)
     with pytest.raises(InputError, match=r"stature: 178; expected metres"):
         SceneOptions(stature=178)

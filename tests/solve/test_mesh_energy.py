@@ -15,7 +15,7 @@ from warp_partdr.solve.mesh.gather import gather_starts
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.mesh.observed_body import ObservedBody
 from warp_partdr.solve.mesh.starts import Starts
-from warp_partdr.solve.scene.looks import look_at
+from warp_partdr.solve.scene.observations import observe_scene
 from warp_partdr.solve.scene.options import SceneOptions
 from warp_partdr.solve.scene.plan import plan_scene
 from warp_partdr.solve.scene.start import gather_scene
@@ -24,36 +24,38 @@ QUICK = SceneOptions(mesh=MeshOptions(iterations=2, size=96, vertices=800, apart
 
 
 @pytest.fixture(scope="module")
-def looks() -> list[ObservedBody]:
+def observed_bodies() -> list[ObservedBody]:
     """A person of PartBench, seen by one camera."""
-    return look_at(make_views(3, 1).scene, "cpu")
+    return observe_scene(make_views(3, 1).scene, "cpu")
 
 
-def beside_each_other(looks: list[ObservedBody], options: MeshOptions) -> Starts:
+def beside_each_other(observed_bodies: list[ObservedBody], options: MeshOptions) -> Starts:
     """Starts of the person twice, each in a scene of one person."""
     energy = mesh_energy(anny(), options, LABELS)
     with torch.no_grad():
-        return gather_starts(energy, anny(), [looks[0], looks[0]])
+        return gather_starts(energy, anny(), [observed_bodies[0], observed_bodies[0]])
 
 
-def test_names_and_weights_of_the_terms(looks) -> None:
+def test_names_and_weights_of_the_terms(observed_bodies) -> None:
     names = [term.name for term in TERMS]
     assert names == ["proj", "depth", "turns", "shape", "clothes", "apart", "ground", "sliding", "seg"]
-    people = beside_each_other(looks, QUICK.mesh)
+    people = beside_each_other(observed_bodies, QUICK.mesh)
     alone = mesh_energy(anny(), QUICK.mesh, LABELS).factors(people)
     scale = (256 / QUICK.mesh.size) ** 2  # labels count as if they were drawn at 256 px
     expected = {"proj": 0.5, "depth": 2.0, "turns": 4.0, "shape": 0.5, "clothes": 1.0, "apart": 0.2, "seg": 0.1 * scale}
     assert alone == pytest.approx(expected | {"ground": 0.0, "sliding": 0.0})
 
 
-def test_two_of_a_scene_meet_and_two_alone_do_not(looks) -> None:
+def test_two_of_a_scene_meet_and_two_alone_do_not(observed_bodies) -> None:
     """The same two people at the same place."""
-    people = beside_each_other(looks, QUICK.mesh)
+    people = beside_each_other(observed_bodies, QUICK.mesh)
     single = replace(QUICK.mesh, apart=0.2)
     with torch.no_grad():
         both = mesh_energy(anny(), single, LABELS)(people, people.at_rest())["apart"]
-        scene = Scene(make_views(3, 1).scene.views, [replace(looks[0].sight, person=person) for person in range(2)])
-        seen = [replace(looks[0], sight=sight) for sight in scene.sights]
+        scene = Scene(
+            make_views(3, 1).scene.views, [replace(observed_bodies[0].source, person=person) for person in range(2)]
+        )
+        seen = [replace(observed_bodies[0], source=observation) for observation in scene.observations]
         plan = plan_scene(scene, seen, anny(), QUICK)
         together = gather_scene(plan, seen)
         met = plan.energy(together, together.at_rest())["apart"]
@@ -63,16 +65,16 @@ def test_two_of_a_scene_meet_and_two_alone_do_not(looks) -> None:
     assert float(met.min()) > float(both.max()) + 100  # [cm^2]
 
 
-def test_clothes_and_labels_cost_nothing_where_there_are_none(looks) -> None:
+def test_clothes_and_labels_cost_nothing_where_there_are_none(observed_bodies) -> None:
     naked = replace(QUICK.mesh, clothes=None, seg=0.0, apart=0.0)
-    people = beside_each_other(looks, naked)
+    people = beside_each_other(observed_bodies, naked)
     energy = mesh_energy(anny(), naked, LABELS)
     assert people.alone is None
     assert energy(people, people.at_rest()).keys() == {"proj", "depth", "turns", "shape"}
 
 
-def test_starts_are_copied_with_all_that_is_in_them(looks) -> None:
-    people = beside_each_other(looks, QUICK.mesh)
+def test_starts_are_copied_with_all_that_is_in_them(observed_bodies) -> None:
+    people = beside_each_other(observed_bodies, QUICK.mesh)
     names = set(people.named())
     assert {"rotations", "aims.points", "alone.target"} <= names
     assert not any(name.startswith(("views", "together", "feet", "smooth")) for name in names)
@@ -83,11 +85,11 @@ def test_starts_are_copied_with_all_that_is_in_them(looks) -> None:
         assert tensor.data_ptr() != people.named()[name].data_ptr()
 
 
-def test_moves_of_bodies_come_before_those_of_people(looks) -> None:
+def test_moves_of_bodies_come_before_those_of_people(observed_bodies) -> None:
     """A person in three frames has one shape."""
     scene = make_views(3, 1).scene
-    film = Scene(scene.views, [replace(looks[0].sight, frame=frame) for frame in range(3)])
-    seen = [replace(looks[0], sight=sight) for sight in film.sights]
+    film = Scene(scene.views, [replace(observed_bodies[0].source, frame=frame) for frame in range(3)])
+    seen = [replace(observed_bodies[0], source=observation) for observation in film.observations]
     with torch.no_grad():
         people = gather_scene(plan_scene(film, seen, anny(), replace(QUICK, smoothing=0.0)), seen)
     rates = people.learning_rates()

@@ -21,7 +21,7 @@ from warp_partdr.solve.scene.overlapping import overlapping, refine_people
 
 def fits_of(sample: SceneSample, camera: Perspective | None, device: str) -> list[FitResult]:
     options = replace(FitOptions.at("fast"), guess_camera=False)
-    readings = [weigh_evidence(sight.keypoints, sight.parts) for sight in sample.scene.sights]
+    readings = [weigh_evidence(observation.keypoints, observation.parts) for observation in sample.scene.observations]
     return [fit_evidence(each, options, camera=camera, device=device) for each in readings]
 
 

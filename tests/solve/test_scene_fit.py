@@ -15,7 +15,7 @@ from warp_partdr import Perspective, metrics
 from warp_partdr.body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.keypoints import Keypoints2D
-from warp_partdr.inputs.scene import PersonShape, Scene, Sight, View
+from warp_partdr.inputs.scene import PersonShape, Scene, SceneObservation, View
 from warp_partdr.lab.synthetic.scene_people import LABELS, make_pair, make_views
 from warp_partdr.models.anny import anny
 from warp_partdr.models.capsules import measure_capsules
@@ -26,7 +26,7 @@ from warp_partdr.solve.mesh.observed_body import ObservedBody
 from warp_partdr.solve.mesh.starts import LabelPictures, StandingFeet, Starts
 from warp_partdr.solve.scene.depth_order import exchange, grown, order_people
 from warp_partdr.solve.scene.fitting import fit_scene
-from warp_partdr.solve.scene.looks import look_at
+from warp_partdr.solve.scene.observations import observe_scene
 from warp_partdr.solve.scene.options import SceneOptions
 from warp_partdr.solve.scene.plan import ScenePlan, plan_scene
 from warp_partdr.solve.scene.smoothing import time_shares
@@ -34,12 +34,15 @@ from warp_partdr.solve.scene.start import gather_scene
 
 
 def prepared(
-    scene: Scene, device: str, options: SceneOptions = QUICK_SCENE, looks: Sequence[ObservedBody] | None = None
+    scene: Scene,
+    device: str,
+    options: SceneOptions = QUICK_SCENE,
+    observed_bodies: Sequence[ObservedBody] | None = None,
 ) -> tuple[ScenePlan, Starts]:
-    looks = looks or look_at(scene, device)
-    plan = plan_scene(scene, looks, anny(torch.device(device)), options)
+    observed_bodies = observed_bodies or observe_scene(scene, device)
+    plan = plan_scene(scene, observed_bodies, anny(torch.device(device)), options)
     with torch.no_grad():
-        return plan, gather_scene(plan, looks)
+        return plan, gather_scene(plan, observed_bodies)
 
 
 def pelvises(plan: ScenePlan, people: Starts) -> torch.Tensor:
@@ -87,7 +90,9 @@ def test_two_cameras_find_where_somebody_stands(device):
     found = fit_scene(sample.scene, options=QUICK_SCENE, device=device).landmarks(MPJPE_JOINTS)[0, 0].cpu().numpy()
     off = 1000 * np.linalg.norm(found - sample.joints[0, 0], axis=-1).mean()
     assert off < 40  # [mm]
-    one = replace(sample.scene, sights=[sight for sight in sample.scene.sights if sight.view == 0])
+    one = replace(
+        sample.scene, observations=[observation for observation in sample.scene.observations if observation.view == 0]
+    )
     alone = fit_scene(one, options=QUICK_SCENE, device=device).landmarks(MPJPE_JOINTS)[0, 0].cpu().numpy()
     assert 1000 * np.linalg.norm(alone - sample.joints[0, 0], axis=-1).mean() > 1.3 * off
 
@@ -112,14 +117,14 @@ def test_a_pair_in_the_wrong_order_is_exchanged(device):
     depths = sample.scene.views[0].to_camera(torch.from_numpy(sample.joints[:, 0].mean(1)))[:, 2]
     front = int(depths.argmin())
     with torch.no_grad():
-        right = look_at(sample.scene, device)
-        away = [float(look.observation.lens[0] / look.body.log_scale.exp()) for look in right]
+        right = observe_scene(sample.scene, device)
+        away = [float(observed.observation.lens[0] / observed.body.log_scale.exp()) for observed in right]
         factor = math.sqrt(1.08 * max(1.0, away[1 - front] / away[front]))
-        wrong = [grown(look, factor if look.sight.person == front else 1 / factor) for look in right]
-        people, looks = order_people(plan, wrong)
+        wrong = [grown(observed, factor if observed.person == front else 1 / factor) for observed in right]
+        people, observed_bodies = order_people(plan, wrong)
         there = pelvises(plan, people).cpu()
         assert int(sample.scene.views[0].to_camera(there)[:, 2].argmin()) == front
-        assert exchange(plan, people, people.at_rest(), looks) is None
+        assert exchange(plan, people, people.at_rest(), observed_bodies) is None
         # Known sizes, or a second camera, tell how far people are: then nobody is exchanged.
         mistaken = gather_scene(plan, wrong)
         assert exchange(plan, mistaken, mistaken.at_rest(), wrong) is not None
@@ -143,43 +148,47 @@ def test_known_shapes_stay_as_they_are():
 
 def test_each_view_is_seen_by_its_own_camera():
     scene = make_views(3, 2).scene
-    usual = look_at(scene, "cpu")
+    usual = observe_scene(scene, "cpu")
     first, second = scene.views
     narrow = replace(second, camera=replace(second.camera, focal=2 * second.camera.focal))
-    found = look_at(replace(scene, views=[first, narrow]), "cpu")
-    for look, before in zip(found, usual, strict=True):
-        factor = 2.0 if look.sight.view else 1.0
-        assert float(look.observation.lens[0]) == pytest.approx(factor * float(before.observation.lens[0]), rel=1e-5)
+    found = observe_scene(replace(scene, views=[first, narrow]), "cpu")
+    for observed, before in zip(found, usual, strict=True):
+        factor = 2.0 if observed.view else 1.0
+        assert float(observed.observation.lens[0]) == pytest.approx(
+            factor * float(before.observation.lens[0]), rel=1e-5
+        )
 
 
 def test_labels_along_no_bone_are_left_out_and_that_is_told():
     scene = make_views(3, 1).scene
-    sight = scene.sights[0]
-    assert sight.parts is not None
-    corner = np.zeros_like(sight.parts.groups)
+    observation = scene.observations[0]
+    assert observation.parts is not None
+    corner = np.zeros_like(observation.parts.groups)
     corner[:3, :3] = 1
-    (look,) = look_at(replace(scene, sights=[replace(sight, parts=replace(sight.parts, groups=corner))]), "cpu")
-    assert look.observation.labels is None
-    (warning,) = look.evidence.warnings
-    assert warning.endswith("keypoints alone taken")
+    (observed,) = observe_scene(
+        replace(scene, observations=[replace(observation, parts=replace(observation.parts, groups=corner))]), "cpu"
+    )
+    assert observed.observation.labels is None
+    (warning,) = observed.evidence.warnings
+    assert warning.endswith("only the keypoints are used")
 
 
 def test_pixels_that_several_claim_or_somebody_does_not_know_are_ignored():
     """One person comes twice; then a second one of whom a corner of the background is not known."""
     scene = make_views(3, 1).scene
-    sight = scene.sights[0]
-    assert sight.parts is not None
-    _, people = prepared(replace(scene, sights=[sight, replace(sight, person=1)]), "cpu")
+    observation = scene.observations[0]
+    assert observation.parts is not None
+    _, people = prepared(replace(scene, observations=[observation, replace(observation, person=1)]), "cpu")
     assert people.together is not None
     both = people.together.target
     assert set(both.unique().tolist()) == {0, 255}
-    low = sight.keypoints.points[sight.keypoints.visible].min(0).astype(int)
-    unknown = sight.parts.groups.copy()
+    low = observation.keypoints.points[observation.keypoints.visible].min(0).astype(int)
+    unknown = observation.parts.groups.copy()
     corner = unknown[low[1] - 8 : low[1], low[0] - 8 : low[0]]
     assert not corner.any()
     corner[:] = 255
-    other = replace(sight, parts=replace(sight.parts, groups=unknown), person=1)
-    _, people = prepared(replace(scene, sights=[sight, other]), "cpu")
+    other = replace(observation, parts=replace(observation.parts, groups=unknown), person=1)
+    _, people = prepared(replace(scene, observations=[observation, other]), "cpu")
     assert people.together is not None
     changed = people.together.target[both != people.together.target]
     assert changed.numel() > 0
@@ -232,9 +241,9 @@ def test_people_are_drawn_together():
 
 
 def test_frames_in_which_nobody_is_seen_are_bridged():
-    sight = make_views(7, 1).scene.sights[0]
+    observation = make_views(7, 1).scene.observations[0]
     views = make_views(7, 1).scene.views
-    scene = Scene(views, [sight, replace(sight, frame=4)])
+    scene = Scene(views, [observation, replace(observation, frame=4)])
     fit = fit_scene(scene, options=QUICK_SCENE)
     assert fit.joints.shape == (1, 5, 21, 3)
     assert fit.joints.isfinite().all()
@@ -245,16 +254,16 @@ def test_a_person_s_frames_are_placed_in_one_camera():
     """Moves that are smooth in one camera's picture are not if frames change between two."""
     sample = make_views(11, 2)
 
-    def seen(view: int, frame: int, share: float) -> Sight:
-        sight = sample.scene.sights[view]
-        keypoints = replace(sight.keypoints, confidence=np.float32(share) * sight.keypoints.confidence)
-        return replace(sight, keypoints=keypoints, frame=frame)
+    def seen(view: int, frame: int, share: float) -> SceneObservation:
+        observation = sample.scene.observations[view]
+        keypoints = replace(observation.keypoints, confidence=np.float32(share) * observation.keypoints.confidence)
+        return replace(observation, keypoints=keypoints, frame=frame)
 
     sure = [(1.0, 0.2), (0.6, 0.7), (1.0, 0.2), (0.6, 0.7)]
-    sights = [seen(view, frame, share) for frame, both in enumerate(sure) for view, share in enumerate(both)]
-    _, people = prepared(replace(sample.scene, sights=[*sights, seen(1, 4, 0.9)]), "cpu")
+    observations = [seen(view, frame, share) for frame, both in enumerate(sure) for view, share in enumerate(both)]
+    _, people = prepared(replace(sample.scene, observations=[*observations, seen(1, 4, 0.9)]), "cpu")
     first, second = (view.rotation for view in sample.scene.views)
-    for rotation, expected in zip(people.views.home_rotations, [first] * 4 + [second], strict=True):
+    for rotation, expected in zip(people.views.crop_rotations, [first] * 4 + [second], strict=True):
         assert torch.equal(rotation, expected)
 
 
@@ -268,14 +277,16 @@ def test_shares_of_frames_fall_with_their_distance_in_time():
 
 
 def test_smoothing_goes_by_seconds():
-    sight, views = make_pair(101, "clean").scene.sights[0], make_pair(101, "clean").scene.views
-    film = Scene(views, [replace(sight, frame=frame) for frame in range(5)])
+    observation, views = make_pair(101, "clean").scene.observations[0], make_pair(101, "clean").scene.views
+    film = Scene(views, [replace(observation, frame=frame) for frame in range(5)])
     even = prepared(film, "cpu")[1].smooth
     torch.testing.assert_close(prepared(replace(film, times=3 + np.arange(5) / 30), "cpu")[1].smooth, even)
     assert float(even[2, 3]) > 0.1
     lost = prepared(replace(film, times=[0.0, 1 / 30, 2 / 30, 3.0, 3.0 + 1 / 30]), "cpu")[1].smooth
     assert float(lost[:3, 3:].abs().max()) < 1e-6  # what lies 3 s apart is not one motion
-    torch.testing.assert_close(lost[:3, :3], prepared(replace(film, sights=film.sights[:3]), "cpu")[1].smooth)
+    torch.testing.assert_close(
+        lost[:3, :3], prepared(replace(film, observations=film.observations[:3]), "cpu")[1].smooth
+    )
 
 
 def test_steady_motion_is_not_held_back_at_the_ends():
@@ -288,12 +299,14 @@ def test_steady_motion_is_not_held_back_at_the_ends():
 def test_starts_keep_more_of_a_fast_move_than_moves_could_bring_back():
     """Of somebody who stands still and in one frame seems nearer."""
     scene, frames, options = make_views(3, 1).scene, 15, replace(QUICK_SCENE, smoothing=0.1)
-    look = look_at(scene, "cpu")[0]
-    film = Scene(scene.views, [replace(look.sight, frame=frame) for frame in range(frames)])
-    looks = [replace(look, sight=sight) for sight in film.sights]
-    body = look.body
-    looks[7] = replace(look, sight=film.sights[7], body=replace(body, log_scale=body.log_scale + 0.01))
-    _, people = prepared(film, "cpu", options, looks)
+    observed = observe_scene(scene, "cpu")[0]
+    film = Scene(scene.views, [replace(observed.source, frame=frame) for frame in range(frames)])
+    observed_bodies = [replace(observed, source=observation) for observation in film.observations]
+    body = observed.body
+    observed_bodies[7] = replace(
+        observed, source=film.observations[7], body=replace(body, log_scale=body.log_scale + 0.01)
+    )
+    _, people = prepared(film, "cpu", options, observed_bodies)
     kept = float(people.log_scale[7] - body.log_scale) / 0.01
     assert 1.3 * float(people.smooth[7, 7]) < kept < 0.5
 
@@ -314,24 +327,30 @@ def test_a_repeated_mesh_keeps_its_edges_and_counts_its_labels_on():
 
 def test_impossible_scenes_and_options_are_refused():
     scene = make_views(3, 1).scene
-    sight, views = scene.sights[0], scene.views
-    points = sight.keypoints.points.copy()
-    joint = int(np.flatnonzero(sight.keypoints.confident)[-1])
+    observation, views = scene.observations[0], scene.views
+    points = observation.keypoints.points.copy()
+    joint = int(np.flatnonzero(observation.keypoints.confident)[-1])
     points[joint, 0] -= 1e5
-    far, name = replace(sight.keypoints, points=points), sight.keypoints.format.landmarks[joint]
-    for sights, message in (
-        ([], "sights: none"),
-        ([sight, sight], r"sights\[1\]: person, frame, view \(0, 0, 0\) a second time"),
-        ([replace(sight, view=1)], r"sights\[0\].view: 1; expected 0 to 0"),
-        ([replace(sight, person=1)], "sights: person 0 in none"),
-        ([replace(sight, keypoints=far)], rf"sights\[0\]\.keypoints: {name} at \(.*; expected it in the picture's"),
-        ([replace(sight, keypoints=far, parts=None)], rf"sights\[0\]\.keypoints: {name} at \(.* the camera's picture"),
+    far, name = replace(observation.keypoints, points=points), observation.keypoints.format.landmarks[joint]
+    for observations, message in (
+        ([], "observations: none"),
+        ([observation, observation], r"observations\[1\]: a second one of person, frame, view \(0, 0, 0\)"),
+        ([replace(observation, view=1)], r"observations\[0\].view: 1; expected 0 to 0"),
+        ([replace(observation, person=1)], "observations: none of person 0"),
+        (
+            [replace(observation, keypoints=far)],
+            rf"observations\[0\]\.keypoints: {name} at \(.*; expected it in the picture's",
+        ),
+        (
+            [replace(observation, keypoints=far, parts=None)],
+            rf"observations\[0\]\.keypoints: {name} at \(.* the camera's picture",
+        ),
     ):
         with pytest.raises(InputError, match=message):
-            Scene(views, sights)
+            Scene(views, observations)
     with pytest.raises(InputError, match="frame_rate: 0"):
-        Scene(views, scene.sights, 0)
-    with pytest.raises(TypeError, match=r"sights\[0\]"):
+        Scene(views, scene.observations, 0)
+    with pytest.raises(TypeError, match=r"observations\[0\]"):
         Scene(views, ["photo.jpg"])
     camera = Perspective.of_picture((100, 100), focal=100)
     with pytest.raises(ValueError, match="rotation: not orthonormal"):
@@ -342,26 +361,28 @@ def test_impossible_scenes_and_options_are_refused():
         SceneOptions(apart=-1)
     with pytest.raises(ValueError, match="overlap: 12; expected an integer from 0 to 11"):
         SceneOptions(window=12, overlap=12)
-    many = Scene(views, [Sight(sight.keypoints, sight.parts, person) for person in range(19)])
-    with pytest.raises(InputError, match="19 people of 14 groups overlap; expected 254 labels at most, as of 18"):
+    many = Scene(views, [SceneObservation(observation.keypoints, observation.parts, person) for person in range(19)])
+    with pytest.raises(
+        InputError, match="19 people with 14 groups each overlap; expected 254 labels at most, which are 18"
+    ):
         fit_scene(many, options=QUICK_SCENE)
 
 
 def walkers() -> Scene:
     """Somebody before one camera, and the same person's keypoints, who walk through each other in three frames."""
     scene = make_views(3, 1).scene
-    alone = replace(scene.sights[0], parts=None)
+    alone = replace(scene.observations[0], parts=None)
     height = float(np.ptp(alone.keypoints.points[alone.keypoints.visible, 1]))
 
     def beside(share: float) -> Keypoints2D:
         return replace(alone.keypoints, points=alone.keypoints.points + np.float32([share * height, 0.0]))
 
-    sights = [
+    observations = [
         replace(alone, keypoints=beside(sign * share), person=person, frame=frame)
         for person, sign in enumerate((-1, 1))
         for frame, share in enumerate((-0.12, -0.04, 0.08))
     ]
-    return replace(scene, sights=sights)
+    return replace(scene, observations=observations)
 
 
 def test_cameras_in_centimetres_are_told() -> None:

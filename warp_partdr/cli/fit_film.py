@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
+from typer import Option
 
 from ..errors import InputError, told_as
 from ..inputs.films import film_facts, is_photo, read_frames
@@ -20,8 +21,8 @@ from .register import read_model
 
 if TYPE_CHECKING:
     from ..inputs.calibrated_camera import CalibratedCamera
-    from ..networks.predictors.film_sights import GivenNetworks
-    from ..pipelines.seen_film import SeenFilm
+    from ..networks.predictors.film_predictions import GivenNetworks
+    from ..pipelines.observed_film import ObservedFilm
     from ..solve.scene.options import SceneOptions
 
 
@@ -46,19 +47,7 @@ def fit_motions(request: FitRequest) -> None:
     check_film_view(request.view, [film])
     film_facts(film)  # faults of the file are told before anything is loaded
 
-    fit_films(
-        FilmRun(
-            films=(film,),
-            out=request.out,
-            device=request.device,
-            model=request.model,
-            person=files.person,
-            min_score=request.score,
-            settings=request.run,
-            networks=files.networks,
-            view=request.view,
-        )
-    )
+    fit_films([film], request)
 
 
 def check_film_view(view: CameraOptions, films: Sequence[Path]) -> None:
@@ -69,126 +58,145 @@ def check_film_view(view: CameraOptions, films: Sequence[Path]) -> None:
 
 
 @dataclass(frozen=True)
-class FilmRun:
-    """Films that are to be fitted, and how.
+class RigOptions:
+    """Options for the cameras of films, and their clocks."""
 
-    Attributes:
-        films: Films of the same moments.
-        out: Folder for the results.
-        device: As the option says.
-        model: Name or file of the detailed model.
-        person: Whom alone.
-        min_score: Least confidence that there is a person.
-        settings: Settings, of the fit those of ``SceneOptions``.
-        networks: Networks of others.
-        view: The camera, or the lens of each of several.
-        cameras: Or the file of calibrated ones; several cameras without are placed by the people.
-        align: Whether it is to be found which frames of several films show one moment.
+    cameras: Annotated[Path | None, Option(help="Calibrated cameras; default: found.", metavar="FILE")] = None
+    align: Annotated[bool, Option("--align", help="Find which frames show one moment.")] = False
+
+
+class MotionRequest(Protocol):
+    """Options that ``partdr fit FILM`` and ``partdr scene`` share, as their requests have them."""
+
+    @property
+    def out(self) -> Path:
+        """Folder for the results."""
+
+    @property
+    def device(self) -> str:
+        """Device as the option says."""
+
+    @property
+    def model(self) -> str:
+        """Name or file of the detailed model."""
+
+    @property
+    def person(self) -> int | None:
+        """Index of the only person to fit."""
+
+    @property
+    def score(self) -> float:
+        """Least confidence that there is a person."""
+
+    @property
+    def run(self) -> RunSettings:
+        """Settings, which for the fit are those of ``SceneOptions``."""
+
+    @property
+    def networks(self) -> NetworkOptions:
+        """Networks of others."""
+
+    @property
+    def view(self) -> CameraOptions:
+        """Camera of the film, or lens of each of several films."""
+
+
+def fit_films(paths: Sequence[Path], request: MotionRequest, rig: RigOptions | None = None) -> None:
+    """Finds people in films, fits their motions, and writes and prints the results.
+
+    Args:
+        paths: Films that were taken at the same time.
+        request: Options of the command.
+        rig: Options for the cameras of several films.
     """
-
-    films: tuple[Path, ...]
-    out: Path
-    device: str
-    model: str
-    person: int | None
-    min_score: float
-    settings: RunSettings
-    networks: NetworkOptions = field(default_factory=NetworkOptions)
-    view: CameraOptions = field(default_factory=CameraOptions)
-    cameras: Path | None = None
-    align: bool = False
-
-
-def fit_films(run: FilmRun) -> None:
-    """Find people, fit their motions, write and tell the results."""
     from ..files.sections import read_section
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
     from ..pipelines.film import fit_film
     from ..pipelines.film_pieces import FilmPieces
-    from ..pipelines.found_films import FilmSearch
+    from ..pipelines.film_search import FilmSearch
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save_film import CAMERAS, overlay_name, save_film_fit
     from ..solve.scene.options import SceneOptions
     from .progress import FitProgress
 
-    run.networks.check_film()
-    films, where = run.films, choose_device(run.device)
-    set_num_threads(run.settings.threads)
-    options = read_section(SceneOptions, run.settings.fit, base=SceneOptions.film())
-    check_folder(run.out)
-    check_inputs(run.out, (*films, run.cameras), [CAMERAS, *map(overlay_name, range(len(films)))])
-    rig = _read_rig(run, options)
-    photos = [film for film in films if rig is None and is_photo(film)]
-    lenses = {film: run.view.of_photo(scan_photo(film), film) for film in photos}
+    rig = rig or RigOptions()
+    request.networks.check_film()
+    device = choose_device(request.device)
+    set_num_threads(request.run.threads)
+    options = read_section(SceneOptions, request.run.fit, base=SceneOptions.film())
+    check_folder(request.out)
+    check_inputs(request.out, (*paths, rig.cameras), [CAMERAS, *map(overlay_name, range(len(paths)))])
+    cameras = _read_rig(rig.cameras, paths, options)
+    photos = [path for path in paths if cameras is None and is_photo(path)]
+    lenses = {path: request.view.of_photo(scan_photo(path), path) for path in photos}
     search = FilmSearch(
-        films,
+        paths,
         options,
-        lens=lambda film, size: lenses.get(film) or run.view.read(size, None),
-        device=where,
-        min_score=run.min_score,
-        networks=_load_networks(run.networks, where),
-        rig=rig,
-        person=run.person,
-        align=run.align,
+        lens=lambda path, size: lenses.get(path) or request.view.read(size, None),
+        device=device,
+        min_score=request.score,
+        networks=_load_networks(request.networks, device),
+        rig=cameras,
+        person=request.person,
+        align=rig.align,
     )
-    detailed = read_model(run.model, where)
-    others = [] if run.cameras is None or run.cameras.is_dir() else [run.cameras]
-    given = (*films, *others, *run.networks.files)
+    detailed = read_model(request.model, device)
+    camera_files = [] if rig.cameras is None or rig.cameras.is_dir() else [rig.cameras]
     pieces = FilmPieces(
-        run.out,
-        given,
-        rig,
-        run.view,
-        run.networks,
+        request.out,
+        (*paths, *camera_files, *request.networks.files),
+        cameras,
+        request.view,
+        request.networks,
         options,
-        run.person,
-        run.model,
-        run.min_score,
-        run.align,
+        request.person,
+        request.model,
+        request.score,
+        rig.align,
     )
     with FitProgress() as progress:
-        load_mesh_kernels(where)
-        seen = search.find(pieces, progress)
+        load_mesh_kernels(device)
+        films = search.find(pieces, progress)
         if search.places_cameras:
-            options = replace(options, stature=None)  # cameras are as far away as it says
+            options = replace(options, stature=None)  # the positions of the cameras depend on it already
         fit = fit_film(
-            seen,
-            person=run.person,
+            films,
+            person=request.person,
             options=options,
             model=detailed,
-            device=where,
+            device=device,
             progress=progress,
             pieces=pieces,
         )
-        report = save_film_fit(fit, run.out, films=films, formats=run.settings.formats, progress=progress)
+        report = save_film_fit(fit, request.out, films=paths, formats=request.run.formats, progress=progress)
         pieces.remove()
     for warning in report["warnings"]:
         typer.echo(f"partdr: warning: {warning}", err=True)
-    for film, each in zip(films, seen, strict=True):
-        for gap in each.given.gaps if each.given is not None else ():
-            typer.echo(f"partdr: warning: {film}: {gap}", err=True)
-    _tell(run, seen, report)
+    for path, film in zip(paths, films, strict=True):
+        for warning in film.given.warnings if film.given is not None else ():
+            typer.echo(f"partdr: warning: {path}: {warning}", err=True)
+    _print_report(films, paths, request.out, rig, report)
 
 
-def _read_rig(run: FilmRun, options: SceneOptions) -> list[CalibratedCamera] | None:
-    """Calibrated cameras of the films, if a file of them is given; faults are told before people are looked for."""
+def _read_rig(file: Path | None, paths: Sequence[Path], options: SceneOptions) -> list[CalibratedCamera] | None:
+    """Calibrated cameras of the films, if there is a file. They are checked before the search for people begins."""
     from ..inputs.camera_files import cameras_of_films
 
-    if run.cameras is None:
+    if file is None:
         return None
-    rig = cameras_of_films(run.cameras, run.films, say=_say)
-    options.check_sights(1, len(run.films))
-    for film, camera in zip(run.films, rig, strict=True):
-        picture = next(read_frames(film)).picture
-        with told_as("picture", film):
+    cameras = cameras_of_films(file, paths, say=_say)
+    options.check_known_stature(1, len(paths))
+    for path, camera in zip(paths, cameras, strict=True):
+        picture = next(read_frames(path)).picture
+        with told_as("picture", path):
             camera.fitted((picture.shape[0], picture.shape[1]))
-    return rig
+    return cameras
 
 
 def _load_networks(options: NetworkOptions, device: str) -> GivenNetworks | None:
     """Networks of others, if there are any."""
-    from ..networks.predictors.film_sights import GivenNetworks
+    from ..networks.predictors.film_predictions import GivenNetworks
 
     if not options.given:
         return None
@@ -200,28 +208,30 @@ def _say(sentence: str) -> None:
     typer.echo(f"partdr: {sentence}", err=True)
 
 
-def _tell(run: FilmRun, seen: Sequence[SeenFilm], report: dict[str, Any]) -> None:
-    """Say in lines what was found, and where it is."""
+def _print_report(
+    films: Sequence[ObservedFilm], paths: Sequence[Path], out: Path, rig: RigOptions, report: dict[str, Any]
+) -> None:
+    """Prints what was found, and where the results are."""
     from ..body.rotations import rotation_to_axis_angle
     from ..cameras import UsualLens
     from ..results.save_film import CAMERAS, SCENE, overlay_name
 
-    several, films, out = len(seen) > 1, run.films, run.out
-    assumed = any(isinstance(each.view.camera, UsualLens) for each in seen)
-    sure = not assumed and (run.cameras is not None or not several)
+    several = len(films) > 1
+    assumed = any(isinstance(film.view.camera, UsualLens) for film in films)
+    sure = not assumed and (rig.cameras is not None or not several)
     for person in report["people"]:
         frames = f"frames {person['first_frame']} to {person['last_frame']}, seen in {person['frames_seen']}"
         by = f", by {', '.join(person['seen_by'])}" if several else ""
         typer.echo(
             f"person{person['person']}: {frames}{by}; {say_distance(person['distance_m'], sure=sure, assumed=assumed)}"
         )
-    if run.align:
-        for film, each in zip(films, seen, strict=True):
-            typer.echo(f"{film.name}: from frame {each.skipped} on")
-    if run.cameras is None and several:
-        for film, each in zip(films[1:], seen[1:], strict=True):
-            turn = math.degrees(float(rotation_to_axis_angle(each.view.rotation).norm()))
-            away = f"about {float(each.view.eye.norm()):.1f} m from the camera of {films[0].name}"
-            typer.echo(f"{film.name}: {away}, turned by {turn:.0f} degrees")
+    if rig.align:
+        for path, film in zip(paths, films, strict=True):
+            typer.echo(f"{path.name}: from frame {film.skipped} on")
+    if rig.cameras is None and several:
+        for path, film in zip(paths[1:], films[1:], strict=True):
+            turn = math.degrees(float(rotation_to_axis_angle(film.view.rotation).norm()))
+            away = f"about {float(film.view.eye.norm()):.1f} m from the camera of {paths[0].name}"
+            typer.echo(f"{path.name}: {away}, turned by {turn:.0f} degrees")
         typer.echo(f"{out / CAMERAS} says so, --cameras takes it")
     typer.echo(f"{out / overlay_name(0)} shows all bodies, {out / SCENE} moves in Blender")

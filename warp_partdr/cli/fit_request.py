@@ -16,6 +16,7 @@ from .options import (
     CameraOptions,
     DeviceOption,
     MinScoreOption,
+    NetworkOptions,
     OutOption,
     PhotoFiles,
     RunSettings,
@@ -69,6 +70,16 @@ class FitRequest:
     def run(self) -> RunSettings:
         """Settings, read once."""
         return self.settings.read_run()
+
+    @property
+    def person(self) -> int | None:
+        """Index of the only person to fit."""
+        return self.files.person
+
+    @property
+    def networks(self) -> NetworkOptions:
+        """Networks of others."""
+        return self.files.networks
 
     @property
     def score(self) -> float:

@@ -12,7 +12,7 @@ from typer import Argument, Option
 from ..errors import InputError
 from ..inputs.films import film_facts
 from ..networks.detection import MIN_SCORE
-from .fit_film import FilmRun, check_film_view, fit_films
+from .fit_film import RigOptions, check_film_view, fit_films
 from .options import (
     CameraOptions,
     DeviceOption,
@@ -41,14 +41,6 @@ Results are those of `partdr fit film.mp4`, in the frame of the first film's cam
 run that was ended goes on where it was. **Settings** for --set and --config are the same: `window=64`, `overlap=12`,
 `smoothing=0.15` seconds, `mesh.iterations=60`, and more.
 """
-
-
-@dataclass(frozen=True)
-class RigOptions:
-    """Options for the cameras of films, and their clocks."""
-
-    cameras: Annotated[Path | None, Option(help="Calibrated cameras; default: found.", metavar="FILE")] = None
-    align: Annotated[bool, Option("--align", help="Find which frames show one moment.")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,23 +80,14 @@ class SceneRequest:
         """Settings, read once."""
         return self.settings.read_run()
 
+    @property
+    def score(self) -> float:
+        """Least confidence that there is a person."""
+        return self.min_score
+
 
 def scene(request: SceneRequest) -> None:
     """Fit motions; see ``SCENE_HELP``."""
     for film in request.films:
         film_facts(film)  # faults are told before anything is loaded
-    fit_films(
-        FilmRun(
-            films=tuple(request.films),
-            out=request.out,
-            device=request.device,
-            model=request.model,
-            person=request.person,
-            min_score=request.min_score,
-            settings=request.run,
-            networks=request.networks,
-            view=request.view,
-            cameras=request.rig.cameras,
-            align=request.rig.align,
-        )
-    )
+    fit_films(request.films, request, request.rig)

@@ -1,4 +1,4 @@
-"""Scene: calibrated views, and what was seen of each person in each frame of each view."""
+"""Scene: calibrated views, and the observations of each person in each frame of each view."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from .keypoints import Keypoints2D
 from .part_labels import PartLabels
 from .person import check_near
 
-_UNIT = 1e-4  # that the length of a normal may be off 1
+_UNIT = 1e-4  # largest difference between the length of a normal and 1
 
 
 @dataclass(frozen=True)
 class View:
-    """Camera that stands still: X_camera = R X_world + t.
+    """View from a camera that stands still: X_camera = R X_world + t.
 
     Attributes:
-        camera: Of the whole picture, with square pixels and without distortion, B = 1.
-        rotation: R, world to camera, shape (3, 3).
-        translation: t [m], shape (3,).
+        camera: Camera of the whole picture, with square pixels and without distortion, B = 1.
+        rotation: Rotation R, world to camera, shape (3, 3).
+        translation: Translation t [m], shape (3,).
 
     Raises:
-        ValueError: If there is not one camera with square pixels, a shape is wrong, or R is no rotation.
+        ValueError: If ``camera`` is not one camera with square pixels, a shape is wrong, or R is no rotation.
     """
 
     camera: Perspective
@@ -49,33 +49,35 @@ class View:
 
     @classmethod
     def of(cls, camera: CalibratedCamera) -> View:
-        """View of a calibrated camera.
+        """View from a calibrated camera.
 
         The view has no distortion. So keypoints and labels must be those of pictures whose distortion is removed.
         """
-        turn, move = (torch.from_numpy(each).float() for each in (camera.rotation, camera.translation))
-        return cls(camera.without_distortion, turn, move)
+        rotation = torch.from_numpy(camera.rotation).float()
+        translation = torch.from_numpy(camera.translation).float()
+        return cls(camera.without_distortion, rotation, translation)
 
     @property
     def eye(self) -> torch.Tensor:
-        """Place of the camera in the world [m], shape (3,)."""
+        """Position of the camera in the world [m], shape (3,)."""
         return -self.translation @ self.rotation
 
     def to_camera(self, points: torch.Tensor) -> torch.Tensor:
-        """Points of the world (..., 3) in the camera's frame [m]."""
+        """Converts points (..., 3) from the world to the camera's coordinates [m]."""
         return points @ self.rotation.to(points).mT + self.translation.to(points)
 
 
 @dataclass(frozen=True)
-class Sight:
-    """One person in one picture.
+class SceneObservation:
+    """Observation of one person in one picture of a scene.
 
     Attributes:
-        keypoints: The person's, in pixels of the picture.
-        parts: The picture's part labels, other people's pixels being ignored (255); None: keypoints alone.
-        person: Which one, 0 = first.
-        frame: When, 0 = first.
-        view: Where from, a place in ``Scene.views``.
+        keypoints: Keypoints of the person, in pixels of the picture.
+        parts: Part labels of the picture. Pixels of other people must be 255 (ignored). If it is None, only the
+            keypoints are used.
+        person: Index of the person, from 0.
+        frame: Index of the frame, from 0.
+        view: Index of the view in ``Scene.views``.
     """
 
     keypoints: Keypoints2D
@@ -87,7 +89,7 @@ class Sight:
 
 @dataclass(frozen=True)
 class PersonShape:
-    """Shape of a person who is known from elsewhere.
+    """Shape of a person, such as an earlier fit found it.
 
     Attributes:
         values: Shape values of the detailed model, shape (S,).
@@ -103,11 +105,11 @@ class Ground:
     """Plane of the points x with normal x = offset.
 
     Attributes:
-        normal: Up, of length 1, shape (3,), float64.
-        offset: From the origin along it [m].
+        normal: Unit vector that points up, shape (3,), float64.
+        offset: Distance of the plane from the origin along the normal [m].
 
     Raises:
-        ValueError: If the normal is no direction, or the offset no number.
+        ValueError: If the normal is no unit vector, or the offset is not finite.
     """
 
     normal: np.ndarray
@@ -120,30 +122,31 @@ class Ground:
             raise ValueError(f"offset: {self.offset}; expected a finite number [m]")
 
     def heights(self, points: np.ndarray) -> np.ndarray:
-        """Heights of points (..., 3) over the plane [m], shape (...)."""
+        """Heights of points (..., 3) above the plane [m], shape (...)."""
         return points @ self.normal - self.offset
 
 
 @dataclass(frozen=True)
 class Scene:
-    """People in frames seen by views.
+    """People who are observed in the frames of one or several views.
 
     Attributes:
-        views: Cameras, which share one world.
-        sights: In any order; each person in each picture once at most. Frames in which nobody sees somebody are
-            bridged.
-        frame_rate: Frames a second, where they come evenly.
-        shapes: Of people who are known, by person; the others' are found.
-        ground: In the world, where it is known; fits take it with ``SceneOptions.ground``, which else looks for one.
-        times: Of the frames [s], rising, shape (T,); None: they come evenly.
+        views: Views, which share one world.
+        observations: Observations in any order. Each person has at most one in each picture. Frames without any
+            observation of a person are filled in by the fit.
+        frame_rate: Frames per second. It is used if ``times`` is None.
+        shapes: Known shapes, by the index of the person. The fit finds the shapes of the other people.
+        ground: Ground in the world, if it is known. ``SceneOptions.ground`` must not be 0 then.
+        times: Times of the frames [s], which rise, shape (T,). If it is None, frames are evenly spaced.
 
     Raises:
-        InputError: If a person, frame or view is out of range or comes twice, somebody is never seen, a keypoint is
-            very far from the picture, labels differ in their set, or times do not rise or are not of the frames.
+        InputError: If an index of a person, frame or view is out of range, an observation comes twice, a person has no
+            observation, a keypoint is very far from the picture, label sets differ, or times do not rise or are not as
+            many as the frames.
     """
 
     views: Sequence[View]
-    sights: Sequence[Sight]
+    observations: Sequence[SceneObservation]
     frame_rate: float = 30.0
     shapes: Mapping[int, PersonShape] = field(default_factory=dict)
     ground: Ground | None = None
@@ -151,48 +154,53 @@ class Scene:
 
     def __post_init__(self) -> None:
         check_each("views", self.views, View, "such as View(camera)")
-        check_each("sights", self.sights, Sight, "such as Sight(keypoints)")
-        if not self.views or not self.sights:
-            raise InputError(f"{'sights' if self.views else 'views'}: none; expected at least one")
+        check_each("observations", self.observations, SceneObservation, "such as SceneObservation(keypoints)")
+        if not self.views or not self.observations:
+            raise InputError(f"{'observations' if self.views else 'views'}: none; expected at least one")
         if not 0 < self.frame_rate < math.inf:
-            raise InputError(f"frame_rate: {self.frame_rate}; expected frames a second, above 0")
-        seen: set[tuple[int, int, int]] = set()
-        for place, sight in enumerate(self.sights):
+            raise InputError(f"frame_rate: {self.frame_rate}; expected frames per second, above 0")
+        known: set[tuple[int, int, int]] = set()
+        for index, observation in enumerate(self.observations):
             for name in ("person", "frame", "view"):
-                check_whole(f"sights[{place}].{name}", getattr(sight, name), 0)
-            if sight.view >= len(self.views):
-                raise InputError(f"sights[{place}].view: {sight.view}; expected 0 to {len(self.views) - 1}")
-            key = sight.person, sight.frame, sight.view
-            if key in seen:
-                raise InputError(f"sights[{place}]: person, frame, view {key} a second time; expected once")
-            seen.add(key)
-        _check_places(self.sights, self.views)
-        if unseen := sorted(set(range(self.num_people)) - {person for person, _, _ in seen}):
-            raise InputError(f"sights: person {unseen[0]} in none; expected people 0 to {self.num_people - 1}")
+                check_whole(f"observations[{index}].{name}", getattr(observation, name), 0)
+            if observation.view >= len(self.views):
+                raise InputError(f"observations[{index}].view: {observation.view}; expected 0 to {len(self.views) - 1}")
+            key = observation.person, observation.frame, observation.view
+            if key in known:
+                raise InputError(
+                    f"observations[{index}]: a second one of person, frame, view {key}; expected one at most"
+                )
+            known.add(key)
+        _check_keypoint_positions(self.observations, self.views)
+        if missing := sorted(set(range(self.num_people)) - {person for person, _, _ in known}):
+            raise InputError(
+                f"observations: none of person {missing[0]}; expected some of each person from 0 to "
+                f"{self.num_people - 1}"
+            )
         for person, shape in self.shapes.items():
             if not 0 <= person < self.num_people:
-                raise InputError(f"shapes: of person {person}; expected people 0 to {self.num_people - 1}")
+                raise InputError(f"shapes: one for person {person}; expected people 0 to {self.num_people - 1}")
             check_type(f"shapes[{person}]", shape, PersonShape, "of an earlier fit")
         check_type("ground", self.ground, Ground | None, "such as Ground(np.array([0.0, -1.0, 0.0]), -1.6)")
         if self.times is not None:
-            at = np.asarray(self.times)
-            if at.shape != (self.num_frames,) or at.dtype.kind not in "iuf":
-                raise InputError(f"times: {at.dtype} {at.shape}; expected seconds of {self.num_frames} frames")
-            if not np.isfinite(at).all() or (np.diff(at) <= 0).any():
-                raise InputError("times: not finite, or no later than the frame before; expected seconds that rise")
-        sets = [sight.parts.label_set for sight in self.sights if sight.parts is not None]
+            times = np.asarray(self.times)
+            if times.shape != (self.num_frames,) or times.dtype.kind not in "iuf":
+                raise InputError(f"times: {times.dtype} {times.shape}; expected seconds of {self.num_frames} frames")
+            if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+                raise InputError("times: not finite, or not later than the frame before; expected seconds that rise")
+        sets = [observation.parts.label_set for observation in self.observations if observation.parts is not None]
         if any(each != sets[0] for each in sets):
-            raise InputError("sights: part labels of several sets; expected one")
+            raise InputError("observations: part labels from several label sets; expected one set")
 
     @property
     def num_people(self) -> int:
         """Number of people, P."""
-        return 1 + max(sight.person for sight in self.sights)
+        return 1 + max(observation.person for observation in self.observations)
 
     @property
     def num_frames(self) -> int:
         """Number of frames, T."""
-        return 1 + max(sight.frame for sight in self.sights)
+        return 1 + max(observation.frame for observation in self.observations)
 
     @property
     def frame_times(self) -> np.ndarray:
@@ -202,22 +210,26 @@ class Scene:
         return np.asarray(self.times, dtype=np.float64)
 
 
-def _check_places(sights: Sequence[Sight], views: Sequence[View]) -> None:
-    """Raise InputError if a keypoint is very far from its picture; without labels, the camera tells its rough size."""
+def _check_keypoint_positions(observations: Sequence[SceneObservation], views: Sequence[View]) -> None:
+    """Raises InputError if a keypoint is very far from its picture.
+
+    The largest labels of a view give the size of its pictures. Without labels, the camera gives a rough size.
+    """
     sizes: dict[int, tuple[float, float]] = {}
-    for sight in sights:
-        if sight.parts is not None:
-            height, width = sizes.get(sight.view, (0.0, 0.0))
-            rows, columns = sight.parts.groups.shape
-            sizes[sight.view] = max(height, float(rows)), max(width, float(columns))
-    shown = {view: f"the picture's {width:.0f}x{height:.0f} pixels" for view, (height, width) in sizes.items()}
-    for view in {sight.view for sight in sights} - set(sizes):
+    for observation in observations:
+        if observation.parts is not None:
+            height, width = sizes.get(observation.view, (0.0, 0.0))
+            rows, columns = observation.parts.groups.shape
+            sizes[observation.view] = max(height, float(rows)), max(width, float(columns))
+    described = {view: f"the picture's {width:.0f}x{height:.0f} pixels" for view, (height, width) in sizes.items()}
+    for view in {observation.view for observation in observations} - set(sizes):
         camera = views[view].camera
         side = max(float(camera.focal.max()), 2 * float(camera.centre.abs().max()))
-        sizes[view], shown[view] = (side, side), f"the camera's picture, of about {side:.0f} pixels"
-    for place, sight in enumerate(sights):
-        check_type(f"sights[{place}].keypoints", sight.keypoints, Keypoints2D, "of read_keypoints")
+        sizes[view] = side, side
+        described[view] = f"the camera's picture, of about {side:.0f} pixels"
+    for index, observation in enumerate(observations):
+        check_type(f"observations[{index}].keypoints", observation.keypoints, Keypoints2D, "of read_keypoints")
         try:
-            check_near(sight.keypoints, sizes[sight.view], shown[sight.view])
+            check_near(observation.keypoints, sizes[observation.view], described[observation.view])
         except InputError as error:
-            raise InputError(f"sights[{place}].{error}") from None
+            raise InputError(f"observations[{index}].{error}") from None

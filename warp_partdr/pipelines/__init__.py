@@ -1,4 +1,4 @@
-"""Pipelines from files to fitted people: a photo, a film, and several films of one moment.
+"""Pipelines from files to fitted people: a photo, a film, and several films that were taken at the same time.
 
-They find people by networks, decide who is who and where cameras are, and give the solver its scenes.
+They find people by networks, match people between films, find the poses of cameras, and give the solver its scenes.
 """

@@ -1,13 +1,14 @@
-"""Fit of a film, or of several of one moment: windows of frames, each a scene, and what they share passes on.
+"""Fit of one film, or of several films that were taken at the same time. Each window of frames is one scene.
 
-A person's shape is found first, from frames spread over the whole film. With it windows know nothing of one another, so
-a film may be of any length. Shots are fitted apart: no window reaches over a cut, and nobody is the same on both sides.
+A person's shape is found first, from frames spread over the whole film. Then windows do not depend on one another, so a
+film may have any length. Shots are fitted separately: no window reaches over a cut, and people are not matched between
+shots.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..body.rotations import nearest_rotation
 from ..body.skeletons import skeleton
 from ..cameras import Perspective
 from ..errors import check_type
-from ..inputs.scene import PersonShape, Scene, Sight, View
+from ..inputs.scene import PersonShape, Scene, SceneObservation, View
 from ..interop.ahead import made_ahead
 from ..models.anny import anny
 from ..models.measuring import statures
@@ -32,17 +33,17 @@ from ..solve.scene.fitting import SceneFit, fit_scene
 from ..solve.scene.impossible import impossible_people
 from ..solve.scene.options import SceneOptions
 from .camera_units import in_metres
-from .film_looks import FilmLooks
+from .film_observations import FilmObservations
 from .film_pieces import FilmPieces
 from .matched_times import shared_times, uneven_times
-from .photo import check_whose, person_place
-from .rig_faults import missing_rays, unmatched_films
+from .observed_film import ObservedFilm
+from .photo import check_stature_owner, person_index
+from .rig_warnings import distant_rays, unmatched_films
 from .same_people import Track, check_films, match_people
-from .seen_film import SeenFilm
 
-_COMPARED = 16  # frames of a person in a film, at most, whose keypoints are compared with the body's
-# Mean distance [person's size in the picture]. Shaded people and real photos ended at 0.01 to 0.05, two people who were
-# taken for one at 0.07 to 0.11.
+_COMPARED = 16  # largest number of frames in which a person's keypoints are compared with the body's
+# Largest mean distance between keypoints and a body [person's size in the picture]. Shaded people and real photos ended
+# at 0.01 to 0.05. Two people who were taken for one ended at 0.07 to 0.11.
 _MOST_OFF = 0.06
 
 
@@ -52,8 +53,9 @@ class Motion:
 
     Attributes:
         model: The detailed model.
-        frames: Of the film, in order, shape (T,), int64; also those between in which the person is not seen.
-        shape: The person's.
+        frames: Indices of the film's frames, rising, shape (T,), int64. They include frames in between without the
+            person.
+        shape: Shape of the person.
         rotations: Local rotation of each joint, shape (T, J, 3, 3).
         translation: Position of the root joint in the world [m], shape (T, 3).
     """
@@ -65,7 +67,11 @@ class Motion:
     translation: torch.Tensor
 
     def bodies(self, rows: slice | np.ndarray = slice(None)) -> Registered:
-        """Detailed bodies of some of the frames in the world; all of a long film's take memory."""
+        """Detailed bodies in the world.
+
+        Args:
+            rows: Frames for which bodies are made. All bodies of a long film need much memory.
+        """
         rotations = self.rotations[rows]
         values = self.shape.values.expand(len(rotations), -1)
         return ungrown(self.model, values, rotations, self.translation[rows], {})
@@ -76,20 +82,20 @@ class FilmFit:
     """Bodies of the people of a film, or of several.
 
     Attributes:
-        films: The films; of one, the world is its camera's frame.
-        tracks: Of each person, who it is in which film.
-        motions: By person.
-        warnings: Faults of films and cameras, a sentence each, in which films are films[0] and so on.
+        films: Films that were fitted. The world of a single film is the frame of its camera.
+        tracks: Tracks in the films, by the index of the person.
+        motions: Motions by the index of the person.
+        warnings: Warnings about films and cameras, a sentence each. They call the films films[0] and so on.
     """
 
-    films: tuple[SeenFilm, ...]
+    films: tuple[ObservedFilm, ...]
     tracks: dict[int, tuple[Track, ...]]
     motions: dict[int, Motion]
     warnings: tuple[str, ...] = ()
 
     @property
     def people(self) -> FilmPeople:
-        """People who were seen in the first film."""
+        """People in the first film."""
         return self.films[0].people
 
     @property
@@ -104,16 +110,16 @@ class FilmFit:
 
     @property
     def shots(self) -> list[range]:
-        """Frames of each shot, which were fitted apart."""
+        """Frames of each shot. Shots were fitted separately."""
         return film_shots(self.films)
 
     def rows(self, person: int, film: int = 0) -> np.ndarray:
-        """Rows of ``FilmPeople`` of a person in a film, frame by frame."""
+        """Rows of a person in the ``FilmPeople`` of a film, in the order of frames."""
         return _rows_of(self.films, self.tracks[person], film)
 
 
 def fit_film(
-    films: Sequence[SeenFilm],
+    films: Sequence[ObservedFilm],
     *,
     person: int | None = None,
     options: SceneOptions | None = None,
@@ -122,213 +128,234 @@ def fit_film(
     progress: Progress | None = None,
     pieces: FilmPieces | None = None,
 ) -> FilmFit:
-    """Fit detailed bodies to the people of films: one shape each, a pose a frame, smooth in time.
+    """Fits detailed bodies to the people of films: one shape for each person, a pose for each frame, smooth in time.
 
     Args:
-        films: One, such as ``[SeenFilm.of(find_film_people("walk.mp4"))]``, or several of the same moments, frame by
-            frame as of ``match_films``, whose cameras share a world.
-        person: This one alone, 0 = the most and largest seen; the others' pixels are still known to be theirs.
-        options: Of windows, and of their fits; default: ``SceneOptions.film()``.
-        model: On the device, float32; default Anny.
-        device: "cpu" or a CUDA device.
-        progress: Called with (stage name, steps done, steps in all).
-        pieces: What an earlier run of the same fit has done already, and where this one keeps what it does.
+        films: One film, such as ``[ObservedFilm.of(find_film_people("walk.mp4"))]``, or several films. Several must be
+            matched frame by frame by ``match_films``, and their cameras must share a world.
+        person: Index of the only person to fit, 0 is the one seen most and largest. Pixels of the other people are
+            still left out. If it is None, everyone is fitted.
+        options: Options for windows and for their fits. The default is ``SceneOptions.film()``.
+        model: Detailed model on the device, float32. The default is Anny.
+        device: Device to run on, "cpu" or a CUDA device.
+        progress: Function that is called with (stage name, steps done, all steps).
+        pieces: Finished pieces of an earlier run of the same fit, to which this run adds its own. If it is None,
+            nothing is kept.
 
     Raises:
-        InputError: If there is no film, or not so many people, frames of films differ in their times, or a stature is
-            of several people or before several cameras.
-        TypeError: If an argument is of another type.
+        InputError: If there is no film, ``person`` is not among the people found, frames of films differ in their
+            times, or a stature is given for several people or several cameras.
+        TypeError: If an argument has another type.
     """
     check_films(films)
     check_type("options", options, SceneOptions | None, "such as SceneOptions.film()")
-    options, model = options or SceneOptions.film(), model or anny(device)
-    warnings = [f"films[{place}]: {told}" for place, film in enumerate(films) for told in film.warnings]
-    films, told = in_metres(films)
+    options = options or SceneOptions.film()
+    model = model or anny(device)
+    warnings = [f"films[{index}]: {warning}" for index, film in enumerate(films) for warning in film.warnings]
+    films, unit_warnings = in_metres(films)
     everyone = dict(enumerate(match_people(films)))
-    warnings += [*told, *unmatched_films(films, everyone.values()), *missing_rays(films, everyone)]
+    warnings += [*unit_warnings, *unmatched_films(films, everyone.values()), *distant_rays(films, everyone)]
     if person is not None:
-        everyone = {person: everyone[person_place(person, len(everyone))]}
-    check_whose(options.stature, len(everyone))
-    options.check_sights(len(everyone), len(films))  # before the network looks
+        everyone = {person: everyone[person_index(person, len(everyone))]}
+    check_stature_owner(options.stature, len(everyone))
+    options.check_known_stature(len(everyone), len(films))  # before the network spends time
     film = _Films(tuple(films), everyone)
-    tell = progress or (lambda name, done, total: None)
-    looks = FilmLooks(film.views, film.sights, device)
+    report = progress or (lambda name, done, total: None)
+    observations = FilmObservations(film.views, film.observations, device)
     parts = list(film.windows(options))
 
-    def kept(name: str, scene: Scene, chosen: SceneOptions, look: Callable[[], Sequence[ObservedBody]]) -> _Bodies:
+    def fit_or_load(
+        name: str, scene: Scene, scene_options: SceneOptions, observe: Callable[[], Sequence[ObservedBody]]
+    ) -> _Bodies:
         def fit() -> dict[str, np.ndarray]:
-            return vars(_Bodies.of(fit_scene(scene, options=chosen, model=model, device=device, looks=look())))
+            observed_bodies = observe()
+            found = fit_scene(scene, options=scene_options, model=model, device=device, observed_bodies=observed_bodies)
+            return _Bodies.of(found).arrays()
 
-        return _Bodies(**(fit() if pieces is None else pieces.piece(name, _BODIES, fit)))
+        return _Bodies.of_arrays(fit() if pieces is None else pieces.piece(name, _BODY_ARRAYS, fit))
 
     def scenes() -> Iterator[tuple[list[int], Scene, list[ObservedBody]]]:
-        for place, part in enumerate(parts):
-            numbers, scene = film.scene(part, shapes)
-            looks.forget(part.start)
-            done = pieces is not None and pieces.known(f"window{place}", _BODIES) is not None
-            yield numbers, scene, [] if done else looks.of(scene, numbers, part)
+        for index, part in enumerate(parts):
+            people, scene = film.scene(part, shapes)
+            observations.forget(part.start)
+            done = pieces is not None and pieces.known(f"window{index}", _BODY_ARRAYS) is not None
+            yield people, scene, [] if done else observations.of(scene, people, part)
 
     shapes: dict[int, PersonShape] = {}
     if len(parts) > 1:
-        apart = replace(options, smoothing=0.0)  # frames that are far from one another
-        for place, number in enumerate(everyone):
-            tell("shapes", place, len(everyone))
-            frames, scene = film.surest(number, options.shape_frames)
-            look = partial(looks.of, scene, [number], frames)
-            shapes[number] = kept(f"shape{number}", scene, apart, look).shapes[0]
-    found = {number: _Blend() for number in everyone}
-    # On the CPU the network looks at the next window's frames while this one's bodies are refined; a device has its own
-    # order of work, and graphs are captured there alone.
+        shape_options = replace(options, smoothing=0.0)  # because the frames are far from one another
+        for index, each in enumerate(everyone):
+            report("shapes", index, len(everyone))
+            frames, scene = film.most_confident(each, options.shape_frames)
+            observe = partial(observations.of, scene, [each], frames)
+            shapes[each] = fit_or_load(f"shape{each}", scene, shape_options, observe).shapes[0]
+    blends = {each: _Blend() for each in everyone}
+    # On the CPU, the network predicts the next window while this one is refined. On a GPU, work is done in one order
+    # anyway, and CUDA graphs must be captured alone.
     ahead = made_ahead(scenes()) if torch.device(device).type == "cpu" else scenes()
-    tell("motions", 0, len(parts))
-    for place, (part, (numbers, scene, seen)) in enumerate(zip(parts, ahead, strict=True)):
-        window = kept(f"window{place}", scene, options, partial(list, seen))
-        for row, number in enumerate(numbers):
-            found[number].add(part, window, row)
-        tell("motions", place + 1, len(parts))
-    motions = {number: found[number].motion(model, film.span(number)) for number in everyone}
-    fit = FilmFit(film.films, everyone, motions)
-    return replace(fit, warnings=(*warnings, *find_impossible(fit), *find_misfits(fit)))
+    report("motions", 0, len(parts))
+    for index, (part, (people, scene, observed_bodies)) in enumerate(zip(parts, ahead, strict=True)):
+        bodies = fit_or_load(f"window{index}", scene, options, partial(list, observed_bodies))
+        for row, each in enumerate(people):
+            blends[each].add(part, bodies, row)
+        report("motions", index + 1, len(parts))
+    motions = {each: blends[each].motion(model, film.span(each)) for each in everyone}
+    found = FilmFit(film.films, everyone, motions)
+    return replace(found, warnings=(*warnings, *find_impossible_people(found), *find_distant_keypoints(found)))
 
 
-def find_impossible(fit: FilmFit) -> list[str]:
-    """Warnings of people before several cameras who are no people."""
+def find_impossible_people(fit: FilmFit) -> list[str]:
+    """Warnings about impossible people in films of several cameras; they show that cameras are wrong."""
     if len(fit.films) == 1:
         return []
     eyes = torch.stack([film.view.eye for film in fit.films])
-    tall = {person: float(statures(each.model, each.shape.values[None])) for person, each in fit.motions.items()}
-    far = {
+    heights = {person: float(statures(each.model, each.shape.values[None])) for person, each in fit.motions.items()}
+    distances = {
         person: float((motion.translation.cpu()[:, None] - eyes).norm(dim=-1).mean(0).max())
         for person, motion in fit.motions.items()
     }
-    return impossible_people(tall, far)
+    return impossible_people(heights, distances)
 
 
-def find_misfits(fit: FilmFit) -> list[str]:
-    """Warnings of people who end far from their keypoints in a film, which is called films[0] and so on."""
+def find_distant_keypoints(fit: FilmFit) -> list[str]:
+    """Warnings about people whose bodies end far from their keypoints in a film."""
     found: list[str] = []
-    several = ", of films of the same moments whose cameras stand so" if len(fit.films) > 1 else ""
+    several = ", in films that were taken at the same time by these cameras" if len(fit.films) > 1 else ""
     for person, motion in fit.motions.items():
         model = motion.model
         names = annotated(skeleton(SKELETON).landmarks, model.landmark_names)
-        for place, seen in enumerate(fit.films):
-            rows = fit.rows(person, place)
+        for index, film in enumerate(fit.films):
+            rows = fit.rows(person, index)
             if not len(rows):
                 continue
             some = rows[np.linspace(0, len(rows) - 1, _COMPARED).round().astype(int)]
             bodies = motion.bodies(np.searchsorted(motion.frames, some["frames"])).detailed
-            points = seen.view.camera.project(seen.view.to_camera(model.landmarks(bodies, names).cpu()))[..., :2]
+            points = film.view.camera.project(film.view.to_camera(model.landmarks(bodies, names).cpu()))[..., :2]
             off = np.linalg.norm(points.numpy() - some["keypoints"][..., :2], axis=-1)
             sizes = (some["boxes"][:, 2:] - some["boxes"][:, :2]).max(1, keepdims=True).clip(1.0)
-            votes = some["keypoints"][..., 2]
-            share = float((votes * off / sizes).sum() / max(votes.sum(), 1e-9))
+            confidence = some["keypoints"][..., 2]
+            share = float((confidence * off / sizes).sum() / max(confidence.sum(), 1e-9))
             if not share < _MOST_OFF:
-                far = f"films[{place}]: person{person} ends {100 * share:.1f} % of the person's size from BlazePose's"
+                far = f"films[{index}]: person{person} ends {100 * share:.1f} % of the person's size from BlazePose's"
                 found.append(f"{far} keypoints; expected at most {100 * _MOST_OFF:.0f} %{several}")
     return found
 
 
-def _rows_of(films: Sequence[SeenFilm], tracks: Sequence[Track], film: int) -> np.ndarray:
-    mine = [track for each, track in tracks if each == film]
+def _rows_of(films: Sequence[ObservedFilm], tracks: Sequence[Track], film: int) -> np.ndarray:
+    """Rows of a person in a film, in the order of frames."""
+    own = [track for each, track in tracks if each == film]
     rows = films[film].people.rows
-    return rows[np.isin(rows["tracks"], mine)]
+    return rows[np.isin(rows["tracks"], own)]
 
 
 @dataclass(frozen=True)
 class _Films:
-    """Films whose scenes are wanted.
+    """Films from which scenes are made.
 
     Attributes:
-        films: Of the same moments.
-        tracks: By person.
+        films: Films that are matched frame by frame.
+        tracks: Tracks by the index of the person.
     """
 
-    films: tuple[SeenFilm, ...]
+    films: tuple[ObservedFilm, ...]
     tracks: Mapping[int, tuple[Track, ...]]
 
     def span(self, person: int) -> range:
-        """Frames from the first in which a person is seen to the last."""
+        """Frames from the first one that shows a person to the last one."""
         frames = np.concatenate([rows["frames"] for _, rows in self._rows(person)])
         return range(int(frames.min()), int(frames.max()) + 1)
 
     def windows(self, options: SceneOptions) -> Iterable[range]:
-        """Frames that are fitted together, of one shot; those in which nobody is seen are left out."""
+        """Windows of frames within shots. They begin and end with a frame that shows somebody."""
         everywhere = np.concatenate([rows["frames"] for person in self.tracks for _, rows in self._rows(person)])
         for shot in film_shots(self.films):
-            seen = everywhere[(everywhere >= shot.start) & (everywhere < shot.stop)]
-            if not len(seen):
+            frames = everywhere[(everywhere >= shot.start) & (everywhere < shot.stop)]
+            if not len(frames):
                 continue
-            for window in windows(int(seen.min()), int(seen.max()) + 1, options.window, options.overlap):
-                inside = seen[(seen >= window.start) & (seen < window.stop)]
+            for window in windows(int(frames.min()), int(frames.max()) + 1, options.window, options.overlap):
+                inside = frames[(frames >= window.start) & (frames < window.stop)]
                 if len(inside):
                     yield range(int(inside.min()), int(inside.max()) + 1)
 
     def scene(self, window: range, shapes: Mapping[int, PersonShape]) -> tuple[list[int], Scene]:
-        """People of some frames, and the scene of them."""
-        there: dict[int, list[tuple[int, np.ndarray]]] = {}
+        """Makes the scene of a window.
+
+        Args:
+            window: Frames of the window.
+            shapes: Known shapes by the index of the person in the films.
+
+        Returns:
+            Index in the films of each person of the scene, and the scene.
+        """
+        inside: dict[int, list[tuple[int, np.ndarray]]] = {}
         for person in self.tracks:
             for view, rows in self._rows(person):
-                inside = rows[(rows["frames"] >= window.start) & (rows["frames"] < window.stop)]
-                if len(inside):
-                    there.setdefault(person, []).append((view, inside))
-        people = list(there)
-        known = {people.index(person): shape for person, shape in shapes.items() if person in there}
-        sights = [
-            replace(sight, frame=sight.frame - window.start)
-            for person, seen in there.items()
-            for view, rows in seen
-            for sight in self.films[view].sights(rows, people.index(person), view)
-        ]
-        return people, Scene(
-            self.views, sights, self.films[0].people.rate, known, times=uneven_times(self.films, window)
-        )
+                own = rows[(rows["frames"] >= window.start) & (rows["frames"] < window.stop)]
+                if len(own):
+                    inside.setdefault(person, []).append((view, own))
+        people = list(inside)
+        known = {people.index(person): shape for person, shape in shapes.items() if person in inside}
+        observations: list[SceneObservation] = []
+        for index, views in enumerate(inside.values()):
+            for view, rows in views:
+                for observation in self.films[view].observations(rows, index, view):
+                    observations.append(replace(observation, frame=observation.frame - window.start))
+        times = uneven_times(self.films, window)
+        return people, Scene(self.views, observations, self.films[0].people.rate, known, times=times)
 
-    def sights(self, person: int, view: int, frames: range) -> list[Sight]:
-        """Sights of a person in a view."""
+    def observations(self, person: int, view: int, frames: range) -> list[SceneObservation]:
+        """Observations of a person in a view, for a range of frames."""
         rows = _rows_of(self.films, self.tracks[person], view)
         inside = rows[(rows["frames"] >= frames.start) & (rows["frames"] < frames.stop)]
-        return list(self.films[view].sights(inside, person, view))
+        return list(self.films[view].observations(inside, person, view))
 
-    def surest(self, person: int, count: int) -> tuple[list[int], Scene]:
-        """A person in so many frames, spread over the films, those where the keypoints are surest; and these frames."""
+    def most_confident(self, person: int, count: int) -> tuple[list[int], Scene]:
+        """Makes the scene of a person in ``count`` frames: the most confident ones of as many parts of the films.
+
+        Returns:
+            Indices of the frames in the films, and the scene.
+        """
         span = self.span(person)
-        sure = np.zeros(len(span))
+        confidence = np.zeros(len(span))
         for _, rows in self._rows(person):
-            np.add.at(sure, rows["frames"] - span.start, rows["keypoints"][..., 2].sum(1))
-        groups = np.array_split(np.flatnonzero(sure) + span.start, min(count, int((sure > 0).sum())))
-        best = [int(group[sure[group - span.start].argmax()]) for group in groups]
-        sights = [
-            replace(sight, frame=best.index(sight.frame))
+            np.add.at(confidence, rows["frames"] - span.start, rows["keypoints"][..., 2].sum(1))
+        parts = np.array_split(np.flatnonzero(confidence) + span.start, min(count, int((confidence > 0).sum())))
+        best = [int(part[confidence[part - span.start].argmax()]) for part in parts]
+        observations = [
+            replace(observation, frame=best.index(observation.frame))
             for view, rows in self._rows(person)
-            for sight in self.films[view].sights(rows[np.isin(rows["frames"], best)], 0, view)
+            for observation in self.films[view].observations(rows[np.isin(rows["frames"], best)], 0, view)
         ]
-        return best, Scene(self.views, sights, self._mean_rate(span) * len(best) / len(span))
+        return best, Scene(self.views, observations, self._mean_rate(span) * len(best) / len(span))
 
     def _mean_rate(self, span: range) -> float:
-        """Frames a second in a span."""
+        """Mean frame rate of a span [frames/s]."""
         times = uneven_times(self.films, span)
         if times is None or len(span) == 1:
             return self.films[0].people.rate
         return (len(span) - 1) / float(times[-1])
 
     def _rows(self, person: int) -> Iterator[tuple[int, np.ndarray]]:
-        """Views that see a person, and the rows there."""
+        """Views that show a person, with the rows there."""
         for view in sorted({view for view, _ in self.tracks[person]}):
             yield view, _rows_of(self.films, self.tracks[person], view)
 
     @property
     def views(self) -> list[View]:
-        """Cameras."""
+        """Views for the pixels of the observations."""
         return [film.small_view for film in self.films]
+
+
+_BODY_ARRAYS = "values", "clothes", "rotations", "translation"
 
 
 @dataclass(frozen=True)
 class _Bodies:
-    """Bodies of a scene of P people in T frames, small enough to be kept.
+    """Bodies of a scene with P people in T frames, in arrays that are small enough to be kept in a file.
 
     Attributes:
         values: Shape values, shape (P, S).
-        clothes: Thicknesses [m], shape (P, 8).
+        clothes: Thicknesses of clothes [m], shape (P, 8).
         rotations: Local rotation of each joint, shape (P, T, J, 3, 3).
         translation: Position of the root joint in the world [m], shape (P, T, 3).
     """
@@ -340,13 +367,23 @@ class _Bodies:
 
     @classmethod
     def of(cls, fit: SceneFit) -> _Bodies:
-        """Collect the bodies of a fit."""
-        people = fit.scene.num_people, fit.scene.num_frames
-        rotations, translation = (
-            each.unflatten(0, people).cpu().numpy() for each in (fit.bodies.rotations, fit.bodies.translation)
+        """Collects the bodies of a fit."""
+        size = fit.scene.num_people, fit.scene.num_frames
+        return cls(
+            values=fit.bodies.shape.unflatten(0, size)[:, 0].cpu().numpy(),
+            clothes=fit.clothes.cpu().numpy(),
+            rotations=fit.bodies.rotations.unflatten(0, size).cpu().numpy(),
+            translation=fit.bodies.translation.unflatten(0, size).cpu().numpy(),
         )
-        values = fit.bodies.shape.unflatten(0, people)[:, 0].cpu().numpy()
-        return cls(values, fit.clothes.cpu().numpy(), rotations, translation)
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> _Bodies:
+        """Bodies from the arrays of a file, by their names."""
+        return cls(arrays["values"], arrays["clothes"], arrays["rotations"], arrays["translation"])
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays for a file, by the names in ``_BODY_ARRAYS``."""
+        return {name: getattr(self, name) for name in _BODY_ARRAYS}
 
     @property
     def shapes(self) -> list[PersonShape]:
@@ -355,55 +392,62 @@ class _Bodies:
         return [PersonShape(torch.from_numpy(values), torch.from_numpy(clothes)) for values, clothes in pairs]
 
 
-_BODIES = tuple(field.name for field in fields(_Bodies))
-
-
 class _Blend:
-    """Poses of a person, of windows that share frames: each has most to say in its middle."""
+    """Weighted mean of a person's poses from windows that share frames. A window has most weight in its middle."""
 
     def __init__(self) -> None:
         self._sums: dict[int, tuple[float, torch.Tensor, torch.Tensor]] = {}
         self._shape: PersonShape | None = None
 
     def add(self, window: range, bodies: _Bodies, person: int) -> None:
-        """Take a window's poses of a person."""
+        """Adds the poses of a person in a window."""
         self._shape = bodies.shapes[person]
         for row, frame in enumerate(window):
-            share = float(min(frame - window.start, window.stop - 1 - frame) + 1)
-            rotations, translation = (
-                share * torch.from_numpy(each[person, row]) for each in (bodies.rotations, bodies.translation)
-            )
+            weight = float(min(frame - window.start, window.stop - 1 - frame) + 1)
+            rotations = weight * torch.from_numpy(bodies.rotations[person, row])
+            translation = weight * torch.from_numpy(bodies.translation[person, row])
             if frame in self._sums:
                 before = self._sums[frame]
-                share, rotations, translation = share + before[0], rotations + before[1], translation + before[2]
-            self._sums[frame] = share, rotations, translation
+                weight = weight + before[0]
+                rotations = rotations + before[1]
+                translation = translation + before[2]
+            self._sums[frame] = weight, rotations, translation
 
     def motion(self, model: DetailedModel, span: range) -> Motion:
-        """The motion in the frames of a span."""
+        """Motion of the person in the frames of a span."""
         assert self._shape is not None
         frames = [frame for frame in sorted(self._sums) if frame in span]
-        shares, rotations, translations = zip(*(self._sums[frame] for frame in frames), strict=True)
+        weights = torch.tensor([self._sums[frame][0] for frame in frames])
+        rotations = torch.stack([self._sums[frame][1] for frame in frames])
+        translations = torch.stack([self._sums[frame][2] for frame in frames])
         like = model.rest_vertices
         return Motion(
             model,
             np.array(frames),
             PersonShape(self._shape.values.to(like), self._shape.clothes.to(like)),
-            nearest_rotation(torch.stack(rotations)).to(like),
-            (torch.stack(translations) / torch.tensor(shares)[:, None]).to(like),
+            nearest_rotation(rotations).to(like),
+            (translations / weights[:, None]).to(like),
         )
 
 
-def film_shots(films: Sequence[SeenFilm]) -> list[range]:
-    """Frames of each shot of films of the same moments; where only some of them have a cut, the others go on."""
+def film_shots(films: Sequence[ObservedFilm]) -> list[range]:
+    """Frames of each shot of matched films. A cut counts if all films have it."""
     cuts = set.intersection(*(set(film.people.cuts) for film in films))
     return shots_between(sorted(cuts), max(len(film.people.times) for film in films))
 
 
 def windows(start: int, stop: int, length: int, overlap: int) -> list[range]:
-    """Windows of one length, ``length`` frames at most, that share at least ``overlap`` with the one before."""
+    """Windows of equal length that cover the frames from ``start`` to ``stop``.
+
+    Args:
+        start: First frame.
+        stop: Frame after the last one.
+        length: Largest length of a window.
+        overlap: Least number of frames that a window shares with the one before.
+    """
     if stop - start <= length:
         return [range(start, stop)]
     count = -(-(stop - start - overlap) // (length - overlap))
     length = -(-(stop - start + (count - 1) * overlap) // count)
-    firsts = [start + round(place * (stop - start - length) / (count - 1)) for place in range(count)]
+    firsts = [start + round(index * (stop - start - length) / (count - 1)) for index in range(count)]
     return [range(first, first + length) for first in firsts]

@@ -1,4 +1,4 @@
-"""Films of one scene by different clocks: which frames of them show one moment."""
+"""Matching of films frame by frame, when their clocks or frame rates differ."""
 
 from __future__ import annotations
 
@@ -8,91 +8,96 @@ import numpy as np
 
 from ..errors import InputError
 from ..inputs.frame_times import is_even
-from .seen_film import SeenFilm
+from .observed_film import ObservedFilm
 
-_NEAR = 0.5 + 1e-6  # of the first film's usual step, that frames of one moment may be apart
+_NEAR = 0.5 + 1e-6  # largest time between matched frames, in usual frame intervals of the first film
 
 
-def match_films(films: Sequence[SeenFilm], starts: Sequence[float] | None = None) -> list[SeenFilm]:
-    """Films frame by frame: in each moment of the first film the frame of each other that is nearest in time.
+def match_films(films: Sequence[ObservedFilm], starts: Sequence[float] | None = None) -> list[ObservedFilm]:
+    """Matches films frame by frame: each frame of the first film gets the nearest frame of each other film.
 
-    A frame serves once, and lies within half a step of the first film; a film that has none there shows nobody in that
-    moment. Moments after the end of the first film are those of the films that go on.
+    A frame is used at most once, and only within half a frame interval of the first film. If a film has no such frame,
+    it shows nobody at that time. After the end of the first film, the times are those of the films that go on.
 
     Args:
-        films: Of any rates, also variable ones.
-        starts: When each film shows the first moment, since its first frame [s]; None: they started together.
+        films: Films with any frame rates, even variable ones.
+        starts: Time at which each film shows the first common instant, since its first frame [s]. If it is None, films
+            started together.
 
     Raises:
-        InputError: If a film shows none of the moments.
+        InputError: If a film has no frame at any of the times.
     """
-    if starts is None and not _unmatched(films):
+    if starts is None and not _first_mismatch(films):
         return list(films)
     near = _NEAR / films[0].people.rate
     clocks = [film.people.times - start for film, start in zip(films, starts or [0.0] * len(films), strict=True)]
-    moments = clocks[0][clocks[0] > -near]
-    if not len(moments):
-        raise InputError("films[0]: ends before another one starts; expected films of the same moments")
-    clocks = [clock - moments[0] for clock in clocks]
-    moments = moments - moments[0]
+    times = clocks[0][clocks[0] > -near]
+    if not len(times):
+        raise InputError("films[0]: ends before another one starts; expected films that were taken at the same time")
+    clocks = [clock - times[0] for clock in clocks]
+    times = times - times[0]
     for clock in clocks[1:]:
-        moments = np.concatenate([moments, clock[clock > moments[-1] + near]])
-    matched: list[SeenFilm] = []
-    for place, (film, clock) in enumerate(zip(films, clocks, strict=True)):
-        frames = nearest_frames(clock, moments, near)
+        times = np.concatenate([times, clock[clock > times[-1] + near]])
+    matched: list[ObservedFilm] = []
+    for index, (film, clock) in enumerate(zip(films, clocks, strict=True)):
+        frames = nearest_frames(clock, times, near)
         if not (frames >= 0).any():
             raise InputError(
-                f"films[{place}]: no frame when the first film has one; expected films of the same moments"
+                f"films[{index}]: no frame when the first film has one; expected films that were taken at the same time"
             )
-        matched.append(film.taken(frames, moments))
+        matched.append(film.taken(frames, times))
     return matched
 
 
-def nearest_frames(times: np.ndarray, moments: np.ndarray, near: float) -> np.ndarray:
-    """Numbers of the frames that show moments, each at most once; -1 where none is near.
+def nearest_frames(times: np.ndarray, wanted: np.ndarray, near: float) -> np.ndarray:
+    """Finds the frame that is nearest to each wanted time. Each frame is used at most once.
 
     Args:
-        times: Of the frames, rising [s], shape (F,).
-        moments: Rising, too [s], shape (T,).
-        near: How far a frame may be from its moment [s].
+        times: Times of the frames, rising [s], shape (F,).
+        wanted: Times for which frames are wanted, rising [s], shape (T,).
+        near: Largest time between a frame and the wanted time [s].
+
+    Returns:
+        Indices of the frames, -1 where none is near, shape (T,), int64.
     """
-    frames = _nearest(times, moments)
-    shown = (np.abs(times[frames] - moments) <= near) & (_nearest(moments, times)[frames] == np.arange(len(moments)))
+    frames = _nearest(times, wanted)
+    shown = (np.abs(times[frames] - wanted) <= near) & (_nearest(wanted, times)[frames] == np.arange(len(wanted)))
     return np.where(shown, frames, -1)
 
 
-def check_matched(films: Sequence[SeenFilm]) -> None:
-    """Raise an InputError if frames of one number show different moments in films."""
-    if told := _unmatched(films):
-        raise InputError(f"{told}; expected films of one clock, as match_films gives them")
+def check_matched(films: Sequence[ObservedFilm]) -> None:
+    """Raises an InputError if frames with the same index have different times in films."""
+    if mismatch := _first_mismatch(films):
+        raise InputError(f"{mismatch}; expected films that are matched frame by frame, as match_films returns them")
 
 
-def shared_times(films: Sequence[SeenFilm]) -> np.ndarray:
-    """Times of the frames of films that are matched [s]: the longest one's, shape (F,)."""
+def shared_times(films: Sequence[ObservedFilm]) -> np.ndarray:
+    """Times of the frames of matched films [s]: those of the longest film, shape (F,)."""
     return max((film.people.times for film in films), key=len)
 
 
-def uneven_times(films: Sequence[SeenFilm], frames: range) -> np.ndarray | None:
-    """Times of some frames since the first of them [s]; None: they come evenly, at the first film's rate."""
+def uneven_times(films: Sequence[ObservedFilm], frames: range) -> np.ndarray | None:
+    """Times of some frames since the first of them [s]. None if frames are evenly spaced, at the first film's rate."""
     times = shared_times(films)
     if is_even(times, films[0].people.rate):
         return None
     return times[frames.start : frames.stop] - times[frames.start]
 
 
-def _unmatched(films: Sequence[SeenFilm]) -> str:
-    """The first film whose frames are not those of the longest one, and where; empty if there is none."""
-    moments, near = shared_times(films), _NEAR / films[0].people.rate
-    for place, film in enumerate(films):
-        off = np.abs(film.people.times - moments[: len(film.people.times)])
+def _first_mismatch(films: Sequence[ObservedFilm]) -> str:
+    """Describes the first frame whose time is not that of the longest film. It is empty if all films match."""
+    times = shared_times(films)
+    near = _NEAR / films[0].people.rate
+    for index, film in enumerate(films):
+        off = np.abs(film.people.times - times[: len(film.people.times)])
         if (off > near).any():
             first = int((off > near).argmax())
-            return f"films[{place}]: frame {first} is {off[first]:.3f} s from that of another film"
+            return f"films[{index}]: frame {first} is {off[first]:.3f} s from that of another film"
     return ""
 
 
 def _nearest(values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Places of those values, rising, that are nearest to wanted ones."""
+    """Indices of the values that are nearest to wanted ones. The values rise."""
     after = np.searchsorted(values, wanted).clip(1, max(len(values) - 1, 1))
     before = after - 1
     after = after.clip(max=len(values) - 1)

@@ -1,7 +1,8 @@
-"""Fit of everyone in a photo that comes with nothing else: people are found by the packaged networks.
+"""Fit of everyone in a photo without further inputs. The packaged networks find the people.
 
-Their masks are not cut into parts: with a mask of the whole body, the label network and the mesh stage end nearer to
-the truth than with parts guessed by the nearest bones. A user's networks may give parts, and keypoints, instead.
+Masks are not cut into parts. With a mask of the whole body, the label network and the mesh stage end nearer to the
+truth than with parts that are guessed from the nearest bones. The user's own networks may give parts and keypoints
+instead.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ from ..solve.mesh.mesh_stage import MeshFit
 from ..solve.scene.overlapping import refine_people
 
 PACKAGED = "packaged: BlazePose"  # name of the packaged network
-_COMPARED = 1024  # [px], longer side of the picture in which it is looked for who hides whom
-_HIDDEN = 0.02  # share of a body that shows somebody else, from which on that one hides it
+_COMPARED = 1024  # [px], longer side of the picture in which masks and bodies are compared
+_HIDDEN = 0.02  # share of a body covered by another person's mask, from which on that person hides it
 
 
 @dataclass(frozen=True)
@@ -47,11 +48,11 @@ class PhotoFit:
     """Everyone in a photo, largest person first.
 
     Attributes:
-        people: As they were found, with the keypoints that were fitted.
-        fits: Bodies, by the place of their person in ``people``: of all, or of the one who was asked for.
-        owners: Whom each pixel shows: 1 for the first of ``people``, 0 for nobody, shape (H, W), int32.
-        sources: Names of the networks that each body's "keypoints" and "parts" are of, by the same places; ``PACKAGED``
-            is that of the packaged one, whose parts are a mask, and None where no part was used.
+        people: People that were found, with the keypoints that were fitted.
+        fits: Bodies by the index of the person in ``people``, for all people or the one who was asked for.
+        owners: Person at each pixel: 1 for the first of ``people``, 0 for nobody, shape (H, W), int32.
+        sources: Names of the networks that gave the "keypoints" and "parts" of each body, by the index of the person.
+            ``PACKAGED`` is the packaged network, whose parts are a mask. None stands for parts that were not used.
     """
 
     people: tuple[FoundPerson, ...]
@@ -59,14 +60,17 @@ class PhotoFit:
     owners: np.ndarray
     sources: dict[int, dict[str, str | None]]
 
-    def hidden_by(self, place: int) -> list[int]:
-        """Places of those whose masks lie before a person's body."""
+    def hidden_by(self, index: int) -> list[int]:
+        """Indices of the people whose masks cover a person's body."""
         zoom = min(1.0, _COMPARED / max(self.owners.shape))
-        rows, columns = (_nearest(side, zoom) for side in self.owners.shape)
-        size, mesh = (len(rows), len(columns)), self.fits[place]
+        height, width = self.owners.shape
+        rows = _nearest(height, zoom)
+        columns = _nearest(width, zoom)
+        size = (len(rows), len(columns))
+        mesh = self.fits[index]
         drawn = mesh.draw(size, camera=zoomed(mesh.camera, zoom, size)).labels[0].cpu().numpy() > 0
         counts = np.bincount(self.owners[rows[:, None], columns][drawn], minlength=len(self.people) + 1)[1:]
-        counts[place] = 0
+        counts[index] = 0
         return np.flatnonzero(counts > _HIDDEN * max(drawn.sum(), 1)).tolist()
 
 
@@ -83,31 +87,35 @@ def fit_photo(
     progress: Progress | None = None,
     camera: Perspective | None = None,
 ) -> PhotoFit:
-    """Find everyone in a photo, and fit a body to each; the mesh stages run side by side, of those who overlap as one.
+    """Finds everyone in a photo, and fits a body to each person.
+
+    The meshes of people who overlap are fitted as one scene. All other meshes are fitted side by side.
 
     Args:
-        photo: RGB, shape (H, W, 3), uint8, of ``read_photo``; or its file.
-        parts_from: Network for part labels instead of masks, of ``load_part_network`` or of your own.
-        keypoints_from: Network for keypoints instead of the packaged one's, likewise; its ``boxes`` find the people.
-        person: Fit this one alone, 0 = largest; the others' pixels are still known to be theirs.
+        photo: RGB pixels that ``read_photo`` returns, shape (H, W, 3), uint8, or the photo's file.
+        parts_from: Network for part labels instead of masks, which ``load_part_network`` returns or you make.
+        keypoints_from: Network for keypoints instead of the packaged one, which ``load_keypoint_network`` returns or
+            you make. If it has ``boxes``, they find the people.
+        person: Index of the only person to fit, 0 is the largest. Pixels of the other people are still left out. If it
+            is None, everyone is fitted.
         min_score: Least confidence that there is a person, 0 to 1.
-        options: Such as ``FitOptions.at("fast")``; the outline stage, from before which the mesh stage goes on, is left
-            out.
-        model: On the device, float32; default Anny.
-        device: "cpu" or a CUDA device.
-        progress: Called with (stage name, iterations done, iterations in all).
-        camera: The photo's; if None, of a file, as its EXIF data tell it, if they do, or else a usual lens for all
-            (``FitOptions.guess_camera``).
+        options: Options such as ``FitOptions.at("fast")``. The outline stage is left out, because the mesh stage
+            continues from before it.
+        model: Detailed model on the device, float32. The default is Anny.
+        device: Device to run on, "cpu" or a CUDA device.
+        progress: Function that is called with (stage name, iterations done, all iterations).
+        camera: Camera of the photo. If it is None, it is read from the EXIF data of the file. If there are none, all
+            people get a usual lens (``FitOptions.guess_camera``).
 
     Raises:
-        InputError: If the file can't be read, nobody is found, or not so many people, a network gives something else
-            than it says, or ``options.stature`` is of several people.
-        TypeError: If a network is of another type.
+        InputError: If the file can't be read, nobody is found, ``person`` is not among the people found, a network's
+            output is not as it says, or ``options.stature`` is given for several people.
+        TypeError: If a network has another type.
     """
     check_type("parts_from", parts_from, PartNetwork | None, "of load_part_network")
     check_type("keypoints_from", keypoints_from, KeypointNetwork | None, "of load_keypoint_network")
-    tell = progress or (lambda name, done, total: None)
-    tell("people", 0, 1)
+    report = progress or (lambda name, done, total: None)
+    report("people", 0, 1)
     pixels = read_photo(photo) if isinstance(photo, str | Path) else photo
     check_picture("photo", pixels)
     if camera is None and isinstance(photo, str | Path) and (focal := told_focal(photo)) is not None:
@@ -116,15 +124,15 @@ def fit_photo(
     options = options or FitOptions.at("balanced")
     with told_as("photo", "photo" if pixels is photo else photo):
         found, owners = _everyone(picture, min_score, keypoints_from, options.landmarks)
-    chosen = range(len(found)) if person is None else [person_place(person, len(found))]
-    check_whose(options.stature, len(chosen))
+    chosen = range(len(found)) if person is None else [person_index(person, len(found))]
+    check_stature_owner(options.stature, len(chosen))
     if camera is None and options.guess_camera:
-        camera = UsualLens.of_size(pixels.shape[:2])  # of everybody, also of who has no mask
+        camera = UsualLens.of_size(pixels.shape[:2])  # one for all, even for people without a mask
     evidence = _PeopleEvidence(found, owners, picture, parts_from, keypoints_from, len(chosen))
     results: list[FitResult] = []
     sources: dict[int, dict[str, str | None]] = {}
     for done, index in enumerate(chosen):
-        tell("bodies", done, len(chosen))
+        report("bodies", done, len(chosen))
         readings, warnings, sources[index] = evidence.of(index)
         found[index] = replace(found[index], keypoints=readings[0].keypoints)
         result = fit_evidence(readings, options, device=device, camera=camera)
@@ -134,7 +142,7 @@ def fit_photo(
 
 
 class _PeopleEvidence:
-    """Evidence of people: of the given networks, or, where they see nothing, of the packaged ones."""
+    """Evidence of people, from the given networks, or from the packaged ones where the given ones see nothing."""
 
     def __init__(
         self,
@@ -145,27 +153,36 @@ class _PeopleEvidence:
         keypoints_from: KeypointNetwork | None,
         count: int,
     ) -> None:
-        self._people, self._owners, self._picture, self._keypoints_from = people, owners, picture, keypoints_from
+        self._people = people
+        self._owners = owners
+        self._picture = picture
+        self._keypoints_from = keypoints_from
         self._parts = None if parts_from is None else PeopleParts(parts_from, picture, people, owners, count)
 
-    def of(self, place: int) -> tuple[list[Evidence], list[str], dict[str, str | None]]:
-        """Readings of one of them (``weigh_evidence``), a sentence for each network of no use, and ``sources``."""
+    def of(self, index: int) -> tuple[list[Evidence], list[str], dict[str, str | None]]:
+        """Weighs the evidence of one person.
+
+        Returns:
+            Readings (``weigh_evidence``), a warning for each network that was of no use, and the person's ``sources``.
+        """
         warnings: list[str] = []
         names: dict[str, str | None] = {"keypoints": PACKAGED, "parts": PACKAGED}
-        person = self._people[place]
-        readings = [person_evidence(person.keypoints, self._owners, place)] if person.seen else []
+        person = self._people[index]
+        readings = [person_evidence(person.keypoints, self._owners, index)] if person.seen else []
         if self._keypoints_from is not None:
             given = find_keypoints(self._keypoints_from, self._picture, person)
             weighed = [] if given is None else _weighed(given, readings[0].picture if readings else None)
             if not weighed:
-                warnings.append("keypoints: none of the given network on this person; the packaged one's taken")
+                warnings.append(
+                    "keypoints: the given network found none on this person; those of the packaged network are used"
+                )
             else:
                 readings, names["keypoints"] = weighed, self._keypoints_from.name
         if self._parts is not None:
-            parts = self._parts.of(place)
+            parts = self._parts.of(index)
             weighed = [] if parts is None else _weighed(readings[0].keypoints, parts)
             if not weighed:
-                warnings.append("labels: none of the given network along the bones; the mask taken")
+                warnings.append("labels: the given network found none along the bones; the mask is used")
             else:
                 readings, names["parts"] = weighed, self._parts.network.name
         if readings[0].picture is None:
@@ -174,7 +191,7 @@ class _PeopleEvidence:
 
 
 def _weighed(keypoints: Keypoints2D, parts: PartLabels | None) -> list[Evidence]:
-    """Readings of keypoints and labels; none if labels, where there are any, do not lie along the bones."""
+    """Readings of keypoints and labels. The list is empty if there are labels that lie along no bone."""
     try:
         return weigh_evidence(keypoints, parts)
     except InputError:
@@ -182,22 +199,27 @@ def _weighed(keypoints: Keypoints2D, parts: PartLabels | None) -> list[Evidence]
 
 
 def person_in_photo(photo: np.ndarray, person: int = 0, landmarks: LandmarkNetwork = "heavy") -> PersonInputs:
-    """The input of one person's fit as ``fit_photo`` finds it; 0 = largest.
+    """Inputs of one person's fit, as ``fit_photo`` finds them.
+
+    Args:
+        photo: RGB pixels, shape (H, W, 3), uint8.
+        person: Index of the person, 0 is the largest.
+        landmarks: Network for keypoints.
 
     Raises:
-        InputError: If nobody is found, or not so many people.
+        InputError: If nobody is found, or ``person`` is not among the people found.
     """
     check_picture("photo", photo)
     found, owners = _everyone(Pyramid(photo, "cpu"), MIN_SCORE, None, landmarks)
-    index = person_place(person, len(found))
-    seen = person_evidence(found[index].keypoints, owners, index)
-    return PersonInputs(seen.keypoints, (), seen.picture, photo)
+    index = person_index(person, len(found))
+    evidence = person_evidence(found[index].keypoints, owners, index)
+    return PersonInputs(evidence.keypoints, (), evidence.picture, photo)
 
 
 def _everyone(
     photo: Pyramid, min_score: float, keypoints_from: KeypointNetwork | None, landmarks: LandmarkNetwork
 ) -> tuple[list[FoundPerson], np.ndarray]:
-    """The people in a photo, and whom each pixel shows; without those of whom nothing but a box is known."""
+    """People in a photo, and the person at each pixel. People are left out if only their box is known."""
     if keypoints_from is None or keypoints_from.boxes is None:
         found = find_people(photo, device=photo.device, min_score=min_score, landmarks=landmarks)
     else:
@@ -210,61 +232,82 @@ def _everyone(
 def _boxed_people(
     network: KeypointNetwork, boxes: BoxNetwork, photo: Pyramid, min_score: float, landmarks: LandmarkNetwork
 ) -> list[FoundPerson]:
-    """The people in boxes; whose box alone is known, only with keypoints of the network that nobody else has."""
+    """People in boxes.
+
+    A person without packaged keypoints is kept only if the network finds keypoints that differ from everyone else's.
+    """
     people = find_people_in_boxes(boxes, photo, min_score, landmarks=landmarks)
     if all(person.seen for person in people):
         return people
     given = [find_keypoints(network, photo, person) for person in people]
-    kept = [place for place, person in enumerate(people) if person.seen]
-    for place, own in enumerate(given):
-        if place in kept or own is None or not _weighed(own, None):
+    kept = [index for index, person in enumerate(people) if person.seen]
+    for index, own in enumerate(given):
+        if index in kept or own is None or not _weighed(own, None):
             continue
-        side = float(people[place].crop.sides[0])
+        side = float(people[index].crop.sides[0])
         others = [(given[other], (side, float(people[other].crop.sides[0]))) for other in kept]
         if not any(other is not None and same_keypoints(own, other, sides) for other, sides in others):
-            kept.append(place)
-    return [people[place] for place in sorted(kept)]
+            kept.append(index)
+    return [people[index] for index in sorted(kept)]
 
 
 def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
-    """Labels of the set "full1" of one of the owners, others' pixels ignored; None if no pixel shows the person."""
+    """Labels of one person, from the label set "full1". None if no pixel shows the person.
+
+    Args:
+        owners: Person at each pixel, from 1 on, 0 for nobody, shape (H, W), int32.
+        index: Index of the person, from 0. Pixels of other people become 255 (ignored).
+    """
     groups = np.where(owners == BACKGROUND, BACKGROUND, IGNORE).astype(np.uint8)
     groups[owners == index + 1] = 1
     return PartLabels(MASK_LABELS, groups) if (groups == 1).any() else None
 
 
 def person_evidence(keypoints: Keypoints2D, owners: np.ndarray, index: int) -> Evidence:
-    """Evidence of one of the people of a photo, with labels of ``mask_labels``; of nearly hidden ones, without.
+    """Weighs the evidence of one person in a photo, with labels from ``mask_labels``.
 
-    A mask knows no sides, so that there is one reading of it.
+    There is only one reading, because a mask has no left and right.
+
+    Args:
+        keypoints: Keypoints of the person.
+        owners: Person at each pixel, from 1 on, 0 for nobody, shape (H, W), int32.
+        index: Index of the person, from 0.
 
     Raises:
         InputError: If the keypoints can't be used.
     """
-    # Others' masks may have left pixels far from the bones alone.
+    # Of a person who is nearly hidden, only pixels far from the bones may be left. Then only keypoints are used.
     return (_weighed(keypoints, mask_labels(owners, index)) or weigh_evidence(keypoints))[0]
 
 
 def _nearest(side: int, zoom: float) -> np.ndarray:
-    """Pixels of a picture's side that lie under those of the same side made smaller."""
+    """Indices of the pixels on a picture's side that lie under the pixels of the side made smaller by ``zoom``."""
     return np.minimum((np.arange(max(round(side * zoom), 1)) + 0.5) / zoom, side - 1).astype(np.int64)
 
 
-def check_whose(stature: float | None, count: int) -> None:
-    """Check that a known stature is of one person, of so many who are found and to be fitted.
+def check_stature_owner(stature: float | None, count: int) -> None:
+    """Checks that a known stature is given for only one person.
+
+    Args:
+        stature: Height of a person [m], or None.
+        count: Number of people that were found and are to be fitted.
 
     Raises:
-        InputError: If it is of several.
+        InputError: If there are several people.
     """
     if stature is not None and count > 1:
-        raise InputError(f"stature: {stature:g} m, of {count} people; expected one of them, person 0 to {count - 1}")
+        raise InputError(f"stature: {stature:g} m, for {count} people; expected one of them, person 0 to {count - 1}")
 
 
-def person_place(person: int, count: int) -> int:
-    """The place of the person who was asked for among those found.
+def person_index(person: int, count: int) -> int:
+    """Index of the person who was asked for, among the people found.
+
+    Args:
+        person: Index that the user gave.
+        count: Number of people found.
 
     Raises:
-        InputError: If there are not so many.
+        InputError: If it is out of range.
     """
     try:
         index = check_whole("person", person, 0)

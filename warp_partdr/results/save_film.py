@@ -22,10 +22,10 @@ from ..interop.torch_threads import one_torch_thread
 from ..models.clothes import CLOTHED
 from ..models.measuring import measure_ellipbody
 from ..networks.detection.film_people import SEEN
-from ..networks.predictors.film_sights import GivenNetworks
+from ..networks.predictors.film_predictions import GivenNetworks
 from ..pipelines.film import FilmFit, Motion
+from ..pipelines.observed_film import ObservedFilm
 from ..pipelines.photo import PACKAGED
-from ..pipelines.seen_film import SeenFilm
 from ..solve.ellipsoids.stages import Progress
 from .film_file import write_film
 from .film_overlays import PosedMotions, draw_bodies, resized, zoomed_view
@@ -151,7 +151,7 @@ def draw_film(fit: FilmFit, film: str | Path, place: int = 0) -> Iterator[np.nda
         yield draw_bodies(picture, posed.at(index), fit.motions, view)
 
 
-def _view(name: str, seen: SeenFilm) -> dict[str, Any]:
+def _view(name: str, seen: ObservedFilm) -> dict[str, Any]:
     camera, lens = seen.view.camera, {}
     networks = GivenNetworks() if seen.given is None else seen.given.networks
     sources = {"keypoints": networks.keypoints_from, "parts": networks.parts_from}

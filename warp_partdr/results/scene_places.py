@@ -10,7 +10,7 @@ import numpy as np
 from ..cameras import Camera, Perspective, UsualLens
 from ..inputs.keypoints import Keypoints2D
 from ..solve.mesh.mesh_stage import MeshFit
-from ..solve.scene.ground import STANDING_LANDMARKS, Standing, feet_seen, find_ground
+from ..solve.scene.ground import STANDING_LANDMARKS, Standing, ankle_confidence, find_ground
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def place_on_ground(
     sizes = np.zeros(len(fits))
     if len(fits) > 1:
         marked = [fit.landmarks(STANDING_LANDMARKS) + move for fit, move in zip(fits, offsets, strict=True)]
-        seen = [feet_seen(each) for each in keypoints]
+        seen = [ankle_confidence(each) for each in keypoints]
         bodies = Standing.of(np.array(marked, dtype=np.float64), np.array(seen), np.arange(len(fits)))
         sizes = find_ground(bodies, np.array([0.0, -1.0, 0.0])).sizes
     places = []

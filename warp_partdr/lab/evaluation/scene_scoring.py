@@ -165,13 +165,15 @@ def _pixels(sample: SceneSample, bodies: SceneBodies) -> Pixels:
 
 
 def _keypoint_distances(sample: SceneSample, bodies: SceneBodies) -> np.ndarray:
-    """Distance of each confident keypoint of each sight, as a share of the person's height there, shape (K,)."""
-    sights = sample.scene.sights
-    marked = torch.from_numpy(bodies.landmarks(sights[0].keypoints.format.marks))
+    """Distance of each confident keypoint of each observation, as a share of the person's height there, shape (K,)."""
+    observations = sample.scene.observations
+    marked = torch.from_numpy(bodies.landmarks(observations[0].keypoints.format.marks))
     shares = []
-    for sight in sights:
-        view, keypoints = sample.scene.views[sight.view], sight.keypoints
-        projected = view.camera.project(view.to_camera(marked[sight.person, sight.frame])[None])[0, :, :2].numpy()
+    for observation in observations:
+        view, keypoints = sample.scene.views[observation.view], observation.keypoints
+        projected = view.camera.project(view.to_camera(marked[observation.person, observation.frame])[None])[
+            0, :, :2
+        ].numpy()
         off = np.linalg.norm(projected - keypoints.points, axis=1)[keypoints.confident]
         shares.append(off / max(person_height(keypoints), 1.0))
     return np.concatenate(shares)

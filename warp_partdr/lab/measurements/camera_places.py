@@ -23,10 +23,10 @@ import torch
 from ...body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
 from ...inputs.scene import Scene, View
 from ...metrics import mpjpe, pa_mpjpe
-from ...pipelines.camera_places import place_cameras
-from ...pipelines.film_cameras import spread
+from ...pipelines.camera_poses import place_cameras
+from ...pipelines.film_cameras import choose_frames
 from ...solve.scene.fitting import fit_scene
-from ...solve.scene.looks import look_at
+from ...solve.scene.observations import observe_scene
 from ...solve.scene.options import SceneOptions
 from ..evaluation.evaluate import one_thread
 from ..options import Device, Jobs, People
@@ -75,12 +75,14 @@ def _errors_of(index: int, mocap: Path | None, device: str) -> list[float]:
     scene = sample.scene
     unknown = replace(scene, views=[scene.views[0], View(scene.views[1].camera)])
     seen = _some_frames(unknown)
-    looks = look_at(seen, device)
+    observed_bodies = observe_scene(seen, device)
     began = time.perf_counter()
-    found = place_cameras(seen, looks=looks).views
+    found = place_cameras(seen, observed_bodies=observed_bodies).views
     rows = [*_deviations(scene.views, found[1]), time.perf_counter() - began]
     if mocap is not None:
-        alone = replace(scene, sights=[sight for sight in scene.sights if sight.view == 0])
+        alone = replace(
+            scene, observations=[observation for observation in scene.observations if observation.view == 0]
+        )
         for fitted in (alone, replace(scene, views=found), scene):
             rows += _errors_of_fit(sample, fitted, device)
     return rows
@@ -88,8 +90,10 @@ def _errors_of(index: int, mocap: Path | None, device: str) -> list[float]:
 
 def _some_frames(scene: Scene) -> Scene:
     """Scene with as many of its frames as a film's cameras are placed by."""
-    chosen = spread(np.arange(scene.num_frames)).tolist()
-    return replace(scene, sights=[sight for sight in scene.sights if sight.frame in chosen])
+    chosen = choose_frames(np.arange(scene.num_frames)).tolist()
+    return replace(
+        scene, observations=[observation for observation in scene.observations if observation.frame in chosen]
+    )
 
 
 def _deviations(views: Sequence[View], found: View) -> tuple[float, float, float]:

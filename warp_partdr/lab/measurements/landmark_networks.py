@@ -35,8 +35,8 @@ from ...networks.detection.look import place_landmarks
 from ...networks.detection.people import find_people
 from ...networks.detection.person import SKELETON, FoundPerson
 from ...pipelines.film import fit_film
+from ...pipelines.observed_film import ObservedFilm
 from ...pipelines.photo import fit_photo
-from ...pipelines.seen_film import SeenFilm
 from ...solve.ellipsoids.options import FitOptions
 from ..evaluation.partbench.photos import shade_person
 from ..options import Counts, People, tracked
@@ -235,7 +235,7 @@ def _measure_films(truth: _FilmTruth, videos: Path, cameras: Sequence[int]) -> I
     table = FigureTable("Films", columns)
     for camera in cameras:
         for name in get_args(LandmarkNetwork):
-            film = SeenFilm.of(find_film_people(_film_of(videos, camera - 1), landmarks=name))
+            film = ObservedFilm.of(find_film_people(_film_of(videos, camera - 1), landmarks=name))
             motion = fit_film([film], person=0).motions[0]
             joints = motion.model.landmarks(motion.bodies().detailed, _JOINTS).numpy()
             aligned, centred = _errors_of_joints(joints, truth.joints[camera - 1, motion.frames]).mean(axis=0).tolist()

@@ -65,12 +65,12 @@ def _fitted(sample: SceneSample, mask: bool) -> list[FitResult]:
     """Fits of each person, from which mesh stages go on."""
     options, camera = FitOptions.at("balanced"), sample.scene.views[0].camera
     found = []
-    for sight in sample.scene.sights:
-        parts = sight.parts
+    for observation in sample.scene.observations:
+        parts = observation.parts
         if mask and parts is not None:
             shown = (parts.groups != BACKGROUND) & (parts.groups != IGNORE)
             parts = PartLabels(MASK_LABELS, np.where(shown, 1, parts.groups).astype(np.uint8))
-        found.append(fit_evidence(weigh_evidence(sight.keypoints, parts), options, camera=camera))
+        found.append(fit_evidence(weigh_evidence(observation.keypoints, parts), options, camera=camera))
     return found
 
 

@@ -1,7 +1,8 @@
 """Time of a scene's steps, for people and frames before one camera.
 
-One of PartBench's people is everybody in all frames, for a step's time does not ask who is who. To look at sights and
-what comes after the steps are not in it. Then the mesh stage's steps of that person, in turn with a scene's of one.
+One of PartBench's people is everybody in all frames, because a step takes the same time for all people. The times leave
+out the predictions of the network and what comes after the steps. The steps of a mesh stage with that person are
+measured, too, in turn with those of a scene with one person.
 Times are medians, after a first run.
 """
 
@@ -27,7 +28,7 @@ from ...solve.mesh.gather import gather_starts
 from ...solve.mesh.mesh_options import MeshOptions
 from ...solve.mesh.observed_body import ObservedBody
 from ...solve.mesh.steps import Steps, find_steps
-from ...solve.scene.looks import look_at
+from ...solve.scene.observations import observe_scene
 from ...solve.scene.options import SceneOptions
 from ...solve.scene.plan import plan_scene
 from ...solve.scene.start import gather_scene
@@ -75,19 +76,19 @@ def _scene_steps(people: int, frames: int, device: torch.device) -> Steps:
     """Steps of so many people in so many frames."""
     model, options = anny(device), SceneOptions(mesh=_MESH)
     one = make_views(3, 1).scene
-    sights = [replace(one.sights[0], person=p, frame=t) for p in range(people) for t in range(frames)]
-    scene = Scene(one.views, sights)
-    looks = look_at(scene, device)
-    plan = plan_scene(scene, looks, model, options)
+    observations = [replace(one.observations[0], person=p, frame=t) for p in range(people) for t in range(frames)]
+    scene = Scene(one.views, observations)
+    observed_bodies = observe_scene(scene, device)
+    plan = plan_scene(scene, observed_bodies, model, options)
     with torch.no_grad():
-        return find_steps(plan.energy, gather_scene(plan, looks))
+        return find_steps(plan.energy, gather_scene(plan, observed_bodies))
 
 
 def _mesh_steps(device: torch.device) -> Steps:
     """Steps of the mesh stage of one person."""
     model, scene = anny(device), make_views(3, 1).scene
-    sight, camera = scene.sights[0], scene.views[0].camera
-    fit = fit_body(sight.keypoints, sight.parts, quality="fast", device=str(device), camera=camera)
+    observation, camera = scene.observations[0], scene.views[0].camera
+    fit = fit_body(observation.keypoints, observation.parts, quality="fast", device=str(device), camera=camera)
     energy = mesh_energy(model, _MESH, fit.observation.label_set)
     with torch.no_grad():
         return find_steps(energy, gather_starts(energy, model, [ObservedBody.of_fit(fit)]))

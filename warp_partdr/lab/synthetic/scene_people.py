@@ -17,7 +17,7 @@ from ...body.template import MEAN_STATURE, NUM_PARTS
 from ...cameras import Perspective
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.part_labels import PartLabels
-from ...inputs.scene import Scene, Sight, View
+from ...inputs.scene import Scene, SceneObservation, View
 from ...interop.torch_threads import one_torch_thread
 from ...models.anny import anny
 from ...models.measuring import statures
@@ -88,21 +88,21 @@ def depths_of(scene: Scene, joints: np.ndarray) -> np.ndarray:
     return scene.views[0].to_camera(middles)[:, 2].numpy()
 
 
-def in_wrong_order(sample: SceneSample, looks: Sequence[ObservedBody]) -> list[ObservedBody]:
-    """Sights of a pair with the one behind in front: each grows about the camera, and so looks alone as before."""
+def in_wrong_order(sample: SceneSample, observed_bodies: Sequence[ObservedBody]) -> list[ObservedBody]:
+    """Resizes a pair so that the person behind is in front. Each body grows about the camera and keeps its picture."""
     front = int(sample.order[0])
-    away = {look.sight.person: _distance(look) for look in looks}
+    away = {observed.person: _distance(observed) for observed in observed_bodies}
     ratio = away[1 - front] / away[front]
     if ratio < 1:  # wrong as it is
-        return list(looks)
+        return list(observed_bodies)
     factor = math.sqrt(_APART * ratio)
-    return [grown(look, factor if look.sight.person == front else 1 / factor) for look in looks]
+    return [grown(observed, factor if observed.person == front else 1 / factor) for observed in observed_bodies]
 
 
-def _distance(look: ObservedBody) -> float:
+def _distance(observed: ObservedBody) -> float:
     """Distance of the pelvis from the camera, along its view [m]."""
-    assert look.observation.lens is not None
-    return float(look.observation.lens[0] / look.body.log_scale.exp())
+    assert observed.observation.lens is not None
+    return float(observed.observation.lens[0] / observed.body.log_scale.exp())
 
 
 def make_views(index: int, num_views: int, level: str = "realistic") -> SceneSample:
@@ -231,7 +231,7 @@ def _see(
     """Scene of P people in T frames, as cameras see them."""
     model, mesh = anny(), people.anny_mesh()
     both = mesh.repeated(len(bodies), NUM_PARTS, model.num_vertices)
-    sights: list[Sight] = []
+    observations: list[SceneObservation] = []
     pictures: list[np.ndarray] = []
     names = annotated(COCO.landmarks, model.landmark_names)
     lasts = _LASTS ** (_PER_SECOND / frame_rate)
@@ -266,8 +266,10 @@ def _see(
                 placed = np.where(there, true + lasting[person, view_index], 0.0).astype(np.float32)
                 keypoints = Keypoints2D(COCO.name, placed, seen[:, 2].astype(np.float32))
                 if keypoints.visible.any():
-                    sights.append(Sight(keypoints, PartLabels(LABELS, groups), person, frame, view_index))
+                    observations.append(
+                        SceneObservation(keypoints, PartLabels(LABELS, groups), person, frame, view_index)
+                    )
     truth = [torch.cat([model.landmarks(body, MPJPE_JOINTS) for body in each]).numpy() for each in bodies]
     every = [torch.cat([body.vertices for body in each]).numpy() for each in bodies]
-    scene = Scene(tuple(views), tuple(sights), frame_rate)
+    scene = Scene(tuple(views), tuple(observations), frame_rate)
     return SceneSample(name, scene, np.stack(truth), np.stack(every), np.array(statures), np.stack(pictures))

@@ -47,8 +47,8 @@ class FilmPeople:
         image_size: Height and width (H, W) of the film [px].
         rate: Frame rate of most of the film [frames/s].
         times: Time of each frame since the first [s], rising, shape (F,).
-        rows: Row for each sight of a person, with the fields ``SEEN``. ``tracks`` is the person, where 0 is the one
-            seen most and largest, and ``places`` is the index in ``owners`` of the frame.
+        rows: Row for each observation of a person, with the fields ``SEEN``. ``tracks`` is the person, where 0 is
+            the one seen most and largest, and ``places`` is the index in ``owners`` of the frame.
         packed: Compressed ``owners`` of each frame.
         fault: Reason why the film ended before its end, empty if it did not.
         warnings: Sentences about frames that are missing, and about times that are guesses.

@@ -86,7 +86,7 @@ class MeshEnergy:
             return PlacedBodies(people, unknowns, posed, vertices, pelvises, points, points[:, None], cameras)
         assert people.lens is not None
         pelvises = pelvises_in_world(
-            unknowns.log_scale, unknowns.shift, people.lens, views.home_rotations, views.home_translations
+            unknowns.log_scale, unknowns.shift, people.lens, views.crop_rotations, views.crop_translations
         )
         points = points + pelvises[:, None]
         before_views = _before_views(points, views)

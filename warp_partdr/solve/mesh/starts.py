@@ -29,8 +29,8 @@ class WorldViews(NamedTensors):
     Attributes:
         rotations: World to camera, shape (V, 3, 3).
         translations: World to camera [m], shape (V, 3).
-        home_rotations: World to the camera in whose crop a body is placed, shape (N, 3, 3).
-        home_translations: World to that camera [m], shape (N, 3).
+        crop_rotations: World to the camera in whose crop a body is placed, shape (N, 3, 3).
+        crop_translations: World to that camera [m], shape (N, 3).
         focals: Focal lengths of the crops of ``REFERENCE_SIZE`` [px], shape (M, 2).
         centres: Principal points of these crops [px], shape (M, 2).
         observed: True if a view shows a body, shape (N, V), bool.
@@ -38,8 +38,8 @@ class WorldViews(NamedTensors):
 
     rotations: torch.Tensor
     translations: torch.Tensor
-    home_rotations: torch.Tensor
-    home_translations: torch.Tensor
+    crop_rotations: torch.Tensor
+    crop_translations: torch.Tensor
     focals: torch.Tensor
     centres: torch.Tensor
     observed: torch.Tensor

@@ -1,6 +1,7 @@
-"""Fit of a scene: people in frames seen by cameras, refined together.
+"""Fit of a scene: people in frames from one or several cameras, refined together.
 
-A lack of people, frames or cameras costs nothing. ``fit_scene`` is the entry. A ``Scene`` holds calibrated views and
-what was seen of each person in each of them. Each person has one shape, a pose a frame and a place in the world. Terms
-are there for what a scene has alone: smooth motion with several frames, hiding with several people in a picture.
+``fit_scene`` is the entry. A ``Scene`` holds calibrated views and the observations of each person. Each person has one
+shape, and in each frame a pose and a position in the world. Some terms belong to scenes alone: smooth motion if there
+are several frames, and hidden pixels if several people are in a picture. A scene of one person, frame or camera is
+fitted like any other, and pays nothing for the terms that it lacks.
 """

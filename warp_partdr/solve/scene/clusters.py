@@ -1,4 +1,4 @@
-"""People of a scene who may hide one another, which only those can whose boxes overlap in a picture."""
+"""Clusters of people who may hide one another. Only people whose boxes overlap in a picture can."""
 
 from __future__ import annotations
 
@@ -13,39 +13,46 @@ from ...inputs.person import person_crop
 from ...render.part_mesh import MAX_LABEL
 from ..mesh.observed_body import ObservedBody
 
-Clusters = tuple[tuple[int, ...], ...]  # each person in one, ascending
+Clusters = tuple[tuple[int, ...], ...]  # indices of people; each person is in one cluster, and indices rise
 
 
-def find_clusters(looks: Sequence[ObservedBody], num_people: int) -> Clusters:
-    """People who are drawn together: whose boxes overlap in any picture, and whoever overlaps these, and so on."""
+def find_clusters(observed_bodies: Sequence[ObservedBody], num_people: int) -> Clusters:
+    """Groups people who are drawn together.
+
+    Two people are in one cluster if their boxes overlap in any picture, or if a chain of overlapping people connects
+    them.
+    """
     if num_people == 1:
         return ((0,),)
     near = np.eye(num_people, dtype=bool)
-    of_picture: dict[tuple[int, int], list[ObservedBody]] = {}
-    for look in looks:
-        of_picture.setdefault((look.sight.frame, look.sight.view), []).append(look)
-    for group in of_picture.values():
-        people = np.array([look.sight.person for look in group])
-        low, high = np.split(np.array([_box(look) for look in group]), 2, axis=1)
+    by_picture: dict[tuple[int, int], list[ObservedBody]] = {}
+    for observed in observed_bodies:
+        by_picture.setdefault((observed.frame, observed.view), []).append(observed)
+    for group in by_picture.values():
+        people = np.array([observed.person for observed in group])
+        boxes = np.array([_box(observed) for observed in group])
+        low = boxes[:, :2]
+        high = boxes[:, 2:]
         overlap = ((low < high[:, None]) & (high > low[:, None])).all(-1)
         near[np.ix_(people, people)] |= overlap
-    for _ in range(num_people.bit_length()):  # each time through twice as many others
+    for _ in range(num_people.bit_length()):  # each product doubles the number of people between two
         near = near @ near
     return tuple(dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in near))
 
 
 def fits_in_labels(people: int, groups: int) -> bool:
-    """True if a picture holds the labels of so many people of so many groups."""
+    """True if a label picture has enough ids for this many people with this many groups each."""
     return people * groups <= MAX_LABEL
 
 
 def check_room(clusters: Clusters, groups: int) -> None:
-    """Raise InputError if people drawn together had more labels than a picture holds."""
+    """Raises InputError if the people of a cluster need more labels than a picture can hold."""
     most = max(map(len, clusters))
     if not fits_in_labels(most, groups):
         raise InputError(
-            f"sights: {most} people of {groups} groups overlap; expected {MAX_LABEL} labels at most, as of "
-            f"{MAX_LABEL // groups} people; fit them in several scenes, of a film one person each (--person)"
+            f"observations: {most} people with {groups} groups each overlap; expected {MAX_LABEL} labels at most, "
+            f"which are {MAX_LABEL // groups} people; fit them in several scenes, or one person of a film at a time "
+            "(--person)"
         )
 
 
@@ -60,18 +67,23 @@ def of_one(clusters: Clusters) -> Clusters:
 
 
 def slots_of(clusters: Clusters, num_people: int, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
-    """``slots`` and ``places`` of ``PictureViews``, shapes (K, C) and (P, 2)."""
+    """Numbers the people of K clusters, which have at most C people.
+
+    Returns:
+        Person in each slot of each cluster, shape (K, C), and cluster and slot of each person, shape (P, 2), both
+        int32. They are -1 where there is none.
+    """
     slots = np.full((len(clusters), max(map(len, clusters))), -1, dtype=np.int32)
     places = np.full((num_people, 2), -1, dtype=np.int32)
-    for number, members in enumerate(clusters):
-        slots[number, : len(members)] = members
-        places[list(members)] = [(number, slot) for slot in range(len(members))]
+    for index, members in enumerate(clusters):
+        slots[index, : len(members)] = members
+        places[list(members)] = [(index, slot) for slot in range(len(members))]
     return torch.from_numpy(slots).to(device), torch.from_numpy(places).to(device)
 
 
-def _box(look: ObservedBody) -> list[float]:
-    """Box of the person in the picture with a margin, left, top, right, bottom [px]."""
-    evidence = look.evidence
+def _box(observed: ObservedBody) -> list[float]:
+    """Box around the person in the picture, with a margin: left, top, right, bottom [px]."""
+    evidence = observed.evidence
     groups = np.zeros((1, 1), dtype=np.uint8) if evidence.groups is None else evidence.groups
     box = np.array(person_crop(evidence.in_window(), groups, CROP_MARGIN)).reshape(2, 2)
     found: list[float] = (box / evidence.window.zoom + (evidence.window.left, evidence.window.top)).ravel().tolist()

@@ -1,18 +1,18 @@
-"""Warnings of people who can't be where, or as tall as, several cameras say."""
+"""Warnings about people whose heights or distances are impossible, which shows that cameras are wrong."""
 
 from __future__ import annotations
 
-_STATURES = (0.5, 2.6)  # [m], of people
-_FARTHEST = 100.0  # [m], of people from their cameras
+_STATURES = (0.5, 2.6)  # [m], least and largest height of a person
+_FARTHEST = 100.0  # [m], largest distance of a person from a camera
 ASKED = "are translations in metres, is each film of its camera, and do the films show the same moments?"
 
 
 def impossible_people(statures: dict[int, float], distances: dict[int, float]) -> list[str]:
-    """Warnings of people who are too small, too tall or too far away.
+    """Warnings about people who are too small, too tall or too far away.
 
     Args:
-        statures: Heights standing, by person [m].
-        distances: From the farthest camera [m], by person.
+        statures: Heights of people standing [m], by the index of the person.
+        distances: Distances from the farthest camera [m], by the index of the person.
     """
     found: list[str] = []
     for person, stature in statures.items():

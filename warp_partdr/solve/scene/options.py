@@ -1,4 +1,4 @@
-"""Options of a scene's fit."""
+"""Options for the fit of a scene."""
 
 from __future__ import annotations
 
@@ -14,28 +14,29 @@ from ..mesh.mesh_options import MeshOptions
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """Options of a scene's fit.
+    """Options for the fit of a scene.
 
     Attributes:
-        mesh: Of each person, and of the steps.
-        smoothing: Standard deviation of the Gaussian by which all moves from the start are smooth in time [s], starts
-            two thirds as much; 0 leaves frames to themselves.
-        apart: ``MeshOptions.apart`` of scenes of several people, who stand in one another as little as their parts do.
-        ground: Weight of the squared heights of standing feet [1/cm^2] over one ground, on which several people before
-            one camera start, too; 0 leaves it out.
-        sliding: Weight of the squared speeds of feet that stand [1/(0.1 m/s)^2], where moves are smooth in time; 0
-            leaves it out.
-        one_size: Give everybody whom one camera sees in many frames the most probable size for all of them; else sizes
-            are the mean of frames, which lies nearer to the mean person.
-        stature: Height of the one person, standing [m], before one camera, which then guesses no size. Several cameras
-            see how large people are.
-        exchanges: Exchange people of a picture in depth where labels ask for it; else the order is the start's, but
-            for a z gradient (``mesh.gradient``).
+        mesh: Options for the mesh of each person and for the steps.
+        smoothing: Standard deviation of the Gaussian that makes all motion away from the start smooth in time [s].
+            Starts are smoothed with two thirds of it. 0 fits each frame on its own.
+        apart: Weight ``MeshOptions.apart`` for scenes of several people. It keeps people out of one another, as it
+            keeps a person's own parts.
+        ground: Weight of the squared heights of standing feet above one ground [1/cm^2]. Several people in front of one
+            camera start on this ground, too. 0 uses no ground.
+        sliding: Weight of the squared speeds of standing feet [1/(0.1 m/s)^2], if motion is smooth in time. 0 lets feet
+            slide.
+        one_size: Switch for people whom one camera observes in many frames. If it is True, they get the most probable
+            size. If it is False, they get the mean over the frames, which is nearer to the mean person.
+        stature: Height of the only person, standing [m], in front of only one camera. The fit then guesses no size.
+            Several cameras show how large people are.
+        exchanges: Switch for exchanges of people in depth where labels ask for them. If it is False, people keep the
+            order of the start, unless there is a z gradient (``mesh.gradient``).
         together: Side of the crop in which people who overlap are drawn together [px].
-        window: Frames of a film that are fitted together.
-        overlap: Frames that two windows share, from one to the other.
-        shape_frames: Frames, spread over a film of several windows, in which a person's shape is found.
-        landmarks: Network whose keypoints `partdr fit` and `partdr scene` take of a film's people
+        window: Number of frames of a film that are fitted at once.
+        overlap: Number of frames that a window shares with the next one.
+        shape_frames: Number of frames, spread over a film with several windows, from which a person's shape is found.
+        landmarks: Network whose keypoints of a film's people `partdr fit` and `partdr scene` take
             (``find_film_people``).
     """
 
@@ -66,21 +67,24 @@ class SceneOptions:
         check_whole("shape_frames", self.shape_frames, 1)
         check_landmark_network(self.landmarks)
 
-    def check_sights(self, people: int, cameras: int) -> None:
-        """Check that a known stature is of one person before one camera, of so many.
+    def check_known_stature(self, people: int, cameras: int) -> None:
+        """Checks that a known stature is used for one person in front of one camera.
 
         Raises:
-            InputError: If it is not.
+            InputError: If there are more people or cameras.
         """
         if self.stature is not None and (people, cameras) != (1, 1):
-            told = f"stature: {self.stature:g} m, of {people} people before {cameras} cameras"
-            raise InputError(f"{told}; expected one person before one camera")
+            raise InputError(
+                f"stature: {self.stature:g} m, for {people} people and {cameras} cameras; expected one person in front "
+                "of one camera"
+            )
 
     @classmethod
     def film(cls) -> SceneOptions:
-        """Options of films: moves that are smooth in time are small, so each step is larger.
+        """Options for films.
 
-        The network's errors last many frames, so depth and turns are held less hard than its spreads ask in each. No
-        ground: each window would find its own.
+        Motion that is smooth in time changes little in a step, so steps are larger. The network's errors last for many
+        frames, so depths and rotations are held less firmly than its uncertainty in a single frame asks. There is no
+        ground, because each window would find its own.
         """
         return cls(mesh=MeshOptions(learning_rate=0.02, depth=0.5, turns=2.0), ground=0.0)

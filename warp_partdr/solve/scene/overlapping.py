@@ -1,4 +1,7 @@
-"""Mesh stages of a photo's people: those who overlap are a scene, where one hides the other and none is in another."""
+"""Mesh stages of a photo's people.
+
+People who overlap are one scene, in which one person hides another and nobody is inside another person.
+"""
 
 from __future__ import annotations
 
@@ -28,53 +31,60 @@ def refine_people(
     options: MeshOptions | None = None,
     progress: Progress | None = None,
 ) -> list[MeshFit]:
-    """Refine the detailed bodies of a photo's people, each on from its fit.
+    """Refines the detailed bodies of a photo's people, each from its fit of ellipsoids.
 
-    Before a known camera or a usual lens, those who overlap are one scene each (``fit_scene``); all others, and
-    everybody where distances are not known, are refined side by side (``refine_meshes``).
+    If the camera is known or has the usual lens, each group of people who overlap is one scene (``fit_scene``). The
+    other people are refined side by side (``refine_meshes``). Without a camera, distances are unknown, and all people
+    are refined side by side.
 
     Args:
-        results: Of one photo, before one camera.
-        model: As of ``refine_meshes``, like the others.
-        options: Of all.
-        progress: Told of all iterations, by name.
+        results: Fits of ellipsoids for the people of one photo, with one camera.
+        model: Detailed model, as in ``refine_meshes``.
+        options: Options for all people.
+        progress: Function that is called with (stage name, iterations done, all iterations).
     """
     options = options or MeshOptions()
     found: dict[int, MeshFit] = {}
     for members in overlapping(results):
-        some = [results[place] for place in members]
-        found |= zip(members, _fit_together(some, model, options, progress), strict=True)
-    others = [place for place in range(len(results)) if place not in found]
-    alone = refine_meshes([results[place] for place in others], model, options=options, progress=progress)
+        group = [results[index] for index in members]
+        found |= zip(members, _fit_overlapping(group, model, options, progress), strict=True)
+    others = [index for index in range(len(results)) if index not in found]
+    alone = refine_meshes([results[index] for index in others], model, options=options, progress=progress)
     found |= zip(others, alone, strict=True)
-    return [found[place] for place in range(len(results))]
+    return [found[index] for index in range(len(results))]
 
 
 def overlapping(results: Sequence[FitResult]) -> Clusters:
-    """Places of people who may hide one another, where labels of one set can tell: all of them before a camera."""
+    """Clusters of people who may hide one another, as indices of ``results``.
+
+    It is empty if there is no camera. A cluster needs labels from one label set, which tell who hides whom.
+    """
     if len(results) < 2 or not isinstance(results[0].camera, Perspective):
         return ()
-    found = of_several(
-        find_clusters([ObservedBody.of_fit(each, place) for place, each in enumerate(results)], len(results))
-    )
-    return tuple(members for members in found if _alike([results[place] for place in members]))
+    observed_bodies = [ObservedBody.of_fit(result, person) for person, result in enumerate(results)]
+    clusters = of_several(find_clusters(observed_bodies, len(results)))
+    return tuple(members for members in clusters if _have_one_label_set([results[index] for index in members]))
 
 
-def _alike(results: Sequence[FitResult]) -> bool:
+def _have_one_label_set(results: Sequence[FitResult]) -> bool:
+    """True if several of the people have labels, all from one label set that leaves room for everyone's ids."""
     sets = [each.observation.label_set for each in results if each.observation.label_set is not None]
     return len(sets) > 1 and all(each == sets[0] for each in sets) and fits_in_labels(len(results), sets[0].num_groups)
 
 
-def _fit_together(
+def _fit_overlapping(
     results: Sequence[FitResult], model: DetailedModel | None, options: MeshOptions, progress: Progress | None
 ) -> list[MeshFit]:
     camera = results[0].camera
     assert isinstance(camera, Perspective)
-    looks = [ObservedBody.of_fit(each, person) for person, each in enumerate(results)]
-    # No ground: of a photo, it is found of everybody (``results.scene_places``).
-    together, device = SceneOptions(mesh=options, ground=0.0), results[0].parameters.shift.device
-    scene = Scene([View(camera)], [look.sight for look in looks])
-    fit = fit_scene(scene, options=together, model=model, device=device, progress=progress, looks=looks)
+    observed_bodies = [ObservedBody.of_fit(each, person) for person, each in enumerate(results)]
+    # The scene has no ground, because a photo's ground is found from all of its people (``results.scene_places``).
+    scene_options = SceneOptions(mesh=options, ground=0.0)
+    device = results[0].parameters.shift.device
+    scene = Scene([View(camera)], [observed.source for observed in observed_bodies])
+    fit = fit_scene(
+        scene, options=scene_options, model=model, device=device, progress=progress, observed_bodies=observed_bodies
+    )
     with torch.no_grad():
         lens = torch.stack([each.observation.lens for each in results if each.observation.lens is not None])
         pelvises = fit.landmarks(("pelvis",))[:, 0, 0]

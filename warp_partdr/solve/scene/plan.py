@@ -1,4 +1,4 @@
-"""Plan of a scene's fit: who is drawn together, and the energy of all."""
+"""Plan of a scene's fit: the people who are drawn together, and the energy of all people."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from .options import SceneOptions
 
 @dataclass(frozen=True, eq=False)
 class ScenePlan:
-    """Scene with all that its fit works with.
+    """Scene with all that its fit needs.
 
     Attributes:
         scene: The scene.
         model: The whole detailed model.
         options: Options of the fit.
-        clusters: People who are drawn together.
+        clusters: Clusters of people who are drawn together.
         energy: Energy of all people.
     """
 
@@ -38,20 +38,26 @@ class ScenePlan:
     energy: MeshEnergy
 
 
-def plan_scene(scene: Scene, looks: Sequence[ObservedBody], model: DetailedModel, options: SceneOptions) -> ScenePlan:
-    """Find who is drawn together, and make the energy.
+def plan_scene(
+    scene: Scene, observed_bodies: Sequence[ObservedBody], model: DetailedModel, options: SceneOptions
+) -> ScenePlan:
+    """Finds the people who are drawn together, and makes the energy.
 
     Args:
         scene: The scene.
-        looks: Of ``look_at``.
+        observed_bodies: Bodies that ``observe_scene`` returns.
         model: The whole detailed model.
         options: Options of the fit.
 
     Raises:
         InputError: If people who overlap have more labels than a picture holds.
     """
-    label_set = next((look.observation.label_set for look in looks if look.observation.label_set is not None), None)
-    drawn, clusters = draw_model(model, options.mesh, label_set), find_clusters(looks, scene.num_people)
+    label_set = next(
+        (observed.observation.label_set for observed in observed_bodies if observed.observation.label_set is not None),
+        None,
+    )
+    drawn = draw_model(model, options.mesh, label_set)
+    clusters = find_clusters(observed_bodies, scene.num_people)
     groups = 0 if label_set is None else label_set.num_groups
     if drawn.mesh is not None:
         check_room(clusters, groups)
@@ -61,7 +67,10 @@ def plan_scene(scene: Scene, looks: Sequence[ObservedBody], model: DetailedModel
 
 @lru_cache(maxsize=8)
 def _scene_energy(drawn: DrawnModel, options: SceneOptions, people: int, most: int, groups: int) -> MeshEnergy:
-    """Energy of people, at most so many in a cluster, with labels of G groups; kept, as of ``mesh_energy``."""
+    """Energy of ``people`` people, of whom a cluster has at most ``most``, with labels of G groups.
+
+    The last ones are cached, because an energy with equal arguments is the same.
+    """
     apart = options.apart if people > 1 else options.mesh.apart
     together = None
     if drawn.mesh is not None and most > 1:

@@ -1,34 +1,40 @@
-"""Motion of a film's people that is smooth in time."""
+"""Weights that make the motion of a film's people smooth in time."""
 
 from __future__ import annotations
 
 import torch
 
-_SLOPES = 0.1  # of smooth moves: weight of their squares, in standard deviations of the Gaussian
-_ROUNDED = 1e-6  # share of a step, by which times are rounded
+_SLOPES = 0.1  # weight of the squared slopes; the unit of time is the standard deviation of the Gaussian
+_ROUNDED = 1e-6  # share of a step by which times may be rounded
 
 
-def time_shares(seen: torch.Tensor, times: torch.Tensor, width: float) -> torch.Tensor:
-    """Shares of frames in each frame's smooth value, by a Gaussian of this standard deviation, (P, T, T).
+def time_shares(observed: torch.Tensor, times: torch.Tensor, width: float) -> torch.Tensor:
+    """Shares that all frames have in the smooth value of each frame.
 
-    Value and slope of each frame are fitted to its neighbours (local linear regression): at the ends of a film, where
-    neighbours are on one side, their mean alone would hold moving people back. Slopes are held a little to 0.
+    A value and a slope are fitted to the neighbours of each frame with Gaussian weights (local linear regression). At
+    the ends of a film, all neighbours are on one side, and their mean alone would hold moving people back. Slopes are
+    held a little to 0.
 
-    ``seen``, (P, T), says which frames are counted; where none is near, the nearest one is. ``times``, (T,), float64,
-    are those of the frames, in the unit of the width.
+    Args:
+        observed: True for frames that count, shape (P, T). If none of them is near, the nearest one counts.
+        times: Times of the frames, in the unit of ``width``, shape (T,), float64.
+        width: Standard deviation of the Gaussian.
+
+    Returns:
+        Shares, shape (P, T, T).
     """
     apart = (times - times[:, None]) / width
-    near = (-apart.square() / 2).masked_fill(~seen[:, None], -torch.inf).softmax(-1)
+    near = (-apart.square() / 2).masked_fill(~observed[:, None], -torch.inf).softmax(-1)
     first = (near * apart).sum(-1, keepdim=True)
     second = (near * apart.square()).sum(-1, keepdim=True) + _SLOPES
     return near * (second - first * apart) / (second - first.square())
 
 
 def feet_rates(times: torch.Tensor, width: float) -> torch.Tensor | None:
-    """1 over the time from each frame to the next [1/s], shape (T - 1,), where feet may stand from one to the other.
+    """Rates of frames, between which feet may stand still: 1 over the time to the next frame [1/s], shape (T - 1,).
 
-    It is 0 where frames are farther from one another than the width, for a foot may have gone and stood again between
-    them. Where it is 0 everywhere it is None.
+    A rate is 0 where the next frame is farther away than ``width``, because a foot may have moved and stopped between
+    them. The result is None if all rates are 0.
     """
     steps = times.diff()
     near = steps <= width * (1 + _ROUNDED)

@@ -30,15 +30,17 @@ def draw_scene_case(sample: SceneSample, bodies: SceneBodies) -> Image.Image:
 
 def _row(sample: SceneSample, fitted: np.ndarray, joints: np.ndarray, index: int) -> np.ndarray:
     frame, view = divmod(index, len(sample.scene.views))
-    sights = [each for each in sample.scene.sights if (each.frame, each.view) == (frame, view)]
+    observations = [each for each in sample.scene.observations if (each.frame, each.view) == (frame, view)]
     colours = group_colours(LABELS.part_groups)
     groups = np.zeros(sample.parts.shape[1:], dtype=np.uint8)
-    for sight in sights:
-        if sight.parts is not None:
-            groups = np.where((sight.parts.groups > 0) & (sight.parts.groups < 255), sight.parts.groups, groups)
+    for observation in observations:
+        if observation.parts is not None:
+            groups = np.where(
+                (observation.parts.groups > 0) & (observation.parts.groups < 255), observation.parts.groups, groups
+            )
     seen = Image.fromarray(colours[groups])
-    for sight in sights:
-        draw_keypoints(seen, sight.keypoints)
+    for observation in observations:
+        draw_keypoints(seen, observation.keypoints)
     pictures = [np.asarray(seen), _coloured(sample.parts[index]), _coloured(fitted[index])]
     return np.hstack([*pictures, np.asarray(_from_above(sample, joints, frame, seen.height))])
 

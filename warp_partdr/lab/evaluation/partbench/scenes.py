@@ -11,10 +11,10 @@ import torch
 
 from ....errors import InputError
 from ....inputs.scene import View
-from ....pipelines.camera_places import place_cameras
+from ....pipelines.camera_poses import place_cameras
 from ....solve.mesh.mesh_options import MeshOptions
 from ....solve.scene.fitting import fit_scene
-from ....solve.scene.looks import look_at
+from ....solve.scene.observations import observe_scene
 from ....solve.scene.options import SceneOptions
 from ...synthetic.mocap import Clip
 from ...synthetic.mocap_files import FRAME_RATE, held_out_windows
@@ -103,13 +103,15 @@ def fit_all_together(
     sample: SceneSample, device: str, *, options: SceneOptions | None = None, smoothing: float = 0.0
 ) -> SceneBodies:
     """Fit the whole scene, from the wrong order where the sample says so, and perhaps smooth the bodies afterwards."""
-    looks = None
+    observed_bodies = None
     if options is None and sample.scene.num_frames > 1:
         options = SceneOptions.film()
     if sample.wrong_order:
         with torch.no_grad():
-            looks = in_wrong_order(sample, look_at(sample.scene, device))
-    return SceneBodies([fit_scene(sample.scene, options=options, device=device, looks=looks)], smoothing)
+            observed_bodies = in_wrong_order(sample, observe_scene(sample.scene, device))
+    return SceneBodies(
+        [fit_scene(sample.scene, options=options, device=device, observed_bodies=observed_bodies)], smoothing
+    )
 
 
 def fit_each_alone(sample: SceneSample, device: str) -> SceneBodies:
@@ -118,7 +120,10 @@ def fit_each_alone(sample: SceneSample, device: str) -> SceneBodies:
     return SceneBodies(
         [
             fit_scene(
-                replace(scene, sights=[replace(each, person=0) for each in scene.sights if each.person == person]),
+                replace(
+                    scene,
+                    observations=[replace(each, person=0) for each in scene.observations if each.person == person],
+                ),
                 device=device,
             )
             for person in range(scene.num_people)
@@ -129,14 +134,19 @@ def fit_each_alone(sample: SceneSample, device: str) -> SceneBodies:
 def fit_first_view(sample: SceneSample, device: str) -> SceneBodies:
     """Fit what the first camera sees alone."""
     scene = sample.scene
-    return SceneBodies([fit_scene(replace(scene, sights=[s for s in scene.sights if s.view == 0]), device=device)])
+    return SceneBodies(
+        [fit_scene(replace(scene, observations=[s for s in scene.observations if s.view == 0]), device=device)]
+    )
 
 
 def fit_frames_apart(sample: SceneSample, device: str, *, smoothing: float) -> SceneBodies:
     """Fit each frame as if there were no other, shape and size too, and smooth the bodies afterwards."""
     scene = sample.scene
     fits = [
-        fit_scene(replace(scene, sights=[replace(s, frame=0) for s in scene.sights if s.frame == frame]), device=device)
+        fit_scene(
+            replace(scene, observations=[replace(s, frame=0) for s in scene.observations if s.frame == frame]),
+            device=device,
+        )
         for frame in range(scene.num_frames)
     ]
     return SceneBodies(fits, smoothing, by_frame=True)
@@ -146,8 +156,14 @@ def fit_places_too(sample: SceneSample, device: str) -> SceneBodies:
     """Fit the scene without knowing where any camera but the first stands."""
     first, *others = sample.scene.views
     unknown = replace(sample.scene, views=[first, *(View(view.camera) for view in others)])
-    looks = look_at(unknown, device)
-    return SceneBodies([fit_scene(place_cameras(unknown, looks=looks), device=device, looks=looks)])
+    observed_bodies = observe_scene(unknown, device)
+    return SceneBodies(
+        [
+            fit_scene(
+                place_cameras(unknown, observed_bodies=observed_bodies), device=device, observed_bodies=observed_bodies
+            )
+        ]
+    )
 
 
 _FRAMES_ALONE = replace(SceneOptions.film(), smoothing=0.0, one_size=False)  # but with one shape, the mean of all

@@ -14,36 +14,36 @@ from helpers.rigs import camera_at, film_of
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.stature import bone_statures
 from warp_partdr.errors import InputError
-from warp_partdr.inputs.scene import Scene, Sight, View
+from warp_partdr.inputs.scene import Scene, SceneObservation, View
 from warp_partdr.lab.synthetic.scene_people import SceneSample, make_pair, make_views
 from warp_partdr.networks.regression.landmarks import LANDMARKS
 from warp_partdr.pipelines import film_cameras
-from warp_partdr.pipelines.camera_places import Moments, Places, place_cameras
+from warp_partdr.pipelines.camera_poses import PeopleInViews, RelativePoses, place_cameras
 from warp_partdr.pipelines.film_cameras import place_film_cameras
-from warp_partdr.pipelines.seen_film import SeenFilm
-from warp_partdr.solve.scene.looks import look_at
+from warp_partdr.pipelines.observed_film import ObservedFilm
+from warp_partdr.solve.scene.observations import observe_scene
 
 TURNS, MOVES = [0.0, 0.9, 2.0], [[0.0, 0.0, 0.0], [0.3, 0.1, 0.4], [-0.2, 0.0, 0.9]]
 
 
-def true_places() -> Places:
+def true_poses() -> RelativePoses:
     rotations = rotation_from_axis_angle(torch.tensor([[0.05 * turn, turn, 0.0] for turn in TURNS]).double())
-    return Places(rotations, torch.tensor(MOVES).double())
+    return RelativePoses(rotations, torch.tensor(MOVES).double())
 
 
-def seen_at(places: Places, there: Sequence[Sequence[int]], moments: int = 6) -> Moments:
-    """Points about pelvises 4 m before the first camera, without any error, seen by each camera at some moments."""
+def seen_at(poses: RelativePoses, there: Sequence[Sequence[int]], moments: int = 6) -> PeopleInViews:
+    """Points about pelvises 4 m before the first camera, without any error, seen by each camera at some people."""
     rng = np.random.default_rng(3)
     marks = torch.from_numpy(rng.uniform(-0.8, 0.8, (moments, len(LANDMARKS), 3)))
     pelvises = torch.from_numpy(rng.uniform(-0.4, 0.4, (moments, 3))) + torch.tensor([0.0, 0.0, 4.0])
-    turned = torch.einsum("vij,mlj->vmli", places.rotations, marks)
-    moved = torch.einsum("vij,mj->vmi", places.rotations, pelvises) + places.translations[:, None]
+    turned = torch.einsum("vij,mlj->vmli", poses.rotations, marks)
+    moved = torch.einsum("vij,mj->vmi", poses.rotations, pelvises) + poses.translations[:, None]
     points = turned + moved[:, :, None]
     shown = torch.zeros(len(there), moments, dtype=torch.bool)
     for view, seen in enumerate(there):
         shown[view, list(seen)] = True
     votes = shown[..., None].expand(points.shape[:3]).double()
-    return Moments(points[..., :2] / points[..., 2:], votes, turned, moved, shown)
+    return PeopleInViews(points[..., :2] / points[..., 2:], votes, turned, moved, shown)
 
 
 def angle(one: torch.Tensor, other: torch.Tensor) -> float:
@@ -52,54 +52,56 @@ def angle(one: torch.Tensor, other: torch.Tensor) -> float:
     return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
 
 
-def test_exact_sights_give_exact_places() -> None:
-    true = true_places()
-    moments = seen_at(true, [range(6)] * 3)
-    start = moments.chained()
+def test_exact_observations_give_exact_poses() -> None:
+    true = true_poses()
+    people = seen_at(true, [range(6)] * 3)
+    start = people.chained()
     torch.testing.assert_close(start.rotations, true.rotations)
     torch.testing.assert_close(start.translations, true.translations)
-    assert moments.unlike(true) < 1e-20
-    found = moments.refined(start)
+    assert people.pose_difference(true) < 1e-20
+    found = people.refined(start)
     torch.testing.assert_close(found.rotations, true.rotations)
     assert found.energy < 1e-12
 
 
 def test_a_view_stands_by_the_one_that_it_shares_moments_with() -> None:
-    true = true_places()
+    true = true_poses()
     found = seen_at(true, [[0, 1, 2], [2, 3, 4], [3, 4, 5]]).chained()
     torch.testing.assert_close(found.rotations, true.rotations)
     torch.testing.assert_close(found.translations, true.translations)
-    with pytest.raises(InputError, match=r"views\[2\]: sees nobody when others do; expected views of the same"):
+    with pytest.raises(
+        InputError, match=r"views\[2\]: shows nobody when others do; expected views that were taken at the same time"
+    ):
         seen_at(true, [[0, 1, 2], [2, 3, 4], [5]]).chained()
 
 
 def test_rays_mend_what_the_network_says() -> None:
-    """Bodies that the second view sees turned by 10 degrees, and a tenth too far away, of many moments."""
-    true = true_places()
-    moments = seen_at(true, [range(40), range(40), []], 40)
-    moments = Moments(*(each[:2] for each in vars(moments).values()))
+    """Bodies that the second view sees turned by 10 degrees, and a tenth too far away, of many people."""
+    true = true_poses()
+    people = seen_at(true, [range(40), range(40), []], 40)
+    people = PeopleInViews(*(each[:2] for each in vars(people).values()))
     wrong = rotation_from_axis_angle(torch.tensor([0.0, math.radians(10.0), 0.0]).double())
-    marks, pelvises = moments.marks.clone(), moments.pelvises.clone()
+    marks, pelvises = people.landmarks.clone(), people.pelvises.clone()
     marks[1], pelvises[1] = marks[1] @ wrong.mT, 1.1 * pelvises[1]
-    moments = replace(moments, marks=marks, pelvises=pelvises)
-    start = moments.chained()
+    people = replace(people, landmarks=marks, pelvises=pelvises)
+    start = people.chained()
     assert angle(start.rotations[1], true.rotations[1]) == pytest.approx(10.0, abs=0.1)
-    found = moments.refined(start)
+    found = people.refined(start)
     assert angle(found.rotations[1], true.rotations[1]) < 1.5
 
 
 def test_pelvises_say_how_far_cameras_are() -> None:
     """Rays meet however far cameras stand apart."""
-    true = true_places()
+    true = true_poses()
     found = seen_at(true, [range(6)] * 3).refined(replace(true, translations=1.2 * true.translations))
     torch.testing.assert_close(found.translations, true.translations, atol=2e-3, rtol=0)
 
 
 def test_places_are_in_the_world_of_the_first_view() -> None:
-    true = true_places()
+    true = true_poses()
     lens = camera_at(0.0).without_distortion
     first = View(lens, rotation_from_axis_angle(torch.tensor([0.2, -0.5, 0.1])), torch.tensor([0.5, -0.2, 3.0]))
-    views = true.views_of([first, View(lens), View(lens)])
+    views = true.applied_to([first, View(lens), View(lens)])
     point = torch.tensor([0.3, -0.1, 0.7])
     seen = first.to_camera(point).double()
     for view, turn, move in zip(views, true.rotations, true.translations, strict=True):
@@ -107,11 +109,11 @@ def test_places_are_in_the_world_of_the_first_view() -> None:
 
 
 def test_a_keypoint_that_is_far_off_hardly_counts() -> None:
-    true = true_places()
-    moments = seen_at(true, [range(6)] * 3)
-    rays = moments.rays.clone()
+    true = true_poses()
+    people = seen_at(true, [range(6)] * 3)
+    rays = people.rays.clone()
     rays[1, :, 3] += 0.5
-    found = replace(moments, rays=rays).refined(true)
+    found = replace(people, rays=rays).refined(true)
     assert max(angle(one, other) for one, other in zip(found.rotations, true.rotations, strict=True)) < 0.5
 
 
@@ -134,25 +136,25 @@ def test_a_person_places_two_cameras(two: SceneSample) -> None:
     true, seen = (each.views[1].eye - scene.views[0].eye for each in (scene, found))
     assert float(torch.nn.functional.cosine_similarity(true, seen, dim=0)) > math.cos(math.radians(8))
     assert float(seen.norm() / true.norm()) == pytest.approx(1, abs=0.15)
-    assert found.sights == scene.sights
+    assert found.observations == scene.observations
 
 
 def test_a_known_stature_says_how_far_cameras_are(two: SceneSample) -> None:
     scene = unplaced(two.scene)
-    looks = look_at(scene, "cpu")
-    heights = [float(bone_statures(look.body.lengths)) for look in looks]
-    one, other = (place_cameras(scene, looks=looks, stature=height) for height in (1.5, 1.8))
+    observed_bodies = observe_scene(scene, "cpu")
+    heights = [float(bone_statures(observed.body.lengths)) for observed in observed_bodies]
+    one, other = (place_cameras(scene, observed_bodies=observed_bodies, stature=height) for height in (1.5, 1.8))
     ratio = (other.views[1].eye - other.views[0].eye).norm() / (one.views[1].eye - one.views[0].eye).norm()
     assert float(ratio) == pytest.approx(1.2, abs=0.01)
     assert all(1.0 < height < 2.3 for height in heights)
-    with pytest.raises(InputError, match=r"stature: 1.7 m, of 2 people; expected one"):
+    with pytest.raises(InputError, match=r"stature: 1.7 m, for 2 people; expected one person"):
         place_cameras(make_pair(3).scene, stature=1.7)
     with pytest.raises(InputError, match=r"stature: 175; expected metres, 0\.4 to 2\.8"):
-        place_cameras(scene, looks=looks, stature=175)
+        place_cameras(scene, observed_bodies=observed_bodies, stature=175)
 
 
 def test_one_view_stays(two: SceneSample) -> None:
-    alone = Scene(two.scene.views[:1], [sight for sight in two.scene.sights if sight.view == 0])
+    alone = Scene(two.scene.views[:1], [observation for observation in two.scene.observations if observation.view == 0])
     assert place_cameras(alone) is alone
 
 
@@ -161,11 +163,11 @@ def pair() -> SceneSample:
     return make_pair(101)
 
 
-def films_of(pair: SceneSample, turns: Sequence[float], orders: Sequence[tuple[int, int]]) -> list[SeenFilm]:
+def films_of(pair: SceneSample, turns: Sequence[float], orders: Sequence[tuple[int, int]]) -> list[ObservedFilm]:
     """Films whose cameras' lenses alone are known."""
     cameras = [camera_at(turn) for turn in turns]
     seen = [film_of(pair, camera, order=order, noise=2.0) for camera, order in zip(cameras, orders, strict=True)]
-    return [SeenFilm.of(people, camera.without_distortion) for people, camera in zip(seen, cameras, strict=True)]
+    return [ObservedFilm.of(people, camera.without_distortion) for people, camera in zip(seen, cameras, strict=True)]
 
 
 def test_two_people_place_three_films(pair: SceneSample) -> None:
@@ -178,7 +180,7 @@ def test_two_people_place_three_films(pair: SceneSample) -> None:
         true = rotation_from_axis_angle(torch.tensor([0.0, turn - turns[0], 0.0]))
         assert angle(film.view.rotation, true) < 15
     assert [told[0], told[-1]] == [("cameras", 0, 3), ("cameras", 3, 3)]
-    with pytest.raises(InputError, match=r"stature: 1.7 m, of 2 people; expected one of them, person 0 to 1"):
+    with pytest.raises(InputError, match=r"stature: 1.7 m, for 2 people; expected one of them, person 0 to 1"):
         place_film_cameras(films, stature=1.7)
 
 
@@ -200,7 +202,7 @@ def test_films_of_other_moments_are_told(pair: SceneSample) -> None:
     rows["frames"] += 100
     later = replace(other, people=replace(other.people, rows=rows))
     with pytest.raises(
-        InputError, match=r"films\[1\]: shows nobody when another film does; expected films of the same"
+        InputError, match=r"films\[1\]: shows nobody when another film does; expected films that were taken"
     ):
         place_film_cameras([one, later])
 
@@ -209,7 +211,9 @@ def test_a_film_whose_people_are_in_no_other_is_told(pair: SceneSample, monkeypa
     films = films_of(pair, (-0.5, 0.4, 1.5), [(0, 1)] * 3)
     found = [((0, 0), (1, 0)), ((0, 1), (1, 1)), ((2, 0),), ((2, 1),)]  # film, and number of a person in it
     monkeypatch.setattr(film_cameras, "match_people", lambda films: found)
-    with pytest.raises(InputError, match=r"films\[2\]: nobody to place it by; expected somebody who is in another one"):
+    with pytest.raises(
+        InputError, match=r"films\[2\]: shows nobody by whom it can be placed; expected a person who is in another film"
+    ):
         place_film_cameras(films)
 
 
@@ -225,8 +229,8 @@ def test_a_film_knows_its_camera(pair: SceneSample) -> None:
     np.testing.assert_allclose(camera.translation, known.translation, atol=1e-6)
 
 
-def test_sights_need_no_order(two: SceneSample) -> None:
+def test_observations_need_no_order(two: SceneSample) -> None:
     scene = unplaced(two.scene)
-    turned: list[Sight] = list(reversed(scene.sights))
-    one, other = place_cameras(scene), place_cameras(replace(scene, sights=turned))
+    turned: list[SceneObservation] = list(reversed(scene.observations))
+    one, other = place_cameras(scene), place_cameras(replace(scene, observations=turned))
     torch.testing.assert_close(one.views[1].rotation, other.views[1].rotation, atol=1e-4, rtol=0)

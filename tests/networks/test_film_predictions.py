@@ -21,13 +21,13 @@ from warp_partdr.networks.detection.crops import Pyramid
 from warp_partdr.networks.detection.film_people import kept_size
 from warp_partdr.networks.detection.masks import instance_map
 from warp_partdr.networks.detection.people import find_people
-from warp_partdr.networks.predictors import film_sights
-from warp_partdr.networks.predictors.film_sights import FilmSights, GivenNetworks, find_film_sights
+from warp_partdr.networks.predictors import film_predictions
+from warp_partdr.networks.predictors.film_predictions import FilmPredictions, GivenNetworks, find_film_predictions
 from warp_partdr.networks.predictors.keypoints import find_keypoints
 from warp_partdr.networks.predictors.networks import KeypointNetwork, PartNetwork
 from warp_partdr.networks.predictors.parts import PeopleParts
 from warp_partdr.pipelines.film_pieces import FilmPieces
-from warp_partdr.pipelines.seen_film import SeenFilm
+from warp_partdr.pipelines.observed_film import ObservedFilm
 
 COUNT = 11  # frames
 LSP6 = label_set("lsp6")
@@ -78,27 +78,29 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(film: Path) -> tuple[Networks, Any, FilmSights]:
+def found(film: Path) -> tuple[Networks, Any, FilmPredictions]:
     networks = Networks()
-    return networks, *find_film_sights(film, networks.given)
+    return networks, *find_film_predictions(film, networks.given)
 
 
-def test_people_wait_for_one_another_but_pictures_do_not(found: tuple[Networks, Any, FilmSights]) -> None:
-    networks, people, sights = found
-    assert len(people.rows) == len(sights.frames) == COUNT
+def test_people_wait_for_one_another_but_pictures_do_not(found: tuple[Networks, Any, FilmPredictions]) -> None:
+    networks, people, predictions = found
+    assert len(people.rows) == len(predictions.frames) == COUNT
     assert networks.batches == [8, COUNT - 8]
     assert networks.pyramids <= 3  # of the frame at hand, and those made ahead
-    assert sights.gaps == []
+    assert predictions.warnings == []
 
 
-def test_a_frame_s_sights_are_those_of_a_photo(found: tuple[Networks, Any, FilmSights], film: Path) -> None:
-    networks, _, sights = found
+def test_predictions_for_a_frame_are_those_for_a_photo(
+    found: tuple[Networks, Any, FilmPredictions], film: Path
+) -> None:
+    networks, _, predictions = found
     first = next(iter(read_frames(film))).picture
     person, picture = find_people(first, levels=2)[0], Pyramid(first, "cpu")
     keypoints = networks.given.keypoints_from
     assert keypoints is not None
     alone = find_keypoints(keypoints, picture, person)
-    seen = sights.keypoints_of(0, 0)
+    seen = predictions.keypoints_of(0, 0)
     assert alone is not None
     assert seen is not None
     assert seen.skeleton == "coco17"
@@ -107,7 +109,7 @@ def test_a_frame_s_sights_are_those_of_a_photo(found: tuple[Networks, Any, FilmS
     assert parts is not None
     size = first.shape[:2]
     whole = PeopleParts(parts, picture, [person], instance_map([person], size), 1).of(0)
-    small = sights.parts_of(0, 0)
+    small = predictions.parts_of(0, 0)
     assert whole is not None
     assert small is not None
     assert small.label_set is LSP6
@@ -117,33 +119,37 @@ def test_a_frame_s_sights_are_those_of_a_photo(found: tuple[Networks, Any, FilmS
     assert set(np.unique(small.groups)) == {BACKGROUND, 2, 3}
 
 
-def test_the_size_of_batches_changes_no_sight(
-    found: tuple[Networks, Any, FilmSights], film: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_size_of_batches_changes_no_prediction(
+    found: tuple[Networks, Any, FilmPredictions], film: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(film_sights, "_TOGETHER", {"cpu": 1})
-    _, single = find_film_sights(film, Networks().given)
+    monkeypatch.setattr(film_predictions, "_TOGETHER", {"cpu": 1})
+    _, single = find_film_predictions(film, Networks().given)
     assert single.packed == found[2].packed
     np.testing.assert_allclose(single.keypoints, found[2].keypoints, atol=1e-3)
 
 
-def test_a_scene_takes_the_sights_of_the_given_networks(found: tuple[Networks, Any, FilmSights]) -> None:
-    _, people, sights = found
+def test_a_scene_takes_the_predictions_of_the_given_networks(found: tuple[Networks, Any, FilmPredictions]) -> None:
+    _, people, predictions = found
     zoom = kept_size(people.image_size)[1] / people.image_size[1]
     rows = people.rows[3:4]
-    (sight,) = SeenFilm.of(people, given=sights).sights(rows, 2, 1)
-    assert (sight.person, sight.frame, sight.view) == (2, 3, 1)
-    assert sight.keypoints.skeleton == "coco17"
-    np.testing.assert_allclose(sight.keypoints.points, sights.keypoints[3, :, :2] * zoom, rtol=1e-5)
-    assert sight.parts is not None
-    assert sight.parts.label_set is LSP6
-    (plain,) = SeenFilm.of(people).sights(rows, 0, 0)
+    (observation,) = ObservedFilm.of(people, given=predictions).observations(rows, 2, 1)
+    assert (observation.person, observation.frame, observation.view) == (2, 3, 1)
+    assert observation.keypoints.skeleton == "coco17"
+    np.testing.assert_allclose(observation.keypoints.points, predictions.keypoints[3, :, :2] * zoom, rtol=1e-5)
+    assert observation.parts is not None
+    assert observation.parts.label_set is LSP6
+    (plain,) = ObservedFilm.of(people).observations(rows, 0, 0)
     assert plain.keypoints.skeleton == "blazepose33"
     # One network alone leaves the rest to the packaged one.
-    only = FilmSights(
-        GivenNetworks(keypoints_from=sights.networks.keypoints_from), sights.frames, sights.places, sights.keypoints,
-        sights.size, (b"",) * COUNT,
-    )  # fmt: skip
-    (half,) = SeenFilm.of(people, given=only).sights(rows, 0, 0)
+    only = FilmPredictions(
+        GivenNetworks(keypoints_from=predictions.networks.keypoints_from),
+        predictions.frames,
+        predictions.places,
+        predictions.keypoints,
+        predictions.size,
+        (b"",) * COUNT,
+    )
+    (half,) = ObservedFilm.of(people, given=only).observations(rows, 0, 0)
     assert half.keypoints.skeleton == "coco17"
     assert half.parts is not None
     assert plain.parts is not None
@@ -155,51 +161,52 @@ def test_networks_that_see_nothing_leave_the_packaged_keypoints(film: Path) -> N
         PartNetwork(LSP6, SIZE, lambda pictures: torch.zeros(len(pictures), 8, 8, dtype=torch.long)),
         KeypointNetwork("coco17", SIZE, lambda pictures: torch.zeros(len(pictures), 17, 3)),
     )
-    people, sights = find_film_sights(film, blind)
-    assert sights.gaps == [
-        f"no keypoints of the given network in {COUNT} of {COUNT} sights; the packaged one's taken",
-        f"no labels of the given network in {COUNT} of {COUNT} sights; keypoints alone taken",
+    people, predictions = find_film_predictions(film, blind)
+    assert predictions.warnings == [
+        f"the given network found no keypoints in {COUNT} of {COUNT} observations; those of the packaged network are "
+        "used",
+        f"the given network found no labels in {COUNT} of {COUNT} observations; only the keypoints are used",
     ]
-    (sight,) = SeenFilm.of(people, given=sights).sights(people.rows[:1], 0, 0)
-    assert sight.keypoints.skeleton == "blazepose33"
-    assert sight.parts is None
+    (observation,) = ObservedFilm.of(people, given=predictions).observations(people.rows[:1], 0, 0)
+    assert observation.keypoints.skeleton == "blazepose33"
+    assert observation.parts is None
 
 
-def test_a_lens_s_distortion_is_taken_away(found: tuple[Networks, Any, FilmSights]) -> None:
-    _, people, sights = found
+def test_a_lens_s_distortion_is_taken_away(found: tuple[Networks, Any, FilmPredictions]) -> None:
+    _, people, predictions = found
     height, width = people.image_size
     lens = CalibratedCamera((400.0, 400.0), (width / 2, height / 2), (-0.2,))
-    seen = SeenFilm.calibrated(people, lens, given=sights).given
+    seen = ObservedFilm.calibrated(people, lens, given=predictions).given
     assert seen is not None
-    expected = lens.undistort_points(sights.keypoints[..., :2])
+    expected = lens.undistort_points(predictions.keypoints[..., :2])
     np.testing.assert_allclose(seen.keypoints[..., :2], expected, atol=0.01)
-    assert np.abs(expected - sights.keypoints[..., :2]).max() > 1
-    labels, before = seen.parts_of(0, 0), sights.parts_of(0, 0)
+    assert np.abs(expected - predictions.keypoints[..., :2]).max() > 1
+    labels, before = seen.parts_of(0, 0), predictions.parts_of(0, 0)
     assert labels is not None
     assert before is not None
     assert set(np.unique(labels.groups)) <= {BACKGROUND, 2, 3, IGNORE}
     assert (labels.groups != before.groups).any()
 
 
-def test_a_run_that_was_ended_asks_nobody_again(found: tuple[Networks, Any, FilmSights], tmp_path: Path) -> None:
-    networks, people, sights = found
+def test_a_run_that_was_ended_asks_nobody_again(found: tuple[Networks, Any, FilmPredictions], tmp_path: Path) -> None:
+    networks, people, predictions = found
     (tmp_path / "walk.mp4").write_bytes(b"film")
     pieces = FilmPieces(tmp_path / "out", [tmp_path / "walk.mp4"], "names")
-    pieces.sights(0, networks.given, lambda: (people, sights))
-    again, kept = pieces.sights(0, networks.given, lambda: pytest.fail("they are known"))
+    pieces.predictions(0, networks.given, lambda: (people, predictions))
+    again, kept = pieces.predictions(0, networks.given, lambda: pytest.fail("they are known"))
     np.testing.assert_array_equal(again.rows, people.rows)
-    assert kept.packed == sights.packed
-    assert (kept.size, kept.networks) == (sights.size, networks.given)
-    np.testing.assert_array_equal(kept.keypoints, sights.keypoints)
+    assert kept.packed == predictions.packed
+    assert (kept.size, kept.networks) == (predictions.size, networks.given)
+    np.testing.assert_array_equal(kept.keypoints, predictions.keypoints)
 
 
 def test_arguments_and_networks_at_fault_are_named(film: Path) -> None:
     with pytest.raises(TypeError, match="parts_from: str; expected PartNetwork or None"):
         GivenNetworks("net")  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="networks: NoneType; expected GivenNetworks"):
-        find_film_sights(film, None)  # type: ignore[arg-type]
+        find_film_predictions(film, None)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"keypoints_from: \(8, 16, 3\); expected x, y, confidence"):
-        find_film_sights(
+        find_film_predictions(
             film,
             GivenNetworks(
                 keypoints_from=KeypointNetwork("coco17", SIZE, lambda pictures: torch.zeros(len(pictures), 16, 3))

@@ -53,8 +53,8 @@ class GivenNetworks:
 
 
 @dataclass(frozen=True)
-class FilmSights:
-    """Sights of a film's people by networks of others, for N rows of ``FilmPeople``.
+class FilmPredictions:
+    """Predictions by networks of others about a film's people, for N rows of ``FilmPeople``.
 
     Attributes:
         networks: The networks.
@@ -92,23 +92,28 @@ class FilmSights:
         packed = self.packed[row]
         return np.frombuffer(zlib.decompress(packed), np.uint8).reshape(self.size).copy() if packed else None
 
-    def taken(self, numbers: np.ndarray) -> FilmSights:
+    def taken(self, numbers: np.ndarray) -> FilmPredictions:
         """Returns a copy with the frames of these numbers alone, as ``FilmPeople.taken`` does."""
         kept = np.flatnonzero(np.isin(self.frames, numbers))
         packed = tuple(self.packed[row] for row in kept)
         frames = frame_places(self.frames[kept], numbers)
-        return FilmSights(self.networks, frames, self.places[kept], self.keypoints[kept], self.size, packed)
+        return FilmPredictions(self.networks, frames, self.places[kept], self.keypoints[kept], self.size, packed)
 
     @property
-    def gaps(self) -> list[str]:
-        """Sentences about networks that saw nothing of somebody in some frames."""
+    def warnings(self) -> list[str]:
+        """Warnings about networks that found nothing on a person in some frames, a sentence each."""
         total, warnings = len(self.frames), []
         blank = total - int((self.keypoints[..., 2] > 0).any(1).sum())
         if self.networks.keypoints_from is not None and blank:
-            warnings.append(f"no keypoints of the given network in {blank} of {total} sights; the packaged one's taken")
+            warnings.append(
+                f"the given network found no keypoints in {blank} of {total} observations; those of the packaged "
+                "network are used"
+            )
         bare = total - sum(map(bool, self.packed))
         if self.networks.parts_from is not None and bare:
-            warnings.append(f"no labels of the given network in {bare} of {total} sights; keypoints alone taken")
+            warnings.append(
+                f"the given network found no labels in {bare} of {total} observations; only the keypoints are used"
+            )
         return warnings
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -123,8 +128,8 @@ class FilmSights:
         }
 
     @classmethod
-    def of_arrays(cls, arrays: Mapping[str, np.ndarray], networks: GivenNetworks) -> FilmSights:
-        """Sights of ``arrays``, by these networks."""
+    def of_arrays(cls, arrays: Mapping[str, np.ndarray], networks: GivenNetworks) -> FilmPredictions:
+        """Returns the predictions in ``arrays``, by these networks."""
         values: dict[str, Any] = {name: arrays[f"given_{name}"] for name in ("frames", "places", "keypoints")}
         height, width = arrays["given_size"].tolist()
         stops = np.cumsum(arrays["given_sizes"]).tolist()
@@ -138,15 +143,15 @@ class FilmSights:
         return {key: row for row, key in enumerate(keys)}
 
 
-SIGHT_ARRAYS = tuple(f"given_{name}" for name in ("frames", "places", "keypoints", "size", "packed", "sizes"))
+PREDICTION_ARRAYS = tuple(f"given_{name}" for name in ("frames", "places", "keypoints", "size", "packed", "sizes"))
 
 
 def pack_groups(groups: np.ndarray | None) -> bytes:
-    """Compress labels, uint8, as ``FilmSights.packed`` has them."""
+    """Compress labels, uint8, as ``FilmPredictions.packed`` has them."""
     return b"" if groups is None else zlib.compress(groups.tobytes(), 1)
 
 
-def find_film_sights(
+def find_film_predictions(
     path: str | Path,
     networks: GivenNetworks,
     *,
@@ -154,7 +159,7 @@ def find_film_sights(
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] | None = None,
     landmarks: LandmarkNetwork = "heavy",
-) -> tuple[FilmPeople, FilmSights]:
+) -> tuple[FilmPeople, FilmPredictions]:
     """Find and follow the people of a film, and ask networks of others about each in each frame.
 
     Args:
@@ -184,7 +189,7 @@ def find_film_sights(
         )
     except _NetworkError as fault:
         raise fault.error from None
-    return people, asked.sights(people)
+    return people, asked.predictions(people)
 
 
 class _NetworkError(Exception):
@@ -249,8 +254,8 @@ class _Asked:
         while len(self.waiting) >= _TOGETHER[self.device.type]:
             self._ask(_TOGETHER[self.device.type])
 
-    def sights(self, people: FilmPeople) -> FilmSights:
-        """Sights of the film's rows, at its end."""
+    def predictions(self, people: FilmPeople) -> FilmPredictions:
+        """Returns the predictions for the film's rows, at its end."""
         self._ask(len(self.waiting))
         network, rows = self.networks.keypoints_from, people.rows
         count = 0 if network is None else len(skeleton(network.skeleton))
@@ -261,7 +266,7 @@ class _Asked:
                 keypoints[row] = np.column_stack([seen.points, seen.confidence])
         packed = tuple(self.packed.get(key, b"") for key in keys)
         size = kept_size(people.image_size)
-        return FilmSights(self.networks, rows["frames"].copy(), rows["places"].copy(), keypoints, size, packed)
+        return FilmPredictions(self.networks, rows["frames"].copy(), rows["places"].copy(), keypoints, size, packed)
 
     def _ask(self, count: int) -> None:
         """Ask about the first of those who wait."""
