@@ -216,6 +216,12 @@ def test_each_who_cannot_be_used_has_an_error_and_nobody_else() -> None:
         assert told in str(error)
 
 
+def test_groups_of_a_mask_tell_the_person_from_others_and_nobody(device: str) -> None:
+    owners = torch.tensor([[0, 1, 2], [3, 2, 0]], dtype=torch.int32, device=device)
+    assert Mask(owners, 2).groups().tolist() == [[0, 255, 1], [255, 1, 0]]
+    assert Mask(owners.T, 2).groups().tolist() == [[0, 255], [255, 1], [1, 0]]
+
+
 def test_of_whom_a_mask_shows_nothing_the_keypoints_are_cut_out(device: str) -> None:
     keypoints, mask = example_mask()
     hidden, shown = assert_as_alone([masked(keypoints, mask, 2), masked(keypoints, mask)], device)

@@ -13,13 +13,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..body.labels import BACKGROUND, IGNORE
 from ..cameras import Perspective, UsualLens, zoomed
 from ..errors import InputError, check_type, check_whole, told_as
 from ..inputs.evidence import MASK_LABELS, Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
+from ..inputs.own_pixels import Mask
 from ..inputs.part_labels import PartLabels, read_photo, told_focal
 from ..inputs.person import PersonInputs
+from ..interop.arrays import tensor_over
 from ..models.model import DetailedModel
 from ..networks.detection import MIN_SCORE, LandmarkNetwork
 from ..networks.detection.crops import Pyramid
@@ -228,8 +229,7 @@ def _boxed_people(
 
 def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
     """Labels of the set "full1" of one of the owners, others' pixels ignored; None if no pixel shows the person."""
-    groups = np.where(owners == BACKGROUND, BACKGROUND, IGNORE).astype(np.uint8)
-    groups[owners == index + 1] = 1
+    groups = Mask(tensor_over(owners.astype(np.int32, copy=False)), index + 1).groups()
     return PartLabels(MASK_LABELS, groups) if (groups == 1).any() else None
 
 

@@ -142,7 +142,7 @@ class SeenFilm:
                 full = row_keypoints(row)
             keypoints = replace(full, points=full.points * np.float32(self._zoom))
             if self.given is None or self.given.networks.parts_from is None:
-                parts = mask_labels(self.people.owners(frame).astype(np.int32), place)
+                parts = mask_labels(self.people.owners(frame), place)
             else:  # a mask is of another label set than the others' labels
                 parts = self.given.parts_of(frame, place)
             yield Sight(keypoints, parts, person, frame, view)

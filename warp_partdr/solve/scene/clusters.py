@@ -9,7 +9,7 @@ import torch
 
 from ...errors import InputError
 from ...inputs.observation import CROP_MARGIN
-from ...inputs.person import person_crop
+from ...inputs.person import crop_boxes
 from ...render.part_mesh import MAX_LABEL
 from ..mesh.observed_body import ObservedBody
 
@@ -26,7 +26,7 @@ def find_clusters(looks: Sequence[ObservedBody], num_people: int) -> Clusters:
         of_picture.setdefault((look.sight.frame, look.sight.view), []).append(look)
     for group in of_picture.values():
         people = np.array([look.sight.person for look in group])
-        low, high = np.split(np.array([_box(look) for look in group]), 2, axis=1)
+        low, high = np.stack([_box(look) for look in group], axis=1)
         overlap = ((low < high[:, None]) & (high > low[:, None])).all(-1)
         near[np.ix_(people, people)] |= overlap
     for _ in range(num_people.bit_length()):  # each time through twice as many others
@@ -69,10 +69,8 @@ def slots_of(clusters: Clusters, num_people: int, device: torch.device) -> tuple
     return torch.from_numpy(slots).to(device), torch.from_numpy(places).to(device)
 
 
-def _box(look: ObservedBody) -> list[float]:
-    """Box of the person in the picture with a margin, left, top, right, bottom [px]."""
-    evidence = look.evidence
-    groups = np.zeros((1, 1), dtype=np.uint8) if evidence.groups is None else evidence.groups
-    box = np.array(person_crop(evidence.in_window(), groups, CROP_MARGIN)).reshape(2, 2)
-    found: list[float] = (box / evidence.window.zoom + (evidence.window.left, evidence.window.top)).ravel().tolist()
+def _box(look: ObservedBody) -> np.ndarray:
+    """Lowest and highest (x, y) in the picture [px] of the person with a margin, shape (2, 2)."""
+    corners = np.concatenate(crop_boxes(*look.evidence.extents(), CROP_MARGIN))
+    found: np.ndarray = corners / look.evidence.windows.zooms + look.evidence.windows.starts
     return found
