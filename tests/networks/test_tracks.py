@@ -119,14 +119,14 @@ def test_a_jump_is_a_cut_when_somebody_is_lost_and_none_when_nobody_was_there() 
     assert (tracker.find(frame(None), Change.JUMP), tracker.cut) == ({}, True)
 
 
-def test_where_all_is_new_it_is_a_cut_unless_somebody_clearly_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_all_is_new_it_is_a_cut_unless_somebody_clearly_stays() -> None:
+    """By 22 px, keypoints are still about where they were, but masks hardly overlap."""
     tracker = PeopleTracker(every=9)
     assert (set(tracker.find(frame(250))), tracker.cut) == ({0}, False)
     assert (set(tracker.find(frame(256), Change.NEW)), tracker.cut) == ({0}, False)
     assert (set(tracker.find(frame(430), Change.NEW)), tracker.cut) == ({1}, True)
-    monkeypatch.setattr("warp_partdr.networks.detection.tracks._mask_overlap", lambda *_: 0.3)
-    assert (set(tracker.find(frame(430), Change.JUMP)), tracker.cut) == ({1}, False)
-    assert (set(tracker.find(frame(430), Change.NEW)), tracker.cut) == ({2}, True)
+    assert (set(tracker.find(frame(452), Change.JUMP)), tracker.cut) == ({1}, False)
+    assert (set(tracker.find(frame(474), Change.NEW)), tracker.cut) == ({2}, True)
 
 
 @pytest.mark.parametrize("change", [Change.JUMP, Change.NEW])
