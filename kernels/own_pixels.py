@@ -100,14 +100,19 @@ def shows_part(group: wp.uint8) -> bool:
 
 
 @wp.func
+def mask_group(owner: int, number: int) -> wp.uint8:
+    """Group of a pixel that shows an owner, 0 being nobody, for the person with a number."""
+    if owner == 0:
+        return NOBODYS
+    return wp.where(owner == number, OWN, OTHERS)
+
+
+@wp.func
 def group_of(people: PeopleArrays, number: int, pixel: int) -> wp.uint8:
     """Group of a pixel among all pictures'."""
     if number == 0:
         return people.labels[pixel]
-    owner = people.owners[pixel]
-    if owner == 0:
-        return NOBODYS
-    return wp.where(owner == number, OWN, OTHERS)
+    return mask_group(people.owners[pixel], number)
 
 
 @wp.func
@@ -235,11 +240,21 @@ def beyond_flesh(bodies: BodyArrays, n: int, group: int, row: int, column: int) 
 
 
 @wp.func
-def add_run(pixels: PixelArrays, i: int, start: int, stop: int, seeded: bool):
+def follow_run(pixels: PixelArrays, row: Row, column: int, inside: bool, seeded: bool, start: int, count: int):
+    """Open the row's run at a column that is inside, and store an open one before a column that is not.
+
+    Takes and returns the open run's first column, -1 where none is open, and the number of stored ones.
+    """
+    if inside:
+        return wp.where(start < 0, column, start), count
+    if start < 0:
+        return start, count
+    i = row.begin + count
     pixels.starts[i] = start
-    pixels.stops[i] = stop
+    pixels.stops[i] = column
     pixels.parents[i] = i
     pixels.seeded[i] = wp.uint8(wp.where(seeded, 1, 0))
+    return -1, count + 1
 
 
 @wp.kernel
@@ -307,16 +322,8 @@ def find_near(
                     seeded = (seeded and start >= 0) or along_bone
             elif near and start < 0:
                 seeded = False
-        if near:
-            if start < 0:
-                start = column
-        elif start >= 0:
-            add_run(pixels, row.begin + count, start, column, seeded)
-            count += 1
-            start = -1
-    if start >= 0:
-        add_run(pixels, row.begin + count, start, row.width, seeded)
-        count += 1
+        start, count = follow_run(pixels, row, column, near, seeded, start, count)
+    start, count = follow_run(pixels, row, row.width, False, seeded, start, count)
     pixels.num_runs[row.number] = count
     if told:
         along[n] = 1
@@ -343,16 +350,8 @@ def find_stray(
             beyond = distance > wp.float64(0.0)
             if beyond:
                 seeded = (seeded and start >= 0) or distance > far
-        if beyond:
-            if start < 0:
-                start = column
-        elif start >= 0:
-            add_run(pixels, row.begin + count, start, column, seeded)
-            count += 1
-            start = -1
-    if start >= 0:
-        add_run(pixels, row.begin + count, start, row.width, seeded)
-        count += 1
+        start, count = follow_run(pixels, row, column, beyond, seeded, start, count)
+    start, count = follow_run(pixels, row, row.width, False, seeded, start, count)
     pixels.num_runs[row.number] = count
 
 
@@ -478,6 +477,13 @@ def settle(
         wp.atomic_max(limits, n, 3, area_left + right)
 
 
+@wp.kernel
+def fill_mask_groups(owners: wp.array2d[int], number: int, groups: wp.array2d[wp.uint8]):
+    """Fill groups of a picture's pixels for one person; ``owners`` tell whom each pixel shows."""
+    row, column = wp.tid()
+    groups[row, column] = mask_group(owners[row, column], number)
+
+
 def gather(struct: Any, arrays: Sequence[wp.array]) -> Any:
     """A structure of arrays in its order."""
     found = struct()
@@ -513,6 +519,11 @@ def launch_settled(
     """
     inputs = [people, bodies, kept, *map(wp.float64, far), rows.start, pixels, *measures]
     wp.launch(settle, rows.stop - rows.start, inputs, device=pixels.groups.device)
+
+
+def launch_mask_groups(owners: wp.array, number: int, groups: wp.array) -> None:
+    """Fill groups (H, W) of a picture's pixels for the person with a number among its ``owners`` (H, W)."""
+    wp.launch(fill_mask_groups, owners.shape, [owners, number, groups], device=groups.device)
 
 
 def _launch_joined(people: Any, rows: slice, pixels: Any) -> None:

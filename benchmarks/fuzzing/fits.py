@@ -90,8 +90,10 @@ def try_refine(case: Case) -> Any:
     )
     renderer = RendererEllipsoids(case.one(["edges", "coverage", "partdr"]))
     energy = Energy(observation, size=16, prior=prior(case.device), renderer=renderer)
-    rule = {"iterations": case.number(2, 0), "learning_rate": case.number(0.01, 0.0)}
-    return refine(start, energy, **rule) if case.happens(5) else Refinement(start, energy, **rule).run()
+    iterations, rate = case.number(2, 0), case.number(0.01, 0.0)
+    if case.happens(5):
+        return refine(start, energy, iterations=iterations, learning_rate=rate)
+    return Refinement(start, energy, iterations=iterations, learning_rate=rate).run()
 
 
 def try_register(case: Case) -> Any:

@@ -22,7 +22,7 @@ from ..render.renderers import labelled_mesh
 from ..results.ellipbody_files import ellipbody_scene
 from ..results.save import body_file
 from ..solve.ellipsoids.energy import Energy
-from ..solve.ellipsoids.stepper import SIZES, Refinement, size_bounds
+from ..solve.ellipsoids.stepper import SIZES, Refinement, rate_share, size_bounds
 from .settings import Settings
 from .targets import Target, difference_picture, group_picture, target_labels, target_picture
 from .view import VIEW, seen_as, view_of
@@ -86,7 +86,7 @@ class DemoState:
     def step(self) -> None:
         """One iteration of the refinement."""
         began = time.perf_counter()
-        self._refinement.step()
+        self._refinement.step(rate_share(len(self.history), self.settings.steps))
         self._moved()
         self._times.append(time.perf_counter() - began)
         self.history.append(float(self._refinement.history[-1]))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from helpers import commands
 from helpers.commands import Run
-from helpers.datasets import write_coco
+from helpers.datasets import rows, write_coco
 from helpers.shards import members, write_beside, write_tar
 from PIL import ExifTags, Image
 
@@ -37,10 +37,6 @@ TURNS = {  # of the upright picture to the stored one, by EXIF's orientation
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_270,
 }
-
-
-def rows(folder: str) -> list[dict[str, Any]]:
-    return pq.read_table(folder).to_pylist()
 
 
 def coco(change: Callable[[dict[str, Any]], None] | None = None, count: int = 1, **changes: Any) -> CocoPictures:

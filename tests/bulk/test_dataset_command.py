@@ -18,7 +18,7 @@ import pytest
 from conftest import HANG
 from helpers import commands
 from helpers.commands import Run
-from helpers.datasets import write_coco, write_folder
+from helpers.datasets import rows, write_coco, write_folder
 
 from warp_partdr import FitOptions
 from warp_partdr.body.ellipbody import EllipBody
@@ -39,10 +39,6 @@ pytestmark = pytest.mark.usefixtures("here")
 run = commands.run  # fixture
 COCO = "dataset coco/people.json --quality network --shard 2 --device cpu"
 FOLDER = "dataset photos --device cpu"
-
-
-def rows(folder: str) -> list[dict[str, Any]]:
-    return pq.read_table(folder).to_pylist()
 
 
 def parts(folder: str) -> list[str]:

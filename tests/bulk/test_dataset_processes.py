@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from helpers import commands
@@ -14,7 +16,6 @@ from helpers.commands import Run
 from helpers.datasets import write_coco
 from helpers.shards import members, write_tar
 
-from warp_partdr.bulk import processes
 from warp_partdr.bulk import run as bulk_run
 from warp_partdr.bulk.cutting import Cutter
 from warp_partdr.bulk.opening import open_source
@@ -82,10 +83,11 @@ def test_processes_read_for_a_gpu_where_people_are_known(monkeypatch: pytest.Mon
     assert source_readers(known, fitter("cuda", 256, 128), 16) == (16, 16)
 
 
-def test_free_memory_is_known_where_it_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(processes, "_SHARED", str(tmp_path))
-    assert 0 < shared_memory() < 2**60
-    monkeypatch.setattr(processes, "_SHARED", str(tmp_path / "nothing"))
+def test_free_memory_is_known_where_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    there = shutil.disk_usage(".")
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: there)
+    assert shared_memory() == there.free
+    monkeypatch.setattr(shutil, "disk_usage", Mock(side_effect=FileNotFoundError))
     assert shared_memory() > 2**60
 
 

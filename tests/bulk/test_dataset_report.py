@@ -8,6 +8,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
 from pathlib import Path
+from string import ascii_lowercase
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,8 @@ from warp_partdr.bulk.survey import Kinds, kind_of, survey_people, worst_people
 from warp_partdr.cli.dataset_files import ByName
 from warp_partdr.models.anny import anny
 
-pytest.importorskip("pyarrow", reason="needs pyarrow, the extra dataset")
+pa = pytest.importorskip("pyarrow", reason="needs pyarrow, the extra dataset")
+pq = pytest.importorskip("pyarrow.parquet", reason="needs pyarrow, the extra dataset")
 pytestmark = pytest.mark.usefixtures("here")
 
 run = commands.run  # fixture
@@ -107,14 +109,20 @@ def test_the_worst_are_found_across_shards(by: str, expected: list[tuple[int, in
     assert found.values.tolist() == worst_first
 
 
-def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    files = write_people()
-    whole = survey_people(files, count=3)
-    monkeypatch.setattr("warp_partdr.bulk.reading._BATCH", 2)
-    parts = survey_people(files, count=3)
-    assert (parts.rows, parts.pictures, parts.warned) == (whole.rows, whole.pictures, whole.warned)
-    assert parts.worst.addresses == whole.worst.addresses
-    assert parts.errors == whole.errors
+def test_rows_of_several_batches_are_counted_once() -> None:
+    """Four thousand times two pictures, with two people and one, whose errors rise; the last picture is broken."""
+    rows = [body_row(name) for name in ("1.png", "1.png", "2.png")]  # a batch ends between the first two
+    write_shards(Path("people"), [[*rows, {"picture": "3.png", "error": "3.png: image file is truncated (60 bytes)"}]])
+    (path,) = Path("people").glob("*.parquet")
+    short = pq.read_table(path)
+    table = pa.concat_tables([*[short.slice(0, 3)] * 4000, short.slice(3)])
+    errors = pa.array([*np.linspace(0.001, 0.02, 12_000, dtype=np.float32).tolist(), None], pa.float32())
+    place = table.schema.get_field_index("keypoint_error")
+    pq.write_table(table.set_column(place, table.schema.field(place), errors), path)
+    found = survey_people(PeopleFiles.open(Path("people")), count=3)
+    assert (found.rows, found.pictures, found.bodies) == (12_001, 8001, 12_000)
+    assert found.worst.addresses == [(0, 11_999), (0, 11_998), (0, 11_997)]
+    assert [(count, where) for count, _, where in found.errors.sorted()] == [(1, (0, 12_000))]
 
 
 def test_sentences_of_a_kind_differ_in_numbers_and_parts_alone() -> None:
@@ -128,13 +136,14 @@ def test_sentences_of_a_kind_differ_in_numbers_and_parts_alone() -> None:
     assert len({kind_of(same[0]) for same in alike}) == len(alike)
 
 
-def test_kinds_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(survey, "_MOST_KINDS", 2)
+def test_kinds_are_bounded() -> None:
     kinds = Kinds()
-    for name in ("a", "b", "c", "a", "d"):
+    names = [f"file {one}{other}" for one in ascii_lowercase for other in ascii_lowercase]
+    for name in (*names, names[0]):
         kinds.add(name, 1, Address(0, 0))
-    assert [(count, name) for count, name, _ in kinds.sorted()] == [(2, "a"), (1, "b")]
-    assert kinds.others == 2
+    assert [(count, name) for count, name, _ in kinds.sorted()][:2] == [(2, names[0]), (1, names[1])]
+    assert len(kinds.counts) == 300
+    assert kinds.others == len(names) - 300
 
 
 def test_shards_at_odds_are_marked(run: Run) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from helpers import commands
 from helpers.commands import Run
-from helpers.datasets import photo, write_coco
+from helpers.datasets import photo, rows, write_coco
 from helpers.shards import members, write_beside, write_tar
 
 from warp_partdr.bulk import picture_files
@@ -30,10 +30,6 @@ run = commands.run  # fixture
 HOW = "--labels cdcl14 --quality network --device cpu"
 # Of pycocotools 2.0.11: rows 5 to 30, columns 7 to 43 of 40x50, but rows 12 to 19 of columns 20 to 29.
 PACKED = "m8j0>000000000000000000000000]OJ46LJ46LJ46LJ46LJ46LJ46LJ46LJ46LJ46LJ46?00000000000000000000000000[7"
-
-
-def rows(folder: str) -> list[dict[str, Any]]:
-    return pq.read_table(folder).to_pylist()
 
 
 def test_shards_are_as_the_same_files_in_a_folder(run: Run) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers import commands
 from helpers.commands import Run
-from helpers.datasets import photo
+from helpers.datasets import photo, rows
 from helpers.shards import members, write_beside, write_tar
 
 from warp_partdr.bulk import opening
@@ -31,10 +31,6 @@ pytestmark = pytest.mark.usefixtures("here")
 run = commands.run  # fixture
 HOW = "--quality network --device cpu"
 LATIN = os.fsdecode(b"caf\xe9.png")  # not UTF-8
-
-
-def rows(folder: str) -> list[dict[str, Any]]:
-    return pq.read_table(folder).to_pylist()
 
 
 def save(*names: str, side: int = 32) -> None:

@@ -14,7 +14,7 @@ import pytest
 import torch
 from helpers import commands
 from helpers.commands import Run
-from helpers.datasets import photo, write_coco
+from helpers.datasets import photo, rows, write_coco
 from helpers.shards import members, write_beside, write_tar
 from PIL import Image
 
@@ -35,10 +35,6 @@ pytestmark = pytest.mark.usefixtures("here")
 run = commands.run  # fixture
 COCO = "dataset coco/people.json --quality network --device cpu"
 AGAIN = "could not be read; the same command tries again"
-
-
-def rows(folder: str) -> list[dict[str, Any]]:
-    return pq.read_table(folder).to_pylist()
 
 
 def fails_with(number: int) -> Callable[..., Any]:

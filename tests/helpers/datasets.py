@@ -17,6 +17,14 @@ def photo(side: int = 256) -> Image.Image:
     return image.resize((image.width * side // image.height, side))
 
 
+def rows(folder: Path | str) -> list[dict[str, Any]]:
+    """All rows of a data set that was written."""
+    import pyarrow.parquet as pq
+
+    found: list[dict[str, Any]] = pq.read_table(folder).to_pylist()
+    return found
+
+
 def write_folder(folder: Path) -> None:
     """A person, two people, nobody, and what is no picture; one lies in a folder, and something else beside them."""
     (folder / "more").mkdir(parents=True)

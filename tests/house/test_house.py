@@ -89,11 +89,6 @@ RIGHT_CARRIERS = {
     "from_json: cls(**fields)": "fields of a JSON object, by their names in the file",
     "of_arrays: cls(**values)": "arrays of a file, by their names in it",
 }
-# Those still to be mended, by a typed dataclass or by names: this list may only shrink.
-CARRIERS_TO_MEND = {
-    "try_refine: Refinement(**rule)",
-    "try_refine: refine(**rule)",
-}
 # Functions of autograd outside of ``interop``, whose ``Operation`` binds kernels.
 OTHER_FUNCTIONS = {
     "warp_partdr/lab/bench/kernels/calls.py: _Nothing": "is autograd alone, whose own time it tells",
@@ -108,7 +103,7 @@ FRAGMENTS = (
     r"|Their|Its|Your|Whom|Who|Nothing|Nobody|Somebody|Anything|One's|Up|None|[A-Z](?= and |,)|[A-Z]\.$)(?!\w)|[(\[]"
 )
 # Wings whose entries of Args and Attributes may still begin so; one that is mended leaves the list.
-ENTRIES_TO_MEND = ("solve", "inputs", "interop", "cli", "results")
+ENTRIES_TO_MEND = ("inputs", "interop", "cli", "results")
 
 pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").exists(), reason="needs the repository around the tests")
 
@@ -335,10 +330,9 @@ def test_arguments_are_parsed_by_the_command_line_alone():
 
 
 def test_arguments_do_not_travel_in_tuples_and_dicts():
-    """A new one is to become a typed dataclass, or names; one that is mended leaves the list."""
+    """A new one is to become a typed dataclass, or names."""
     found = {carrier for path in product_files() for carrier in find_carriers(tree(path))}
-    assert sorted(found - set(RIGHT_CARRIERS) - CARRIERS_TO_MEND) == []
-    assert sorted(CARRIERS_TO_MEND - found) == [], "mended: take them out of the list"
+    assert sorted(found - set(RIGHT_CARRIERS)) == []
     assert sorted(set(RIGHT_CARRIERS) - found) == [], "gone: take them out of the list"
 
 

@@ -14,7 +14,6 @@ from warp_partdr.body.labels import BACKGROUND, IGNORE
 from warp_partdr.body.skeletons import SKELETONS, Skeleton, skeleton
 from warp_partdr.cameras import Perspective
 from warp_partdr.errors import InputError
-from warp_partdr.inputs import cut_out as cutting
 from warp_partdr.inputs.cut_out import cut_out_people
 from warp_partdr.inputs.cut_people import CutPerson
 from warp_partdr.inputs.evidence import Evidence, PicturePerson, weigh_evidence
@@ -139,17 +138,8 @@ def test_probabilities_are_cut_out_where_they_are_wanted() -> None:
     assert plain.observation.maps is None
 
 
-def test_people_in_parts_of_the_batch_are_the_same(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Memory holds a few at a time."""
-    people = people_of_all_kinds(rng, 12)
-    whole = cut_out_people(people, "cpu", 128)
-    monkeypatch.setattr(cutting, "_PIXELS", {"cpu": 2**15})
-    for one, other in zip(whole, cut_out_people(people, "cpu", 128), strict=True):
-        assert isinstance(one, CutPerson)
-        assert isinstance(other, CutPerson)
-        assert (one.crop, one.evidence.warnings) == (other.crop, other.evidence.warnings)
-        if one.observation.labels is not None and other.observation.labels is not None:
-            assert torch.equal(one.observation.labels, other.observation.labels)
+def test_people_whose_pictures_are_too_large_for_one_batch_are_cut_out_as_each_alone() -> None:
+    assert_as_alone([scaled(masked(*example_mask()), 1, zoom) for zoom in (5, 6, 7)], size=128)
 
 
 @pytest.mark.parametrize("with_mask", [False, True])
@@ -214,6 +204,12 @@ def test_each_who_cannot_be_used_has_an_error_and_nobody_else() -> None:
     assert [isinstance(each, InputError) for each in found] == [False, *[True] * len(wrong), False]
     for error, told in zip(found[1:], [*(told for *_, told in unusable), "in nobody's mask"], strict=False):
         assert told in str(error)
+
+
+def test_groups_of_a_mask_tell_the_person_from_others_and_nobody(device: str) -> None:
+    owners = torch.tensor([[0, 1, 2], [3, 2, 0]], dtype=torch.int32, device=device)
+    assert Mask(owners, 2).groups().tolist() == [[0, 255, 1], [255, 1, 0]]
+    assert Mask(owners.T, 2).groups().tolist() == [[0, 255], [255, 1], [1, 0]]
 
 
 def test_of_whom_a_mask_shows_nothing_the_keypoints_are_cut_out(device: str) -> None:

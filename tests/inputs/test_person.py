@@ -16,9 +16,9 @@ from warp_partdr.errors import InputError
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, choose_person, person_height
-from warp_partdr.inputs.own_pixels import Windows, select_person
+from warp_partdr.inputs.own_pixels import Windows, person_extents, select_person
 from warp_partdr.inputs.part_labels import PartLabels, check_sizes, read_parts, read_photo
-from warp_partdr.inputs.person import crop_nearest, is_labelled, person_crop, person_labels
+from warp_partdr.inputs.person import crop_boxes, crop_nearest, is_labelled, person_labels
 from warp_partdr.reference.own_pixels import own_pixels
 
 PHOTOS = ("000000032081", "000000203864", "000000468632")
@@ -188,7 +188,7 @@ def test_pixels_of_the_main_person_are_selected_on_the_shared_photos(name: str, 
     # Counted by eye: nothing of the lone player is lost; of the others, about these shares are the main person's.
     share = kept.sum() / (parts.groups > 0).sum()
     assert share == pytest.approx({"000000032081": 1.0, "000000203864": 0.722, "000000468632": 0.379}[name], abs=0.005)
-    x0, y0, x1, y1 = person_crop(keypoints, selected)
+    (x0, y0), (x1, y1) = np.concatenate(crop_boxes(*person_extents(keypoints, selected), 0.1)).astype(int)
     assert kept[max(y0, 0) : y1, max(x0, 0) : x1].sum() == kept.sum()
     assert 0.9 < (y1 - y0) / person_height(keypoints) < 1.5
 
@@ -227,10 +227,12 @@ def test_the_box_holds_the_labels_and_the_margin_and_no_more():
     groups[5:21, 7:12], groups[2, 3] = 1, 255
     points = np.full((17, 2), 10.5, np.float32)
     keypoints = Keypoints2D("coco17", points, np.ones(17, np.float32))
-    assert person_crop(keypoints, groups, margin=0.0) == (7, 5, 12, 21)
-    assert person_crop(keypoints, groups, margin=0.1) == (5, 3, 14, 23)  # 1.6 more on each side
+    np.testing.assert_array_equal(person_extents(keypoints, groups), [[[7, 5]], [[12, 21]]])
+    low, high = crop_boxes(*person_extents(keypoints, groups), 0.1)
+    np.testing.assert_array_equal([low, high], [[[5, 3]], [[14, 23]]])  # 1.6 more on each side
     points[0] = [2.25, 24.5]
-    assert person_crop(keypoints, groups, margin=0.0) == (2, 5, 12, 25)
+    np.testing.assert_array_equal(crop_boxes(*person_extents(keypoints, groups), 0.0), [[[2, 5]], [[12, 25]]])
+    np.testing.assert_array_equal(person_extents(keypoints, None), [[[2.25, 10.5]], [[10.5, 24.5]]])
 
 
 @pytest.mark.parametrize("others", [0, 1, 2])

@@ -214,15 +214,15 @@ def test_graphs_are_freed_where_memory_is_out(monkeypatch):
     scene = Scene.make(1, "cpu")
     want = answer(scene, "edges")
     answer(scene, "edges")
-    measure, calls = graph_cache._measure, []
+    capture, calls = graph_cache.capture_graph, []
 
     def fail_once(*arguments):
         calls.append(len(loss_graphs()))
         if len(calls) == 1:
             raise torch.OutOfMemoryError
-        return measure(*arguments)
+        return capture(*arguments)
 
-    monkeypatch.setattr(graph_cache, "_measure", fail_once)
+    monkeypatch.setattr(graph_cache, "capture_graph", fail_once)
     other = Scene.make(1, "cpu", batch=2)
     answer(other, "edges")
     answer(other, "edges")

@@ -29,13 +29,13 @@ def test_sixty_people_are_found_each_once() -> None:
 
 def test_tiles_become_smaller_where_people_are_small_or_nobody_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
-    find = people._find
+    detect = people.detect_people
 
-    def spy(networks: object, pyramids: list[object], before: object, min_score: float, levels: int) -> object:
+    def spy(networks: object, pyramids: list[object], new: object, min_score: float, levels: int) -> object:
         asked.append((levels, len(pyramids)))
-        return find(networks, pyramids, before, min_score, levels)
+        return detect(networks, pyramids, new, min_score, levels)
 
-    monkeypatch.setattr(people, "_find", spy)
+    monkeypatch.setattr(people, "detect_people", spy)
     example = example_photo()
     nobody = np.full((900, 1200, 3), 90, np.uint8)
     few, _ = crowd(6)

@@ -62,11 +62,19 @@ SMALL = LabelNetworkConfig(
     size=64, channels=(8, 16, 16, 16, 16), places=4, keypoint_features=16, regressor=RegressorConfig(width=32)
 )
 
+WIDE = replace(SMALL, regressor=RegressorConfig(width=256))  # with weights that are kept in bytes
+
 
 @pytest.fixture
 def network() -> LabelNetwork:
     torch.manual_seed(0)
     return LabelNetwork(SMALL).eval()
+
+
+@pytest.fixture
+def wide_network() -> LabelNetwork:
+    torch.manual_seed(0)
+    return LabelNetwork(WIDE).eval()
 
 
 @pytest.mark.parametrize("name", LABEL_SETS)
@@ -299,12 +307,11 @@ def test_uncertainties_are_positive_and_go_with_their_bodies(network):
 
 
 @pytest.mark.parametrize("bits", [32, 16, 8])
-def test_a_network_comes_back_from_its_file(network, tmp_path, bits, monkeypatch):
-    monkeypatch.setattr("warp_partdr.networks.regression.checkpoint._LARGE", 256)
-    path = tmp_path / "network.safetensors"
-    save_label_network(path, network.state_dict(), SMALL, {"steps": 3}, bits=bits)
+def test_a_network_comes_back_from_its_file(wide_network, tmp_path, bits):
+    network, path = wide_network, tmp_path / "network.safetensors"
+    save_label_network(path, network.state_dict(), WIDE, {"steps": 3}, bits=bits)
     back = load_label_network(path)
-    assert back.config == SMALL
+    assert back.config == WIDE
     with safe_open(path, "pt") as file:
         assert json.loads(file.metadata()["about"]) == {"steps": 3}
     assert not back.training
@@ -326,14 +333,14 @@ def test_a_file_is_read_once_while_it_stays_as_it_is(network, tmp_path):
         known_network(path, "cpu")
 
 
-def test_weights_in_bytes_are_as_near_as_their_row_allows(network, tmp_path, monkeypatch):
-    monkeypatch.setattr("warp_partdr.networks.regression.checkpoint._LARGE", 256)
-    path, weights = tmp_path / "network.safetensors", network.state_dict()
-    large = {name for name, value in weights.items() if value.ndim > 1 and value.numel() >= 256}
+def test_weights_in_bytes_are_as_near_as_their_row_allows(wide_network, tmp_path):
+    path, weights = tmp_path / "network.safetensors", wide_network.state_dict()
+    large = {name for name, value in weights.items() if value.ndim > 1 and value.numel() >= 2**16}
+    assert large
     for name in large:
         weights[name][::2] *= 100  # rows differ
         weights[name][1] = 0
-    save_label_network(path, weights, SMALL, {}, bits=8)
+    save_label_network(path, weights, WIDE, {}, bits=8)
     with safe_open(path, "pt") as file:
         assert {name for name in file.keys() if file.get_tensor(name).dtype == torch.int8} == large  # noqa: SIM118
     back = load_label_network(path).state_dict()
@@ -342,7 +349,7 @@ def test_weights_in_bytes_are_as_near_as_their_row_allows(network, tmp_path, mon
         rows, error = weights[name].flatten(1), (back[name] - weights[name]).flatten(1).abs()
         assert (error <= rows.abs().amax(1, keepdim=True) * (0.501 / 127)).all(), name
     with pytest.raises(InputError, match="bits: 4; expected 8, 16 or 32"):
-        save_label_network(path, weights, SMALL, {}, bits=4)
+        save_label_network(path, weights, WIDE, {}, bits=4)
 
 
 def test_files_that_are_no_networks_are_named(network, tmp_path):

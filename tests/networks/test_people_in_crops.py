@@ -149,12 +149,13 @@ def test_haze_over_all_classes_is_taken_as_none() -> None:
     np.testing.assert_allclose(parts.maps[:, 35, 100], [0, 0, 2 / 9, 7 / 9, 0, 0, 0], atol=1e-6)
 
 
-def test_maps_with_too_many_values_are_kept_as_labels(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("warp_partdr.networks.predictors.parts._MOST_VALUES", 7 * SIZE[0] * SIZE[1] - 1)
-    ids = np.full(SIZE, 3, dtype=np.uint8)
-    found = parts_of(picture_of(ids), [person(100, 60, 80)], PartNetwork(LSP6, (64, 64), as_probabilities)).of(0)
+@pytest.mark.parametrize(("count", "kept"), [(1, True), (2**27, False)])
+def test_maps_of_too_many_people_are_kept_as_labels(count: int, kept: bool) -> None:
+    picture, one = picture_of(np.full(SIZE, 3, dtype=np.uint8)), person(100, 60, 80)
+    network = PartNetwork(LSP6, (64, 64), as_probabilities)
+    found = PeopleParts(network, Pyramid(picture, "cpu"), [one], instance_map([one], SIZE), count).of(0)
     assert found is not None
-    assert found.maps is None
+    assert (found.maps is not None) == kept
 
 
 @pytest.mark.parametrize(

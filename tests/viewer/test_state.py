@@ -18,6 +18,7 @@ from warp_partdr.body.template import LENGTH_NAMES
 from warp_partdr.files.sections import read_section
 from warp_partdr.inputs.observation import resize_nearest
 from warp_partdr.metrics import confusion, part_f1
+from warp_partdr.solve.ellipsoids.stepper import Refinement
 from warp_partdr.viewer.settings import CHOICES, Settings
 from warp_partdr.viewer.state import DemoState
 from warp_partdr.viewer.targets import PRESETS, RANDOM, body_of, body_target, read_body, target_labels
@@ -62,6 +63,15 @@ def test_steps_lower_the_loss_and_the_error(supervision):
     assert state.joint_error() < before[0]
     assert state.part_f1 > before[1]
     assert state.milliseconds() > 0
+
+
+def test_steps_are_those_of_a_run():
+    state = make_state()
+    settings = state.settings
+    run = Refinement(state.start, state.energy, iterations=6, learning_rate=settings.learning_rate).run()
+    state.configure(steps=6)
+    play(state, 6)
+    assert state.history == run.history[:, 0].tolist()
 
 
 @pytest.mark.parametrize("renderer", ["E0", "E2"])

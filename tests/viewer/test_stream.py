@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from warp_partdr.viewer import stream
 from warp_partdr.viewer.stream import JpegPicture, PictureStream
 
 
@@ -30,8 +29,7 @@ def encode(image: int, columns: int, rows: int, quality: int) -> tuple[bytes]:
 
 
 @pytest.fixture
-def made(monkeypatch):
-    monkeypatch.setattr(stream, "_QUIET", 0.001)
+def made():
     return PictureStream(Drawn(), encode)
 
 
@@ -47,7 +45,7 @@ def asynchronous(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[...
 
 async def waits(task: asyncio.Future[JpegPicture]) -> bool:
     """True if a task stands still though nothing else is to be done."""
-    await asyncio.sleep(0.1)
+    await asyncio.sleep(0.7)
     return not task.done()
 
 

@@ -23,9 +23,9 @@ from ..errors import InputError, check_each, check_type
 from ..interop.streams import on_torch_stream
 from .body_lines import LIMBS
 from .keypoints import LARGEST_PLACE, Keypoints2D
-from .own_pixels import CPU, Mask, Measures, OwnPixels, Windows, extents, no_label_along_bones
+from .own_pixels import CPU, Mask, Measures, OwnPixels, Windows, no_label_along_bones, person_extents
 from .part_labels import PartLabels
-from .person import Box, is_labelled, label_bounds, person_labels
+from .person import Box, person_labels
 
 MASK_LABELS = label_set("full1")
 MOST_DISAGREEMENT = 1.0  # see ``disagreements``
@@ -97,12 +97,7 @@ class Evidence:
 
     def extents(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest (x, y) in the window [px] of all that is seen of the person, shape (1, 2)."""
-        low, high = np.full((1, 2), np.inf), np.full((1, 2), -np.inf)
-        if self.groups is not None:
-            rows, columns = label_bounds(is_labelled(self.groups))
-            if rows.stop:
-                low, high = np.array([[columns.start, rows.start]]), np.array([[columns.stop, rows.stop]])
-        return extents(self.windows.points, self.windows.confidence, low, high)
+        return person_extents(self.in_window(), self.groups)
 
     def target(
         self, size: tuple[int, int], box: Box | None = None, *, every: int = 1, trust_background: bool = True

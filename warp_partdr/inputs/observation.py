@@ -182,7 +182,7 @@ def _square_crop(window: Crop, middle: tuple[float, float], half: float) -> Crop
 
 
 def crop_squares(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Middles and half sides of N people's crops (``person_crop``) about all that is seen of them.
+    """Middles and half sides of N people's square crops about all that is seen of them.
 
     Lowest and highest (x, y) [px] of that, shape (N, 2).
     """

@@ -26,7 +26,7 @@ from ..kernels import own_pixels, own_targets
 from ..kernels.launch import run_slices, split_batch
 from .body_lines import LIMBS, Points, bones_of, flesh_of, limb_of, limb_sides, limbs_of
 from .keypoints import Keypoints2D, confident, person_heights
-from .person import label_bounds, reach_boxes
+from .person import is_labelled, label_bounds, reach_boxes
 
 CPU = torch.device("cpu")
 WINDOW_SIDE = 768  # [px]: more of a person is not looked at; a fit keeps a crop of it, at ``LABEL_SIZE``
@@ -50,6 +50,14 @@ class Mask(NamedTuple):
 
     owners: torch.Tensor  # 0 = nobody, shape (H, W), int32; people may share it
     number: int  # the person's there, from 1 on
+
+    def groups(self) -> np.ndarray:
+        """Group ids: 1 for the person, 0 for nobody, 255 for others, shape (H, W), uint8."""
+        filled = torch.empty_like(self.owners, dtype=torch.uint8)
+        with on_torch_stream(filled.device):
+            own_pixels.launch_mask_groups(warp_array(self.owners), self.number, warp_array(filled))
+        groups: np.ndarray = filled.cpu().numpy()
+        return groups
 
 
 @dataclass(frozen=True)
@@ -398,6 +406,19 @@ def extents(
     low = np.minimum(np.where(sure, places, np.inf).min(axis=1), low)
     high = np.maximum(np.where(sure, places, -np.inf).max(axis=1), high)
     return low, high
+
+
+def person_extents(keypoints: Keypoints2D, groups: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest (x, y) [px] of a person's confident keypoints and labels, shape (1, 2).
+
+    ``groups`` (H, W) hold this person's ids alone (``select_person``); None: there are no labels.
+    """
+    low, high = np.full((1, 2), np.inf), np.full((1, 2), -np.inf)
+    if groups is not None:
+        rows, columns = label_bounds(is_labelled(groups))
+        if rows.stop:
+            low, high = np.array([[columns.start, rows.start]]), np.array([[columns.stop, rows.stop]])
+    return extents(keypoints.points[None], keypoints.confidence[None], low, high)
 
 
 def _stacked(people: Sequence[Sequence[Keypoints2D]]) -> list[Points]:

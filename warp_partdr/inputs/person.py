@@ -183,20 +183,6 @@ def _followed(form: str | Skeleton) -> np.ndarray:
     return table
 
 
-def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1) -> tuple[int, int, int, int]:
-    """Box in whole pixels around a person's labels and confident keypoints; may reach beyond the picture.
-
-    ``groups`` hold this person's ids alone (``select_person``); ``margin`` on each side is a share of the longer side.
-    """
-    points = keypoints.points[keypoints.confident].astype(np.float64)
-    rows, columns = label_bounds(is_labelled(groups))
-    if rows.stop:
-        points = np.concatenate([points, [[columns.start, rows.start], [columns.stop, rows.stop]]])
-    low, high = crop_boxes(points.min(axis=0)[None], points.max(axis=0)[None], margin)
-    x0, y0, x1, y1 = np.concatenate([low, high], axis=1)[0].astype(int).tolist()
-    return x0, y0, x1, y1
-
-
 def is_labelled(groups: np.ndarray) -> np.ndarray:
     """True where group ids, uint8, are those of a part."""
     found: np.ndarray = groups - np.uint8(1) < IGNORE - 1  # in bytes, where 0 - 1 is 255

@@ -163,7 +163,7 @@ class ObservedFilm:
             keypoints = replace(full, points=full.points * np.float32(self._zoom))
             # A mask is never mixed with labels of the given network, because they have different label sets.
             if self.given is None or self.given.networks.parts_from is None:
-                parts = mask_labels(self.people.owners(frame).astype(np.int32), index)
+                parts = mask_labels(self.people.owners(frame), index)
             else:
                 parts = self.given.parts_of(frame, index)
             yield SceneObservation(keypoints, parts, person, frame, view)

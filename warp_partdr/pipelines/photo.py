@@ -14,13 +14,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..body.labels import BACKGROUND, IGNORE
 from ..cameras import Perspective, UsualLens, zoomed
 from ..errors import InputError, check_type, check_whole, told_as
 from ..inputs.evidence import MASK_LABELS, Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
+from ..inputs.own_pixels import Mask
 from ..inputs.part_labels import PartLabels, read_photo, told_focal
 from ..inputs.person import PersonInputs
+from ..interop.arrays import tensor_over
 from ..models.model import DetailedModel
 from ..networks.detection import MIN_SCORE, LandmarkNetwork
 from ..networks.detection.crops import Pyramid
@@ -258,8 +259,7 @@ def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
         owners: Person at each pixel, from 1 on, 0 for nobody, shape (H, W), int32.
         index: Index of the person, from 0. Pixels of other people become 255 (ignored).
     """
-    groups = np.where(owners == BACKGROUND, BACKGROUND, IGNORE).astype(np.uint8)
-    groups[owners == index + 1] = 1
+    groups = Mask(tensor_over(owners.astype(np.int32, copy=False)), index + 1).groups()
     return PartLabels(MASK_LABELS, groups) if (groups == 1).any() else None
 
 

@@ -17,9 +17,10 @@ from ...body.skeletons import MPJPE_JOINTS
 from ...body.template import NUM_PARTS
 from ...errors import InputError
 from ...inputs.keypoints import LARGEST_PLACE
-from ...inputs.observation import CROP_MARGIN
+from ...inputs.observation import crop_squares
+from ...inputs.own_pixels import person_extents
 from ...inputs.part_labels import check_sizes
-from ...inputs.person import Box, person_crop
+from ...inputs.person import Box
 from ...inputs.sample import Sample
 from ...networks.regression.landmarks import LANDMARKS, network_keypoints
 from ..evaluation.datasets import read_folder, read_human36m, read_lsp, read_pw3d
@@ -152,14 +153,12 @@ def _square_box(sample: Sample) -> Box:
     Raises:
         InputError: If no keypoint is visible, or the box is too small or too large.
     """
-    empty = np.zeros((1, 1), dtype=np.uint8)
     if not sample.keypoints.visible.any():
         raise InputError(f"{sample.name}: no keypoint is visible; expected one at least")
-    x0, y0, x1, y1 = person_crop(sample.keypoints, empty if sample.target is None else sample.target, CROP_MARGIN)
-    half = max(x1 - x0, y1 - y0) / 2
+    middles, halves = crop_squares(*person_extents(sample.keypoints, sample.target))
+    half, (u, v) = float(halves[0]), middles[0].tolist()
     if not _SMALLEST <= 2 * half <= LARGEST_PLACE:
         raise InputError(f"{sample.name}: a crop of {2 * half:g} px; expected {_SMALLEST:g} or more")
-    u, v = (x0 + x1) / 2, (y0 + y1) / 2
     return u - half, v - half, u + half, v + half
 
 

@@ -12,7 +12,7 @@ import torch
 
 from ...body.parameters import BodyParameters
 from ...errors import check_type
-from ...interop.adam import Adam, cosine_share
+from ...interop.adam import Adam, cosine_share, descend
 from ...interop.checks import FLOATS, check_steps, check_tensor
 from ...interop.movable import Movable
 
@@ -89,7 +89,7 @@ class Refinement:
         learning_rate: float = LEARNING_RATE,
         frozen: Collection[str] = (),
     ) -> None:
-        self._iterations = iterations = check_steps(iterations, learning_rate)
+        self._iterations = check_steps(iterations, learning_rate)
         check_type("start", start, BodyParameters, "such as BodyParameters.mean(1)")
         start.check_finite()
         free = BodyParameters.free(frozen)
@@ -103,22 +103,22 @@ class Refinement:
         device = self.bodies.lengths.device
         self._bounds = [(tensors[name], *size_bounds(name, device)) for name in SIZES if name in free]
 
-    def step(self) -> None:
-        """Take one iteration: evaluate the energy, keep the best states, move the bodies."""
+    def step(self, share: float) -> None:
+        """Take one iteration at a share of the learning rate (``rate_share``).
+
+        It evaluates the energy, keeps the best states, and moves the bodies.
+        """
         total = self._evaluate()
         self.history.append(total.detach())
         total.sum().backward()
-        self._adam.step(rate_share(len(self.history) - 1, self._iterations))
+        self._adam.step(share)
         with torch.no_grad():
             for sizes, low, high in self._bounds:
                 sizes.clamp_(low, high)
 
     def run(self, on_iteration: Callable[[int], None] | None = None) -> Refined:
-        """Take all iterations that are left, and evaluate the last state, which may be the best."""
-        for iteration in range(len(self.history), self._iterations):
-            self.step()
-            if on_iteration is not None:
-                on_iteration(iteration + 1)
+        """Take all iterations, and evaluate the last state."""
+        descend(lambda _, share: self.step(share), self._iterations, last_share=FINAL_RATE, progress=on_iteration)
         with torch.no_grad():
             total = self._evaluate()
         best = self.best

@@ -9,7 +9,7 @@ import torch
 
 from ...errors import InputError
 from ...inputs.observation import CROP_MARGIN
-from ...inputs.person import person_crop
+from ...inputs.person import crop_boxes
 from ...render.part_mesh import MAX_LABEL
 from ..mesh.observed_body import ObservedBody
 
@@ -30,9 +30,9 @@ def find_clusters(observed_bodies: Sequence[ObservedBody], num_people: int) -> C
         by_picture.setdefault((observed.frame, observed.view), []).append(observed)
     for group in by_picture.values():
         people = np.array([observed.person for observed in group])
-        boxes = np.array([_box(observed) for observed in group])
-        low = boxes[:, :2]
-        high = boxes[:, 2:]
+        boxes = np.stack([_box(observed) for observed in group])
+        low = boxes[:, 0]
+        high = boxes[:, 1]
         overlap = ((low < high[:, None]) & (high > low[:, None])).all(-1)
         near[np.ix_(people, people)] |= overlap
     for _ in range(num_people.bit_length()):  # each product doubles the number of people between two
@@ -81,10 +81,8 @@ def slots_of(clusters: Clusters, num_people: int, device: torch.device) -> tuple
     return torch.from_numpy(slots).to(device), torch.from_numpy(places).to(device)
 
 
-def _box(observed: ObservedBody) -> list[float]:
-    """Box around the person in the picture, with a margin: left, top, right, bottom [px]."""
-    evidence = observed.evidence
-    groups = np.zeros((1, 1), dtype=np.uint8) if evidence.groups is None else evidence.groups
-    box = np.array(person_crop(evidence.in_window(), groups, CROP_MARGIN)).reshape(2, 2)
-    found: list[float] = (box / evidence.window.zoom + (evidence.window.left, evidence.window.top)).ravel().tolist()
+def _box(observed: ObservedBody) -> np.ndarray:
+    """Lowest and highest (x, y) in the picture [px] of the person with a margin, shape (2, 2)."""
+    corners = np.concatenate(crop_boxes(*observed.evidence.extents(), CROP_MARGIN))
+    found: np.ndarray = corners / observed.evidence.windows.zooms + observed.evidence.windows.starts
     return found
