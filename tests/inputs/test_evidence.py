@@ -116,7 +116,7 @@ def weighed(person: Person, others: Sequence[Keypoints2D] = ()) -> WeighedPeople
 def measured(person: Person, others: Sequence[Keypoints2D] = ()) -> float:
     """Disagreement of labels and keypoints."""
     found = weighed(person, others)
-    known = np.where(found.measures.complete, found.measures.looked, 0).sum(axis=1)
+    known = np.where(found.measures.complete, found.measures.counts, 0).sum(axis=1)
     return float(disagreements(found.pixels.sides(), known, found.measures.far.sum(axis=1))[0])
 
 

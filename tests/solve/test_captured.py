@@ -128,7 +128,7 @@ def test_depth_is_held_as_in_torch(device):
     free = energy_of(body, weights=Weights(depth=0.01))
     even = torch.full_like(depths, 1e-3)
     sure = torch.linspace(5e-4, 5e-3, len(depths), device=device)
-    held = [{"depths": depths + away, "depth_spreads": spread} for away, spread in ((0.0, even), (0.05, sure))]
+    held = [{"depths": depths + away, "depth_uncertainties": spread} for away, spread in ((0.0, even), (0.05, sure))]
     energies = [replace(free, observation=replace(free.observation, **each)) for each in held]
     both = replace(free, observation=Observations.of([each.observation for each in energies]))
     bodies = moved_bodies(body, 4, amount=0.3)

@@ -177,7 +177,7 @@ def _read_rig(run: FilmRun, options: SceneOptions) -> list[CalibratedCamera] | N
 
     if run.cameras is None:
         return None
-    rig = cameras_of_films(run.cameras, run.films, say=_say)
+    rig = cameras_of_films(run.cameras, run.films, warn=_say)
     options.check_sights(1, len(run.films))
     for film, camera in zip(run.films, rig, strict=True):
         picture = next(read_frames(film)).picture

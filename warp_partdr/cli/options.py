@@ -18,11 +18,11 @@ from ..inputs.keypoints import choose_person
 from ..inputs.part_labels import (
     PhotoFile,
     check_sizes,
+    exif_focal_length,
     photo_warnings,
     read_focal,
     read_labelled_parts,
     read_photo,
-    told_focal,
 )
 from ..inputs.person import PersonInputs, check_inside
 from ..networks.detection import MIN_SCORE
@@ -371,7 +371,7 @@ class CameraOptions:
 
     def of_photo(self, size: tuple[int, int], photo: PhotoFile | None) -> Perspective | None:
         """The camera as ``read`` has it or, where nothing was said, as the photo's EXIF data tell it, which is said."""
-        if self.given or photo is None or (focal := told_focal(photo)) is None:
+        if self.given or photo is None or (focal := exif_focal_length(photo)) is None:
             return self.read(size, photo)
         echo(f"partdr: focal length {focal:.0f} px, of the photo's EXIF data; --focal none to do without", err=True)
         from ..cameras import Perspective  # loads torch

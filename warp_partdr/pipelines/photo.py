@@ -18,7 +18,7 @@ from ..cameras import Perspective, UsualLens, zoomed
 from ..errors import InputError, check_type, check_whole, told_as
 from ..inputs.evidence import MASK_LABELS, Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.part_labels import PartLabels, read_photo, told_focal
+from ..inputs.part_labels import PartLabels, exif_focal_length, read_photo
 from ..inputs.person import PersonInputs
 from ..models.model import DetailedModel
 from ..networks.detection import MIN_SCORE, LandmarkNetwork
@@ -110,7 +110,7 @@ def fit_photo(
     tell("people", 0, 1)
     pixels = read_photo(photo) if isinstance(photo, str | Path) else photo
     check_picture("photo", pixels)
-    if camera is None and isinstance(photo, str | Path) and (focal := told_focal(photo)) is not None:
+    if camera is None and isinstance(photo, str | Path) and (focal := exif_focal_length(photo)) is not None:
         camera = Perspective.of_picture(pixels.shape[:2], focal=focal)
     picture = Pyramid(pixels, device)
     options = (options or FitOptions.at("balanced")).without_outline()

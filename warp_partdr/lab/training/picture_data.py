@@ -16,7 +16,7 @@ from ...body.labels import IGNORE, LabelSet, label_set
 from ...body.skeletons import MPJPE_JOINTS
 from ...body.template import NUM_PARTS
 from ...errors import InputError
-from ...inputs.keypoints import LARGEST_PLACE
+from ...inputs.keypoints import LARGEST_COORDINATE
 from ...inputs.observation import CROP_MARGIN
 from ...inputs.part_labels import check_sizes
 from ...inputs.person import Box, person_crop
@@ -157,7 +157,7 @@ def _square_box(sample: Sample) -> Box:
         raise InputError(f"{sample.name}: no keypoint is visible; expected one at least")
     x0, y0, x1, y1 = person_crop(sample.keypoints, empty if sample.target is None else sample.target, CROP_MARGIN)
     half = max(x1 - x0, y1 - y0) / 2
-    if not _SMALLEST <= 2 * half <= LARGEST_PLACE:
+    if not _SMALLEST <= 2 * half <= LARGEST_COORDINATE:
         raise InputError(f"{sample.name}: a crop of {2 * half:g} px; expected {_SMALLEST:g} or more")
     u, v = (x0 + x1) / 2, (y0 + y1) / 2
     return u - half, v - half, u + half, v + half

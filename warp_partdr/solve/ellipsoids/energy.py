@@ -155,7 +155,7 @@ class Energy:
         usual_thicknesses: Thicknesses at which L_t is 0 [m], shape (N, 15).
         depths: Depths along z at which the parts' centres are to stay, pelvis at 0 [m], shape (N, 20); None: anywhere.
             Neither labels nor keypoints say so, and a body leans to fit an outline.
-        depth_scales: 1 / the observations' ``depth_spreads`` [1/m], 1 / 1 mm each without, shape (N, 20).
+        depth_scales: 1 / the observations' ``depth_uncertainties`` [1/m], 1 / 1 mm each without, shape (N, 20).
         target: Target labels, shape (N, size, size), uint8; None if nothing is drawn.
         key: Key of this energy among others.
     """
@@ -180,8 +180,8 @@ class Energy:
         )
         self.depths: torch.Tensor | None = people.depths
         self.depth_scales = torch.full((count, NUM_PARTS), _MILLIMETRES, device=device)
-        if people.depth_spreads is not None:
-            self.depth_scales = 1 / people.depth_spreads
+        if people.depth_uncertainties is not None:
+            self.depth_scales = 1 / people.depth_uncertainties
         self.target: torch.Tensor | None = None
         self.key = object()
         self._fixed: Renderer | None = None
