@@ -18,7 +18,7 @@ _MAX_RATE = 1e3
 _MAX_ITERATIONS = 10**7  # each has a row in the history
 
 # Largest |R^T R - I| (Frobenius norm). bfloat16 rounds a rotation by up to 7e-3, float16 by 2e-3, and products of ten
-# thousand rotations in float32 are off by less than 1e-3. Beyond it, ellipsoids and bones are visibly sheared or scaled.
+# thousand rotations in float32 are off by less than 1e-3. Beyond it, ellipsoids and bones are visibly sheared.
 ROTATION_TOLERANCE = 1e-2
 
 
@@ -82,7 +82,9 @@ def check_image_size(image_size: Sequence[SupportsIndex], batch: int = 1) -> tup
     if not isinstance(image_size, Sequence):
         raise TypeError(f"image_size: {type(image_size).__name__}; expected two positive integers (H, W)")
     try:
-        height, width = [check_whole("image_size", size, 1) for size in image_size]
+        first, second = image_size
+        height = check_whole("image_size", first, 1)
+        width = check_whole("image_size", second, 1)
     except ValueError:  # also if they are not two
         raise ValueError(f"image_size: {image_size}; expected two positive integers (H, W)") from None
     pixels = height * width
@@ -161,7 +163,7 @@ def rotation_error(matrices: torch.Tensor, *, mirrored: bool = False) -> torch.T
 
 
 def rotation_fault(matrices: torch.Tensor, *, mirrored: bool = False) -> str | None:
-    """Message about the first matrix that is no rotation; None if all are. Arguments are those of ``rotation_error``."""
+    """Message about the first matrix that is no rotation; None if all are. It takes arguments as ``rotation_error``."""
     errors = rotation_error(matrices, mirrored=mirrored)
     wrong = (~(errors <= ROTATION_TOLERANCE)).nonzero().tolist()
     if not wrong:

@@ -36,7 +36,7 @@ def choose_device(name: str) -> str:
 
 @contextmanager
 def without_driver_warning() -> Iterator[None]:
-    """Suppress the line on stderr that Warp finds no CUDA driver. Its library prints it whatever Python's settings are."""
+    """Suppress the line on stderr that Warp finds no CUDA driver, which Python's settings can't suppress."""
     stderr = os.dup(2)
     with tempfile.TemporaryFile() as written:
         os.dup2(written.fileno(), 2)

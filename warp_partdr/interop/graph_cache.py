@@ -23,9 +23,7 @@ Launch = Callable[[], None]
 _CPU_BYTES = 2**29
 _CUDA_SHARE = 8  # one eighth of a device's memory
 _MOST_KEYS = 512  # keys that are remembered
-BYTES_PER_PIXEL = (
-    16  # estimate for the CPU, which counts no memory: labels, target, and the nearest part with its depth
-)
+BYTES_PER_PIXEL = 16  # estimate for the CPU, which counts no memory: labels, target, the nearest part and its depth
 
 _budget: int | None = None
 

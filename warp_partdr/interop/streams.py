@@ -132,8 +132,8 @@ def launch_bodies_on(
             launch_in_slices(launch, batch, wp.get_device(where), modules=modules)
 
 
-# Warp's current stream and device belong to the process, torch's to the thread. Without this lock, a thread could launch
-# on another thread's stream, and read its results too early.
+# Warp's current stream and device belong to the process, torch's to the thread. Without this lock, a thread could
+# launch on another thread's stream, and read its results too early.
 _one_stream = threading.RLock()
 
 

@@ -54,7 +54,7 @@ def one_torch_thread() -> Iterator[None]:
 
 @contextmanager
 def all_torch_threads() -> Iterator[None]:
-    """Let torch take as many threads as before, inside of ``one_torch_thread``: for large networks of other projects."""
+    """Let torch take as many threads as before, inside of ``one_torch_thread``: for other projects' large networks."""
     if not getattr(_own, "within", False):
         yield
         return

@@ -71,7 +71,7 @@ def _fit_together(
     camera = results[0].camera
     assert isinstance(camera, Perspective)
     looks = [ObservedBody.of_fit(each, person) for person, each in enumerate(results)]
-    # No ground: of a photo, it is found of everybody (``results.scene_places``).
+    # No ground: of a photo, it is found of everybody (``results.placements``).
     together, device = SceneOptions(mesh=options, ground=0.0), results[0].parameters.shift.device
     scene = Scene([View(camera)], [look.sight for look in looks])
     fit = fit_scene(scene, options=together, model=model, device=device, progress=progress, looks=looks)
