@@ -1,4 +1,4 @@
-"""``partdr fit FILM``, and films of several cameras: the motion of everyone in them."""
+"""Fit of films, by ``partdr fit FILM`` and ``partdr scene``: the motion of all people in them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..inputs.films import film_facts, is_photo, read_frames
 from ..inputs.part_labels import scan_photo
 from .fit_request import FitRequest, QualityName, StartName
 from .loading import NO_MODEL, load_mesh_kernels
-from .options import EXIF, CameraOptions, NetworkOptions, RunSettings, say_distance
+from .options import EXIF, CameraOptions, NetworkOptions, RunSettings, distance_words
 from .register import read_model
 
 if TYPE_CHECKING:
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 
 def fit_motions(request: FitRequest) -> None:
-    """Fit motions to everyone in a film, or to one of them, and write and tell what was found.
+    """Fit motions to all people in a film, or to one of them; write the results and print a summary.
 
     Raises:
-        InputError: If an option is of photos alone, or the film can't be fitted.
+        InputError: If an option is only for photos, or the film can't be fitted.
     """
     film, files = request.photo, request.files
     assert film is not None  # it is a film
@@ -44,7 +44,7 @@ def fit_motions(request: FitRequest) -> None:
     if request.model == NO_MODEL:
         raise InputError("--model: none, with a film; expected a detailed model")
     check_film_view(request.view, [film])
-    film_facts(film)  # faults of the file are told before anything is loaded
+    film_facts(film)  # raises faults of the file before anything is loaded
 
     fit_films(
         FilmRun(
@@ -62,7 +62,7 @@ def fit_motions(request: FitRequest) -> None:
 
 
 def check_film_view(view: CameraOptions, films: Sequence[Path]) -> None:
-    """Raise an InputError for what cameras of films, or of photos among them, can't be."""
+    """Raise an InputError if camera options don't fit films, or photos among them."""
     if view.focal == EXIF and not all(map(is_photo, films)):
         raise InputError("--focal: exif, with a film; expected pixels, or --fov")
     view.check()
@@ -70,20 +70,20 @@ def check_film_view(view: CameraOptions, films: Sequence[Path]) -> None:
 
 @dataclass(frozen=True)
 class FilmRun:
-    """Films that are to be fitted, and how.
+    """Films to fit, and the options of the fit.
 
     Attributes:
         films: Films of the same moments.
         out: Folder for the results.
-        device: As the option says.
+        device: Device, as the option gives it.
         model: Name or file of the detailed model.
-        person: Whom alone.
+        person: Index of the only person to fit; None: all people.
         min_score: Least confidence that there is a person.
-        settings: Settings, of the fit those of ``SceneOptions``.
-        networks: Networks of others.
-        view: The camera, or the lens of each of several.
-        cameras: Or the file of calibrated ones; several cameras without are placed by the people.
-        align: Whether it is to be found which frames of several films show one moment.
+        settings: Settings; those of the fit are fields of ``SceneOptions``.
+        networks: Networks from other projects.
+        view: Camera, or the lens of each of several cameras.
+        cameras: File or folder of calibrated cameras. None: the positions of several cameras are found from the people.
+        align: True if frames that show the same moment must be found.
     """
 
     films: tuple[Path, ...]
@@ -100,7 +100,7 @@ class FilmRun:
 
 
 def fit_films(run: FilmRun) -> None:
-    """Find people, fit their motions, write and tell the results."""
+    """Find people, fit their motions, write the results and print a summary."""
     from ..files.sections import read_section
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
@@ -149,11 +149,11 @@ def fit_films(run: FilmRun) -> None:
     )
     with FitProgress() as progress:
         load_mesh_kernels(where)
-        seen = search.find(pieces, progress)
+        observed = search.find(pieces, progress)
         if search.places_cameras:
-            options = replace(options, stature=None)  # cameras are as far away as it says
+            options = replace(options, stature=None)  # it has set the distances of the cameras already
         fit = fit_film(
-            seen,
+            observed,
             person=run.person,
             options=options,
             model=detailed,
@@ -165,19 +165,19 @@ def fit_films(run: FilmRun) -> None:
         pieces.remove()
     for warning in report["warnings"]:
         typer.echo(f"partdr: warning: {warning}", err=True)
-    for film, each in zip(films, seen, strict=True):
-        for gap in each.given.gaps if each.given is not None else ():
-            typer.echo(f"partdr: warning: {film}: {gap}", err=True)
-    _tell(run, seen, report)
+    for film, each in zip(films, observed, strict=True):
+        for warning in each.given.gaps if each.given is not None else ():
+            typer.echo(f"partdr: warning: {film}: {warning}", err=True)
+    _summarise(run, observed, report)
 
 
 def _read_rig(run: FilmRun, options: SceneOptions) -> list[CalibratedCamera] | None:
-    """Calibrated cameras of the films, if a file of them is given; faults are told before people are looked for."""
+    """Read calibrated cameras of the films, if a file of them is given; faults are raised before people are found."""
     from ..inputs.camera_files import cameras_of_films
 
     if run.cameras is None:
         return None
-    rig = cameras_of_films(run.cameras, run.films, warn=_say)
+    rig = cameras_of_films(run.cameras, run.films, warn=_echo)
     options.check_sights(1, len(run.films))
     for film, camera in zip(run.films, rig, strict=True):
         picture = next(read_frames(film)).picture
@@ -187,7 +187,7 @@ def _read_rig(run: FilmRun, options: SceneOptions) -> list[CalibratedCamera] | N
 
 
 def _load_networks(options: NetworkOptions, device: str) -> GivenNetworks | None:
-    """Networks of others, if there are any."""
+    """Load networks from other projects, if there are any."""
     from ..networks.predictors.film_sights import GivenNetworks
 
     if not options.given:
@@ -196,30 +196,30 @@ def _load_networks(options: NetworkOptions, device: str) -> GivenNetworks | None
     return GivenNetworks(loaded.parts_from, loaded.keypoints_from)
 
 
-def _say(sentence: str) -> None:
+def _echo(sentence: str) -> None:
     typer.echo(f"partdr: {sentence}", err=True)
 
 
-def _tell(run: FilmRun, seen: Sequence[SeenFilm], report: dict[str, Any]) -> None:
-    """Say in lines what was found, and where it is."""
+def _summarise(run: FilmRun, observed: Sequence[SeenFilm], report: dict[str, Any]) -> None:
+    """Print lines about the results and their files."""
     from ..body.rotations import rotation_to_axis_angle
     from ..cameras import UsualLens
     from ..results.save_film import CAMERAS, SCENE, overlay_name
 
-    several, films, out = len(seen) > 1, run.films, run.out
-    assumed = any(isinstance(each.view.camera, UsualLens) for each in seen)
-    sure = not assumed and (run.cameras is not None or not several)
+    several = len(observed) > 1
+    films, out = run.films, run.out
+    assumed = any(isinstance(each.view.camera, UsualLens) for each in observed)
+    exact = not assumed and (run.cameras is not None or not several)
     for person in report["people"]:
         frames = f"frames {person['first_frame']} to {person['last_frame']}, seen in {person['frames_seen']}"
         by = f", by {', '.join(person['seen_by'])}" if several else ""
-        typer.echo(
-            f"person{person['person']}: {frames}{by}; {say_distance(person['distance_m'], sure=sure, assumed=assumed)}"
-        )
+        distance = distance_words(person["distance_m"], exact=exact, assumed=assumed)
+        typer.echo(f"person{person['person']}: {frames}{by}; {distance}")
     if run.align:
-        for film, each in zip(films, seen, strict=True):
+        for film, each in zip(films, observed, strict=True):
             typer.echo(f"{film.name}: from frame {each.skipped} on")
     if run.cameras is None and several:
-        for film, each in zip(films[1:], seen[1:], strict=True):
+        for film, each in zip(films[1:], observed[1:], strict=True):
             turn = math.degrees(float(rotation_to_axis_angle(each.view.rotation).norm()))
             away = f"about {float(each.view.eye.norm()):.1f} m from the camera of {films[0].name}"
             typer.echo(f"{film.name}: {away}, turned by {turn:.0f} degrees")

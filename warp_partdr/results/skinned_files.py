@@ -85,7 +85,7 @@ class Poses:
         return replace(self, times=self.times - time)
 
     def evenly(self) -> Poses:
-        """Return the motion at a constant rate. Between poses, joints turn the shortest way, and the root goes straight.
+        """Return the motion at a constant rate. Between poses, joints turn the shortest way, the root goes straight.
 
         There are ``rate`` poses a second, or fewer if that would be far more than the given poses.
         """
