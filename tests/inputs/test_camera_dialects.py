@@ -448,7 +448,7 @@ def test_cameras_of_kalibr_are_read(tmp_path: Path) -> None:
 
 
 def test_a_list_of_cameras_as_cmu_panoptics_is_read(tmp_path: Path) -> None:
-    """CMU Panoptic's."""
+    """CMU Panoptic writes such lists."""
     camera = {"type": "hd", "resolution": [1920, 1080], "K": [[1400, 0, 960], [0, 1400, 540], [0, 0, 1]]}
     camera |= {"distCoef": [-0.28, 0.18, 0, 0, 0.04], "R": turned().tolist(), "t": [[-50.0], [100.0], [280.0]]}
     listed = [{"name": "00_00", **camera}, {"name": "00_01", **camera}]

@@ -269,7 +269,7 @@ def test_a_photo_that_is_looked_through_has_the_size_that_it_is_read_with(
 
 
 def test_photos_of_any_mode_are_the_same_picture(tmp_path):
-    """8- and 16-bit gray, and with transparency."""
+    """Modes are 8- and 16-bit gray, and colours with transparency."""
     gray = np.arange(0, 240, 5, dtype=np.uint8).reshape(6, 8)
     Image.fromarray(gray).save(tmp_path / "gray.png")
     Image.fromarray(gray.astype(np.uint16) * 257).save(tmp_path / "deep.png")

@@ -153,7 +153,7 @@ def test_distortion_is_taken_away(pair: SceneSample) -> None:
 
 
 def test_two_films_put_people_where_they_are(pair: SceneSample) -> None:
-    """In the frame of the first camera, nearer than one film can."""
+    """They are in the frame of the first camera, and nearer to the truth than with one film."""
     cameras = [camera_at(-0.6), camera_at(0.5, distortion=LENS)]
     cameras = [camera.in_frame_of(cameras[0]) for camera in cameras]
     world = camera_at(-0.6)

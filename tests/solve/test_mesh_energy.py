@@ -47,7 +47,7 @@ def test_names_and_weights_of_the_terms(looks) -> None:
 
 
 def test_two_of_a_scene_meet_and_two_alone_do_not(looks) -> None:
-    """The same two people at the same place."""
+    """Both cases have the same two people at the same position."""
     people = beside_each_other(looks, QUICK.mesh)
     single = replace(QUICK.mesh, apart=0.2)
     with torch.no_grad():

@@ -25,7 +25,7 @@ from warp_partdr.solve.scene.start import gather_scene
 
 
 def beside(sight: Sight, person: int, widths: float, *, frame: int = 0, parts: bool = True) -> Sight:
-    """The same person so many widths of the box farther to the right."""
+    """The same person stands so many widths of the box farther to the right."""
     points, seen = sight.keypoints.points, sight.keypoints.visible
     aside = round(widths * 1.3 * float(np.ptp(points[seen, 0])))
     moved = replace(sight.keypoints, points=points + np.float32([aside, 0]))
@@ -99,7 +99,7 @@ def test_everybody_has_a_slot() -> None:
 
 
 def test_who_stands_apart_is_drawn_as_alone() -> None:
-    """The same labels, in the same crop, of the same size as of a scene of one."""
+    """Labels, crop and size are those of a scene with one person."""
     scene = make_views(3, 1).scene
     one = scene.sights[0]
     many = replace(scene, sights=[one, beside(one, 1, 4.0, parts=False)])
