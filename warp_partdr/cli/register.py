@@ -278,9 +278,9 @@ def clothe(
         weights = RegistrationWeights()
     else:
         weights = RegistrationWeights.fitted()
-    registration = RegistrationOptions(weights=weights, growth=options.grow)
+    registration_options = RegistrationOptions(weights=weights, growth=options.grow)
     started = time.perf_counter()
-    registered = register(posed, model, options=registration, progress=progress)
+    registered = register(posed, model, options=registration_options, progress=progress)
     seconds = round(time.perf_counter() - started, 3)
     progress("writing results", 1, 1)
     report = save_registered(
