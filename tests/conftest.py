@@ -78,7 +78,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(autouse=True)
 def _seeds() -> None:
-    """The same global random numbers in each test, whatever ran before."""
+    """Each test has the same global random numbers, whatever ran before."""
     random.seed(0)
     np.random.seed(0)  # noqa: NPY002  for code under test that draws from it; tests use ``rng``
     torch.manual_seed(0)

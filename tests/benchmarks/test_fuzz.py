@@ -22,7 +22,7 @@ CASES = 12  # of each entry point
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch):
-    """As long as any test's, for kernels may compile within a case."""
+    """It is as long as any test's, because kernels may compile within a case."""
     monkeypatch.setattr(fuzz, "PATIENCE", HANG)
 
 

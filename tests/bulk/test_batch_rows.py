@@ -23,7 +23,7 @@ from warp_partdr.solve.ellipsoids.options import FitOptions
 
 @pytest.fixture
 def batch(device: str) -> BatchFits:
-    """Of the example and of someone whose keypoints are noise, by the network alone."""
+    """The network alone predicts the example and a person whose keypoints are noise."""
     keypoints = example_keypoints()
     places = np.random.default_rng(0).uniform(0, 400, keypoints.points.shape).astype(np.float32)
     people = []

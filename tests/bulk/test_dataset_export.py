@@ -57,7 +57,7 @@ def arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def assert_same_arrays(one: Path, other: Path, besides: str = "") -> None:
-    """To the precision of float32."""
+    """The arrays agree to the precision of float32."""
     first, second = arrays(one), arrays(other)
     assert first.keys() == second.keys()
     first.pop(besides, None)

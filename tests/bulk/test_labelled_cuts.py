@@ -60,7 +60,7 @@ def test_people_cut_out_together_are_as_alone(size: int, monkeypatch: pytest.Mon
     together = cutting.cut_out_people
 
     def failing(people: Sequence[PicturePerson], *given: object) -> list[CutPerson | InputError]:
-        """As if memory held one person."""
+        """It fails as if memory held one person."""
         if len(people) > 1:
             raise MemoryError("no memory")
         return together(people, *given)

@@ -37,7 +37,7 @@ def fitted(files: Path, run: Run) -> dict[str, Any]:
 
 
 def test_it_scores_the_person_alone(fitted: dict[str, Any], run: Run) -> None:
-    """With somebody else in the picture as without."""
+    """The scores are the same with another person in the picture and without."""
     shown = ids()
     apart = shown.copy()
     apart[2:50, :5] = 2

@@ -70,7 +70,7 @@ def scaled(person: PicturePerson, step: int, zoom: int = 1) -> PicturePerson:
 
 
 def disturbed(keypoints: Keypoints2D, rng: np.random.Generator, *, spread: float) -> Keypoints2D:
-    """The same, moved, with some missing."""
+    """Keypoints are moved, and some are missing."""
     points = keypoints.points + rng.normal(0, spread, keypoints.points.shape).astype(np.float32)
     confidence = keypoints.confidence * (rng.random(len(points)) > rng.choice([0.0, 0.0, 0.1, 0.4])).astype(np.float32)
     seen = np.flatnonzero(keypoints.confidence)[:2]

@@ -218,7 +218,7 @@ def noisy_target(labels, num_labels, seed):
 
 
 def noisy_picture(labels, num_labels, seed):
-    """The same of a batch of pictures on a device."""
+    """A batch of pictures on a device gets the same noise."""
     return torch.from_numpy(noisy_target(labels.cpu().numpy(), num_labels, seed)).to(labels.device)
 
 

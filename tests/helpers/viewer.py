@@ -38,7 +38,7 @@ def read_target(photo: Path, **labels: Any) -> Target:
 
 @pytest.fixture(autouse=True)
 def one_thread():
-    """As the command has it: the tensors are small."""
+    """The command uses one thread, too: the tensors are small."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     yield

@@ -128,7 +128,7 @@ def test_cameras_of_caliscope_are_read_and_those_left_out_are_named(tmp_path: Pa
     (tmp_path / "camera_array.toml").write_text(CALISCOPE)
     (tmp_path / "charuco.toml").write_text("columns = 4\n")  # Caliscope's folders hold more
     said: list[str] = []
-    cameras = read_cameras(tmp_path, say=said.append)
+    cameras = read_cameras(tmp_path, warn=said.append)
     assert list(cameras) == ["0", "11"]
     np.testing.assert_allclose(cameras["0"].rotation, turned(), atol=1e-12)
     assert (cameras["0"].size, cameras["0"].translation.tolist()) == ((720, 1280), list(MOVE))
@@ -192,7 +192,7 @@ def test_cameras_of_old_caliscope_files_are_read(tmp_path: Path) -> None:
     path = tmp_path / "config.toml"
     path.write_text(OLD_CALISCOPE)
     said: list[str] = []
-    cameras = read_cameras(path, say=said.append)
+    cameras = read_cameras(path, warn=said.append)
     assert list(cameras) == ["cam_7", "cam_8"]
     assert cameras["cam_7"].translation.tolist() == list(MOVE)
     assert said == [
@@ -207,7 +207,7 @@ def test_files_without_cameras_are_left_out(tmp_path: Path) -> None:
     (tmp_path / "info.json").write_text('{"cameras_used": 2, "m": 1.5}')
     (tmp_path / "parameters.yaml").write_text("model:\n  complexity: 2\n")
     said: list[str] = []
-    assert list(read_cameras(tmp_path, say=said.append)) == ["sesh_synced_Cam1", "sesh_synced_Cam2"]
+    assert list(read_cameras(tmp_path, warn=said.append)) == ["sesh_synced_Cam1", "sesh_synced_Cam2"]
     left_out = [f"{tmp_path / name}: left out, for it holds no camera" for name in ("Config.toml", "info.json")]
     assert said[:3] == [*left_out, f"{tmp_path / 'parameters.yaml'}: left out, for it holds no camera"]
     # One that is a camera's is read, and what it lacks is said.
@@ -315,7 +315,7 @@ def test_freemocap_is_in_millimetres(tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
     path.write_text(FREEMOCAP)
     said: list[str] = []
-    cameras = read_cameras(path, say=said.append)
+    cameras = read_cameras(path, warn=said.append)
     assert list(cameras) == ["sesh_synced_Cam1", "sesh_synced_Cam2"]
     assert cameras["sesh_synced_Cam2"].translation.tolist() == pytest.approx([-2.5, -0.65, 0.75])
     assert said == [f"{path}: translations are taken as millimetres, as charuco_square_size is"]
@@ -448,7 +448,7 @@ def test_cameras_of_kalibr_are_read(tmp_path: Path) -> None:
 
 
 def test_a_list_of_cameras_as_cmu_panoptics_is_read(tmp_path: Path) -> None:
-    """CMU Panoptic's."""
+    """CMU Panoptic writes such lists."""
     camera = {"type": "hd", "resolution": [1920, 1080], "K": [[1400, 0, 960], [0, 1400, 540], [0, 0, 1]]}
     camera |= {"distCoef": [-0.28, 0.18, 0, 0, 0.04], "R": turned().tolist(), "t": [[-50.0], [100.0], [280.0]]}
     listed = [{"name": "00_00", **camera}, {"name": "00_01", **camera}]
@@ -517,15 +517,15 @@ def test_films_in_the_order_of_cameras_are_told(tmp_path: Path) -> None:
     rig = {name: {**OWN, "rotation": [0, 0, 0], "translation": [x, 0, 0]} for name, x in (("1", 0), ("2", -1))}
     path.write_text(json.dumps({"cameras": rig}))
     said: list[str] = []
-    cameras = cameras_of_films(path, ["left.mp4", "right.mp4"], say=said.append)
+    cameras = cameras_of_films(path, ["left.mp4", "right.mp4"], warn=said.append)
     assert [camera.translation[0] for camera in cameras] == [0, -1]
     assert said == [
         f"{path}: films are taken in the order of cameras, for no name says otherwise: left of 1, right of 2"
     ]
     said.clear()
-    cameras = cameras_of_films(path, ["x_cam2.mp4", "x_cam1.mp4"], say=said.append)
+    cameras = cameras_of_films(path, ["x_cam2.mp4", "x_cam1.mp4"], warn=said.append)
     assert ([camera.translation[0] for camera in cameras], said) == ([0, 1], [])
-    cameras = cameras_of_films(path, ["hop_02.mp4", "hop_01.mp4"], say=said.append)
+    cameras = cameras_of_films(path, ["hop_02.mp4", "hop_01.mp4"], warn=said.append)
     assert [camera.translation[0] for camera in cameras] == [0, 1]
     assert said == [
         f"{path}: films are taken by numbers or letters in their names, which no word for a camera precedes: "

@@ -122,7 +122,7 @@ def test_many_people_are_cut_out_as_each_alone(size: int, device: str, rng: np.r
 
 
 def test_probabilities_are_cut_out_where_they_are_wanted() -> None:
-    """Of labels whose sides are exchanged, too."""
+    """This holds for labels whose sides are exchanged, too."""
     keypoints, parts = example()
     people = []
     for groups in (parts.groups, mirrored(parts.label_set)[parts.groups]):

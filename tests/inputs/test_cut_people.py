@@ -11,7 +11,7 @@ from helpers.example import example_keypoints, example_parts
 
 from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.cameras import Perspective
-from warp_partdr.inputs.cut_people import CutPeople, CutPerson, stack_alike
+from warp_partdr.inputs.cut_people import CutPeople, CutPerson, batch_people
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import crop_evidence
@@ -59,7 +59,7 @@ def assert_same(one: object, other: object) -> None:
 
 def test_joined_people_come_back_one_by_one(people: list[CutPerson]) -> None:
     stacked = CutPeople.joined([CutPeople.of(people[:1]), CutPeople.of(people[1:])])
-    assert stacked.kind == people[0].kind
+    assert stacked.batch_key == people[0].batch_key
     for given, found in zip(people, stacked, strict=True):
         assert_same(given.observation, found.observation)
         assert given.crop == found.crop
@@ -82,5 +82,5 @@ def test_network_and_refinement_read_the_same(people: list[CutPerson], device: s
 def test_people_whose_observations_differ_in_kind_are_stacked_apart(device: str) -> None:
     kinds = [(True, None), (False, None), (True, 50.0), (True, None)]
     people = [cut(KEYPOINTS, device, *kind) for kind in kinds]
-    assert [places for places, _ in stack_alike(people)] == [[0, 3], [1], [2]]
-    assert stack_alike([]) == []
+    assert [places for places, _ in batch_people(people)] == [[0, 3], [1], [2]]
+    assert batch_people([]) == []

@@ -116,12 +116,12 @@ def weighed(person: Person, others: Sequence[Keypoints2D] = ()) -> WeighedPeople
 def measured(person: Person, others: Sequence[Keypoints2D] = ()) -> float:
     """Disagreement of labels and keypoints."""
     found = weighed(person, others)
-    known = np.where(found.measures.complete, found.measures.looked, 0).sum(axis=1)
+    known = np.where(found.measures.complete, found.measures.counts, 0).sum(axis=1)
     return float(disagreements(found.pixels.sides(), known, found.measures.far.sum(axis=1))[0])
 
 
 def part_f1(result: FitResult, person: Person) -> float:
-    """Of LSP's parts, against a person's own labels."""
+    """The F1 of LSP's parts is against a person's own labels."""
     target = select_person(person[1].groups, person[0])
     shown = CDCL.part_groups[result.draw(target.shape).labels[0].numpy()]
     return float(score_labels(shown, target, CDCL)["parts_lsp6"]["part_f1"])
@@ -148,7 +148,7 @@ def test_people_with_contradictions_end_where_they_do_without(name: str, request
 
 
 def test_flesh_is_about_all_segments_of_a_group() -> None:
-    """Of its own parts and of their mirror images; of a group whose keypoints are not all known, nothing is."""
+    """It has segments of its own parts and of their mirror images, or none if a keypoint is not known."""
     keypoints, _ = example()
     names = keypoints.format.landmarks
     confidence = np.where(np.arange(len(names)) == names.index("left_knee"), 0, keypoints.confidence)

@@ -21,11 +21,11 @@ from warp_partdr.inputs import part_labels
 from warp_partdr.inputs.part_labels import (
     PartLabels,
     check_sizes,
+    exif_focal_length,
     read_focal,
     read_parts,
     read_photo,
     scan_photo,
-    told_focal,
 )
 
 CDCL = label_set("cdcl14")
@@ -269,7 +269,7 @@ def test_a_photo_that_is_looked_through_has_the_size_that_it_is_read_with(
 
 
 def test_photos_of_any_mode_are_the_same_picture(tmp_path):
-    """8- and 16-bit gray, and with transparency."""
+    """Modes are 8- and 16-bit gray, and colours with transparency."""
     gray = np.arange(0, 240, 5, dtype=np.uint8).reshape(6, 8)
     Image.fromarray(gray).save(tmp_path / "gray.png")
     Image.fromarray(gray.astype(np.uint16) * 257).save(tmp_path / "deep.png")
@@ -284,7 +284,7 @@ def test_the_focal_length_of_a_photo_comes_from_its_exif_data(tmp_path, size):
     save_with_focal(Image.new("RGB", size), tmp_path / "photo.jpg", focal=28, was=(400, 300))
     diagonal = np.hypot(*size)
     assert read_focal(tmp_path / "photo.jpg") == pytest.approx(28 / np.hypot(36, 24) * diagonal)
-    assert told_focal(tmp_path / "photo.jpg") == read_focal(tmp_path / "photo.jpg")
+    assert exif_focal_length(tmp_path / "photo.jpg") == read_focal(tmp_path / "photo.jpg")
 
 
 @pytest.mark.parametrize(
@@ -301,7 +301,7 @@ def test_a_photo_without_a_usable_focal_length_says_so(tmp_path, size, focal, sa
     save_with_focal(Image.new("RGB", size), tmp_path / "photo.jpg", focal, was=(400, 300))
     with pytest.raises(InputError, match=says):
         read_focal(tmp_path / "photo.jpg")
-    assert told_focal(tmp_path / "photo.jpg") is None
+    assert exif_focal_length(tmp_path / "photo.jpg") is None
 
 
 def test_importing_inputs_loads_no_picture_library() -> None:

@@ -48,7 +48,7 @@ def standing(x: float = 100, y: float = 10, height: float = 200) -> Keypoints2D:
 
 
 def without(keypoints: Keypoints2D, joints: Iterable[int]) -> Keypoints2D:
-    """The same with some keypoints missing."""
+    """Some of the keypoints are missing."""
     there = ~np.isin(np.arange(17), list(joints))
     return Keypoints2D("coco17", keypoints.points * there[:, None], keypoints.confidence * there)
 

@@ -165,7 +165,7 @@ def test_torch_func_agrees_with_autograd_on_the_body(device):
 
 @pytest.fixture
 def drawn(device) -> dict[str, tuple[Callable[[torch.Tensor], torch.Tensor], torch.Tensor]]:
-    """By public function: a loss of its gradient's input, and that input."""
+    """Each public function has a loss of its gradient's input, and that input."""
     scene = Scene.make(0, device, batch=2, size=(24, 20))
     (vertices,), (centres, *shape) = (
         [leaf.detach() for leaf in scene.leaves(renderer)] for renderer in ("mesh", "coverage")

@@ -33,7 +33,7 @@ def maps_gradient(scene: Scene, renderer: str) -> list[torch.Tensor]:
 
 
 def equal(have: list[torch.Tensor], want: list[torch.Tensor], renderer: str) -> bool:
-    """To the bit, but for the mesh's gradient on CUDA, which float atomics add up in any order."""
+    """They agree to the bit, but for the mesh's gradient on CUDA, which float atomics add up in any order."""
     if renderer == "mesh" and have[0].is_cuda:
         torch.testing.assert_close(have.pop(), want.pop(), rtol=1e-4, atol=1e-3)
     return all(torch.equal(a, b) for a, b in zip(have, want, strict=True))

@@ -29,7 +29,7 @@ def worn(name: str, **values: float) -> Worn:
 
 
 def from_the_front(vertices: np.ndarray) -> np.ndarray:
-    """The same in the frame of a camera that a person at rest looks at; x stays the person's left."""
+    """Points are in the frame of a camera that a person at rest looks at; x stays the person's left."""
     return vertices * np.array([1.0, -1.0, -1.0], dtype=np.float32)
 
 

@@ -143,7 +143,7 @@ def test_finer_pictures_have_truer_gradients(own: People) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_refinements_come_nearer(own: People, name: str) -> None:
-    """All people at once, and each by itself: the same."""
+    """All people at once give the same as each alone."""
     start = own.starts(DISTANCE)
     setting = Setting(name, 64, 12)
     bodies, seconds = refine_all(setting, own, start)
@@ -184,7 +184,7 @@ def test_the_chart_of_no_results_is_drawn() -> None:
 
 
 def test_whole_fits_stand_in_the_chart() -> None:
-    """Time to the right, a mark for each quality, and the mesh stage among them."""
+    """Time goes to the right, each quality has a mark, and the mesh stage is among them."""
     seconds = {"fast": 0.1, "accurate": 0.3, "mesh stage": 0.4}
     rows = {name: {"part_f1": 0.8 + s / 10, "pa_mpjpe_mm": 50 - s, "seconds": s} for name, s in seconds.items()}
     figure = draw_tradeoff_chart(TradeoffReport("cpu", {"warp": "1"}, qualities={"clean": rows, "realistic": rows}))

@@ -52,7 +52,7 @@ def full(count: int, value: float, device: str) -> torch.Tensor:
 
 
 def occluders(parts: torch.Tensor, places: torch.Tensor, strength: float) -> Occluders:
-    """Of samples with labels of cdcl14."""
+    """The samples have labels of cdcl14."""
     rng, (count, device) = TorchRng(0, parts.device), (len(parts), str(parts.device))
     tables = LabelNoise(rng).tables(sets(count, device))
     return draw_occluders(rng, parts, tables, places, full(count, strength, device))

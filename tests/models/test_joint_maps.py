@@ -26,7 +26,7 @@ def slow_maps(rotations: torch.Tensor, translation: torch.Tensor, rest: torch.Te
 
 
 def case(dtype: torch.dtype, batch: int = 2) -> list[torch.Tensor]:
-    """Of any strides, some not contiguous."""
+    """Tensors have any strides, and some are not contiguous."""
     rotations = torch.randn(batch, len(FORK), 3, 3, dtype=dtype).mT
     return [rotations, torch.randn(batch, 3, dtype=dtype), torch.randn(batch, 3, len(FORK), dtype=dtype).mT]
 

@@ -130,7 +130,7 @@ def test_samples_share_the_area(device: str) -> None:
 
 
 def terms_of(device: str, weights: RegistrationWeights) -> dict[str, torch.Tensor]:
-    """Of bodies 4 cm beside their EllipBodies, of some shape and turned a little."""
+    """The bodies are 4 cm beside their EllipBodies, have some shape, and are turned a little."""
     model, posed = anny(torch.device(device)), ellipbodies(device)
     generator = torch.Generator().manual_seed(1)
     shape = 0.1 * torch.randn(2, model.num_shapes, generator=generator).to(device)

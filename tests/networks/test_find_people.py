@@ -85,7 +85,7 @@ def test_a_batch_finds_what_each_picture_holds(device):
 
 
 def test_small_people_are_found_in_tiles():
-    """A person of a ninth of the picture's width."""
+    """The person has a ninth of the picture's width."""
     small = example_photo()[::2, ::2]
     picture = np.full((600, 1600, 3), 128, np.uint8)
     picture[300:556, 1000:1192] = small

@@ -24,7 +24,7 @@ from warp_partdr.body.template import JOINT_NAMES, LOCKED_PARTS, NUM_PARTS, PART
 from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.observation import observe, resize_nearest
-from warp_partdr.inputs.observations import Observations, group_alike
+from warp_partdr.inputs.observations import Observations, batch_observations
 from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.interop.checks import rotation_error
 from warp_partdr.networks.regression.checkpoint import (
@@ -184,7 +184,7 @@ def test_inputs_of_many_are_those_of_each():
     fewer = replace(hard, landmarks=names, marks=marks, points=hard.points[3:], confidence=hard.confidence[3:])
     small = replace(mask, labels=resize_nearest(mask.labels, 100), lens=torch.tensor([2.0, 0.5, -1.0]))
     several = [hard, soft, observe(keypoints, None)[0], mask, fewer, small, soft]
-    groups = group_alike(several)
+    groups = batch_observations(several)
     assert [rows for rows, _ in groups] == [[0, 4], [1, 6], [2], [3], [5]]
     for rows, some in groups:
         together = network_inputs(some, 64)

@@ -54,7 +54,7 @@ def overlap(mesh: MeshFit, silhouette: np.ndarray) -> float:
     ("name", "box"), [("left side", (195, 0, 384, 512)), ("legs", (0, 0, 384, 260)), ("right side", (0, 0, 205, 512))]
 )
 def test_half_bodies_at_the_border_lie_beyond_it_where_they_would_be(name: str, box: tuple[int, ...]) -> None:
-    """Of a person without their ``name``; unseen parts lie beyond the border, about where they are."""
+    """A person has lost the ``name``; unseen parts lie beyond the border, about where they are."""
     left, top, right, bottom = box
     picture, silhouette = (np.ascontiguousarray(each[top:bottom, left:right]) for each in example())
     (mesh,) = fit_photo(picture, options=FAST).fits.values()

@@ -19,10 +19,10 @@ from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.networks.detection import crops
 from warp_partdr.pipelines import photo as photo_fit
 from warp_partdr.pipelines.photo import PACKAGED, PhotoFit, fit_photo, mask_labels
+from warp_partdr.results.placements import place_on_ground
 from warp_partdr.results.result_sets import check_result
 from warp_partdr.results.save import DETAILED_FILES, RESULT_FILES, save_fit
 from warp_partdr.results.save_photo import PHOTO_FILES, save_photo_fit
-from warp_partdr.results.scene_places import place_on_ground
 from warp_partdr.solve.ellipsoids import fitting
 from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
@@ -213,7 +213,7 @@ def test_bodies_grow_about_the_camera_to_one_ground(everyone):
         for fit, place, other in zip(fits, places, others, strict=True):
             assert other.scale == pytest.approx(1, abs=1e-9)
             assert place.distance == pytest.approx(other.distance * place.scale)
-            here, there = place.of(fit.vertices), other.of(fit.vertices)
+            here, there = place.apply(fit.vertices), other.apply(fit.vertices)
             np.testing.assert_allclose(here[:, :2] / here[:, 2:], there[:, :2] / there[:, 2:], atol=1e-5)
 
 
@@ -226,7 +226,7 @@ def test_a_usual_lens_says_how_far_people_of_a_weak_perspective_are():
     lens = UsualLens.of_size(photo.shape[:2])
     scale, _, *centre = fit.camera.intrinsics[0].tolist()
     assert place.distance == pytest.approx(float(lens.focal[0, 0]) / scale, rel=1e-5)
-    seen = lens.project(torch.as_tensor(place.of(np.zeros((1, 3))), dtype=torch.float32)[None])[0, 0, :2]
+    seen = lens.project(torch.as_tensor(place.apply(np.zeros((1, 3))), dtype=torch.float32)[None])[0, 0, :2]
     assert seen.tolist() == pytest.approx(centre, abs=0.01)
 
 

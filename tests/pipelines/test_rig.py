@@ -153,9 +153,9 @@ def test_distortion_is_taken_away(pair: SceneSample) -> None:
 
 
 def test_two_films_put_people_where_they_are(pair: SceneSample) -> None:
-    """In the frame of the first camera, nearer than one film can."""
+    """They are in the frame of the first camera, and nearer to the truth than with one film."""
     cameras = [camera_at(-0.6), camera_at(0.5, distortion=LENS)]
-    cameras = [camera.seen_from(cameras[0]) for camera in cameras]
+    cameras = [camera.in_frame_of(cameras[0]) for camera in cameras]
     world = camera_at(-0.6)
     truth = centred_joints(pair) @ world.rotation.T + world.translation
     films = [
@@ -194,6 +194,6 @@ def test_a_world_is_the_first_camera_s_frame() -> None:
     first, other = camera_at(-0.6), camera_at(0.5)
     point = np.array([0.1, -0.2, 0.3])
     seen = first.rotation @ point + first.translation
-    moved = other.seen_from(first)
+    moved = other.in_frame_of(first)
     np.testing.assert_allclose(moved.rotation @ seen + moved.translation, other.rotation @ point + other.translation)
-    assert torch.equal(torch.from_numpy(first.seen_from(first).rotation).round(decimals=12), torch.eye(3).double())
+    assert torch.equal(torch.from_numpy(first.in_frame_of(first).rotation).round(decimals=12), torch.eye(3).double())

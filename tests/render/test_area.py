@@ -38,7 +38,7 @@ from warp_partdr.render.ellipsoids import ellipsoid_label_loss
 
 
 def apart(scene):
-    """The same one behind the other, so that no two meet in space: outlines bound everything."""
+    """Each one is behind the other, so that no two meet in space: outlines bound everything."""
     way = np.arange(len(scene.centres))[:, None] * (0.0, 0.0, 0.7)
     if not scene.perspective:
         return replace(scene, centres=float32(scene.centres + way))
@@ -183,7 +183,7 @@ def test_the_reference_is_the_derivative_of_area(perspective):
 
 
 def shares_of_error(scene, leaves, image, costs):
-    """Of each gradient, as a share of what was added up for it."""
+    """The error of each gradient is a share of the sum of its terms."""
     want, sizes = edges_gradient(scene, image.parts[0].cpu().numpy(), costs)
     have = leaves.gradients()
     have["turns"] = turn_gradient(scene.axes, have.pop("axes"))

@@ -57,7 +57,7 @@ def loss_of(renderer, tensors, target, **options):
 
 
 def assert_same(renderer, have, want):
-    """To the bit, but for sums that CUDA's float atomics make."""
+    """They agree to the bit, but for sums that CUDA's float atomics make."""
     for one, other in zip(have, want, strict=True):
         torch.testing.assert_close(one, other.to(one.dtype), **({} if renderer == "mesh" else {"rtol": 0, "atol": 0}))
 

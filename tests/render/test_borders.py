@@ -37,7 +37,7 @@ def chord_costs(maps: np.ndarray, starts: np.ndarray, ends: np.ndarray, device: 
 
 
 def test_a_chords_ends_share_what_lies_along_it(device, rng):
-    """As linear interpolation weighs each place, whichever way it is walked; beyond the picture nothing costs.
+    """Linear interpolation weighs each point, whichever way it is walked; beyond the picture nothing costs.
 
     Chords are short and long, in the picture, across its border and beside it, and along the axes.
     """

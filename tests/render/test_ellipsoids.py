@@ -160,7 +160,7 @@ def test_partdr_gradient_of_few_wrong_pixels_is_the_reference(device, perspectiv
 
 
 def test_of_hidden_twins_the_first_comes_forward(device):
-    """Of equally deep ellipsoids of a hidden label, the lower index gets the force along z, and it alone."""
+    """Among equally deep ellipsoids of a hidden label, only the one with the lowest index gets the force along z."""
     size = (24, 24)
     bodies = upright([(0, 0, 0), (0, 0, 2), (0, 0, 2)], [[0.8] * 3, [0.4] * 3, [0.4] * 3], device)
     leaves = Leaves(bodies, body_camera(size, False, device=device))

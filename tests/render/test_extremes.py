@@ -412,7 +412,7 @@ def test_wild_faces_stay_finite_and_cover_what_they_should(device, seed, size, t
 
 
 def depths_of_faces(body):
-    """Of each pixel's two nearest faces, inf where there are fewer, (2, H, W)."""
+    """Each pixel has the depths of its two nearest faces, inf where there are fewer, (2, H, W)."""
     depths = [mesh_reference.face_index_map(replace(body, faces=face[None]), MESH_SIZE)[1] for face in body.faces]
     nearest = np.sort(depths, 0)[:2]
     return np.where(np.isfinite(nearest), nearest, (np.full((2, 1, 1), 1e30) * [[[1]], [[2]]]))

@@ -336,7 +336,7 @@ def test_order_of_faces_changes_indices_alone(device, seed):
 @given(seed=seeds, perspective=st.booleans(), batch=st.integers(2, 5), one_target=st.booleans())
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_a_batch_equals_its_members_to_the_bit(device, renderer, seed, perspective, batch, one_target):
-    """With a target each, or one for all. On CUDA, PartDR's sums on meshes are made by atomics, whose order varies."""
+    """Each has a target, or all share one. On CUDA, PartDR's sums on meshes are made by atomics, whose order varies."""
     cameras = body_camera(SIZE, perspective, batch, device)
     one = body_camera(SIZE, perspective, 1, device)
     target = torch.cat([target_of(seed + b, one, renderer, device) for b in range(1 if one_target else batch)])

@@ -347,7 +347,7 @@ def test_a_border_on_pixel_centres_belongs_to_one_face(device, order):
 
 @pytest.mark.parametrize("perspective", CAMERAS)
 def test_nobody_sees_the_backfaces_of_closed_surfaces(device, perspective):
-    """The same picture, loss and gradient without them; of a mirrored body the insides show, of an open one all."""
+    """Picture, loss and gradient are the same without them; of a mirrored body the insides show, of an open one all."""
     size = (60, 50)
     leaf, mesh = projected_bodies(4, size, device, perspective, subdivisions=1, batch=2)
     culled = replace(mesh, cull_backfaces=True)

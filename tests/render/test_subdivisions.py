@@ -26,7 +26,7 @@ FINE = 8  # samples a side of a pixel, where silhouettes are measured
 
 
 def views(bodies: BodyParameters) -> dict[str, tuple[Posed | Ellipsoids, Camera]]:
-    """The same bodies seen by both cameras, the perspective one from near by."""
+    """Both cameras see the same bodies, the perspective one from near by."""
     posed, weak = bodies.posed(), bodies.camera(SIZE)
     focal = torch.full_like(weak.scale, 1.5 * SIZE)
     camera, offset = weak.to_perspective(focal, torch.full_like(weak.translation, SIZE / 2))

@@ -38,7 +38,7 @@ def camera(device="cpu"):
 
 
 def far_camera(device="cpu"):
-    """Of a body 5 m away."""
+    """Its body is 5 m away."""
     return Perspective(torch.full((2, 2), 300.0, device=device), camera(device).translation)
 
 

@@ -50,7 +50,7 @@ def gradient_at(energy: Energy, bodies: BodyParameters) -> tuple[dict, dict]:
 
 
 def autograd_at(energy, bodies: BodyParameters) -> tuple[dict, dict]:
-    """The same of the path by autograd."""
+    """Autograd computes the same path."""
     leaves = bodies.leaves()
     terms = energy(leaves)
     torch.stack(list(terms.values())).sum().backward()
@@ -94,7 +94,7 @@ def test_terms_and_gradient_are_those_of_autograd(device):
 
 
 def test_energy_loss_agrees_with_autograd_for_an_optimiser_of_ones_own(device):
-    """At first by torch, then as a graph: for an optimiser of one's own, with a factor for each body."""
+    """Torch computes it first, then a graph: for an optimiser of one's own, with a factor for each body."""
     body = walker(device)
     seen = energy_of(body, labels=True)
     for energy in (seen, replace(seen, renderer=RendererMesh(0))):  # which no graph draws
@@ -122,13 +122,13 @@ def test_kernels_are_compiled_anew_when_a_rule_changes():
 
 
 def test_depth_is_held_as_in_torch(device):
-    """Of each body to its own energy's, as hard as these are sure, and of none where nothing is to be held."""
+    """Each body's depth is held to its own energy's, as hard as that is certain, and not at all if there is none."""
     body = walker(device)
     depths = body.posed().centres[0, :, 2]
     free = energy_of(body, weights=Weights(depth=0.01))
     even = torch.full_like(depths, 1e-3)
     sure = torch.linspace(5e-4, 5e-3, len(depths), device=device)
-    held = [{"depths": depths + away, "depth_spreads": spread} for away, spread in ((0.0, even), (0.05, sure))]
+    held = [{"depths": depths + away, "depth_uncertainties": spread} for away, spread in ((0.0, even), (0.05, sure))]
     energies = [replace(free, observation=replace(free.observation, **each)) for each in held]
     both = replace(free, observation=Observations.of([each.observation for each in energies]))
     bodies = moved_bodies(body, 4, amount=0.3)

@@ -187,7 +187,7 @@ def test_only_labels_of_another_part_say_that_a_limb_is_hidden(device):
 
 
 def test_of_finer_labels_flips_see_what_fits_keep(device):
-    """So that people whose labels are kept at 128 px end where they would with all of them."""
+    """People whose labels are kept at 128 px end where they would with all labels."""
     truth, prior = arm_before_trunk(device), PosePrior().to(device)
     flips, names = flip_depths(truth, prior)
     wrong = flips.select(torch.tensor([1 + names.index("left arm: upper_arm")], device=device))

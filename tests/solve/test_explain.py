@@ -102,7 +102,7 @@ def test_the_table_holds_every_choice(capsys):
 
 
 def test_fits_of_a_few_stages_still_fit():
-    """The same stages and crop are explained as are taken."""
+    """The stages and the crop that are explained are those that are taken."""
     keypoints, parts = seen(WITHOUT_TIPS)
     options = FitOptions(stages=(Stage("lift", 8, 5, 0.1), Stage("labels", 2, 3, 0.02, 64)))
     result = fit_body(keypoints, parts, options=options)

@@ -80,7 +80,7 @@ def rates_of(seen: torch.Tensor, varying: bool = True) -> torch.Tensor:
 
 
 def cost_and_gradient(seen: torch.Tensor, shown: torch.Tensor, device: str) -> tuple[torch.Tensor, torch.Tensor]:
-    """By kernels, of costs that weigh 1, 2, ..."""
+    """Kernels compute them for costs that weigh 1, 2, ..."""
     moving = seen.to(device).detach().requires_grad_()
     cost = slides(moving, shown.to(device), rates_of(seen).to(device))
     weights = torch.arange(1.0, cost.numel() + 1, device=device).reshape(cost.shape)
@@ -89,7 +89,7 @@ def cost_and_gradient(seen: torch.Tensor, shown: torch.Tensor, device: str) -> t
 
 
 def slow_cost_and_gradient(seen: torch.Tensor, shown: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """The same by torch in float64."""
+    """Torch computes the same in float64."""
     moving = seen.detach().double().requires_grad_()
     cost = slow_slides(moving, shown, rates_of(seen).double())
     weights = torch.arange(1.0, cost.numel() + 1, dtype=torch.float64).reshape(cost.shape)

@@ -46,7 +46,7 @@ def turned(degrees: float) -> Keypoints2D:
 @pytest.mark.parametrize("options", [SMALL_STEPS, replace(SMALL_STEPS, stages=())], ids=["refined", "network alone"])
 @pytest.mark.parametrize("fov", [None, 50.0])
 def test_each_person_is_fitted_as_alone(options: FitOptions, fov: float | None, device: str) -> None:
-    """With labels and without, in one call; a camera is of all, and is not guessed."""
+    """People with labels and without are in one call; one camera is for all, and is not guessed."""
     options = replace(options, guess_camera=False)
     camera = None if fov is None else Perspective.of_picture(PARTS.groups.shape, fov=fov)
     given = [(KEYPOINTS, PARTS), (turned(10), None), (KEYPOINTS, PARTS), (turned(-15), None)]
@@ -65,7 +65,7 @@ def test_each_person_is_fitted_as_alone(options: FitOptions, fov: float | None, 
 
 
 def test_bodies_far_from_what_was_seen_are_told(device: str) -> None:
-    """As ``fit_body`` tells them; others of the batch are fine."""
+    """The warning is that of ``fit_body``; others of the batch are fine."""
     rng = np.random.default_rng(0)
     wild = replace(KEYPOINTS, points=rng.uniform(0, 400, KEYPOINTS.points.shape).astype(np.float32))
     people = [cut(KEYPOINTS, None, device), cut(wild, None, device)]
@@ -91,7 +91,7 @@ def test_bad_calls_name_the_argument(device: str) -> None:
 
 
 def test_without_the_mirror_image_and_in_bfloat16_people_stay_near() -> None:
-    """Of the packaged person: bfloat16 moves joints by some millimetres at most, and both ways are asked for."""
+    """This is the packaged person: bfloat16 moves joints by some millimetres at most, and both ways are asked for."""
     people = [cut(KEYPOINTS, PARTS, "cpu"), cut(turned(10), None, "cpu")]
     usual = replace(FAST, stages=())
     network = packaged_network("cpu")

@@ -23,7 +23,7 @@ from warp_partdr.solve.ellipsoids.options import FitOptions
 
 
 def test_fit_finds_a_body_from_perfect_labels():
-    """And the same one again."""
+    """It finds the same one again."""
     body = walker()
     keypoints, parts = seen_by(body)
     result, again = (fit_body(keypoints, parts, options=QUICK_SEARCH) for _ in range(2))

@@ -47,7 +47,7 @@ def test_names_and_weights_of_the_terms(observed_bodies) -> None:
 
 
 def test_two_of_a_scene_meet_and_two_alone_do_not(observed_bodies) -> None:
-    """The same two people at the same place."""
+    """Both cases have the same two people at the same position."""
     people = beside_each_other(observed_bodies, QUICK.mesh)
     single = replace(QUICK.mesh, apart=0.2)
     with torch.no_grad():

@@ -226,7 +226,7 @@ def test_people_side_by_side_are_as_alone(crowd, device):
 
 
 def test_steps_start_again_with_other_people(crowd):
-    """As captured steps do, whose tensors stay where they are."""
+    """Captured steps do so, whose tensors stay in their memory."""
     everyone = several(crowd, "cpu")
     seen = [each for each in everyone if each.observation.lens is None and each.observation.label_set is not None][:2]
     energy = mesh_energy(anny(), QUICK_MESH, seen[0].observation.label_set)

@@ -27,7 +27,7 @@ from warp_partdr.solve.scene.start import gather_scene
 def beside(
     observation: SceneObservation, person: int, widths: float, *, frame: int = 0, parts: bool = True
 ) -> SceneObservation:
-    """The same person so many widths of the box farther to the right."""
+    """The same person stands so many widths of the box farther to the right."""
     points, seen = observation.keypoints.points, observation.keypoints.visible
     aside = round(widths * 1.3 * float(np.ptp(points[seen, 0])))
     moved = replace(observation.keypoints, points=points + np.float32([aside, 0]))
@@ -104,7 +104,7 @@ def test_everybody_has_a_slot() -> None:
 
 
 def test_who_stands_apart_is_drawn_as_alone() -> None:
-    """The same labels, in the same crop, of the same size as of a scene of one."""
+    """Labels, crop and size are those of a scene with one person."""
     scene = make_views(3, 1).scene
     one = scene.observations[0]
     many = replace(scene, observations=[one, beside(one, 1, 4.0, parts=False)])

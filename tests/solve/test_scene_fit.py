@@ -297,7 +297,7 @@ def test_steady_motion_is_not_held_back_at_the_ends():
 
 
 def test_starts_keep_more_of_a_fast_move_than_moves_could_bring_back():
-    """Of somebody who stands still and in one frame seems nearer."""
+    """The person stands still, and in one frame seems nearer."""
     scene, frames, options = make_views(3, 1).scene, 15, replace(QUICK_SCENE, smoothing=0.1)
     observed = observe_scene(scene, "cpu")[0]
     film = Scene(scene.views, [replace(observed.source, frame=frame) for frame in range(frames)])

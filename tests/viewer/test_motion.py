@@ -105,7 +105,7 @@ def test_a_folder_is_read_back_as_it_was(folder: Path) -> None:
 
 
 def test_views_are_what_overlays_show(window: MotionWindow, folder: Path) -> None:
-    """The same camera and the same places; in the front view the walker is on the left, the other behind them."""
+    """Camera and positions are the same; in the front view the walker is on the left, the other behind them."""
     frame = 12
     window.slide(frame)
     picture = window.scene.pictures.picture(0)

@@ -24,7 +24,7 @@ class Drawn:
 
 
 def encode(image: int, columns: int, rows: int, quality: int) -> tuple[bytes]:
-    """As many bytes as the quality says."""
+    """It has as many bytes as the quality says."""
     return (bytes([image]) * quality,)
 
 

@@ -17,7 +17,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 import torch
 
-from ..inputs.cut_people import CutPeople, Kind
+from ..inputs.cut_people import BatchKey, CutPeople
 from ..interop.torch_threads import one_torch_thread
 from ..kernels.launch import get_num_threads
 from ..networks.detection import MIN_SCORE, LandmarkNetwork
@@ -212,11 +212,11 @@ class _Taken:
             self._fit(self.work.batch)
 
     def _queue(self, people: CutPeople) -> _Waiting:
-        """Waiting people of the same kind, who are fitted together; a new group if there are none."""
+        """Find the waiting people with the same key, who are fitted as a batch; begin a group if there are none."""
         for waiting in self._waiting:
-            if waiting.kind == people.kind:
+            if waiting.key == people.batch_key:
                 return waiting
-        self._waiting.append(_Waiting(people.kind))
+        self._waiting.append(_Waiting(people.batch_key))
         return self._waiting[-1]
 
     def _fit(self, least: int) -> None:
@@ -235,9 +235,9 @@ class _Taken:
 
 @dataclass
 class _Waiting:
-    """People of one kind who wait for a batch, and their rows."""
+    """People with one key who wait for a batch, and their rows."""
 
-    kind: Kind
+    key: BatchKey
     count: int = 0
     _parts: list[tuple[np.ndarray, CutPeople]] = field(default_factory=list)
 

@@ -29,7 +29,7 @@ from ..inputs.annotated_sizes import PictureChange, find_size, match_sizes, outs
 from ..inputs.keypoint_categories import KeypointCategory, common_category, number_of, read_categories
 from ..inputs.keypoint_files import is_whole_body, parse_keypoints
 from ..inputs.keypoint_shapes import file_names
-from ..inputs.keypoints import LARGEST_PLACE, Keypoints2D
+from ..inputs.keypoints import LARGEST_COORDINATE, Keypoints2D
 from ..inputs.part_labels import PhotoFile, read_orientation
 from ..inputs.person import Box
 from ..inputs.photo_files import PHOTO_SUFFIXES
@@ -363,8 +363,8 @@ def _box(given: Any, where: str) -> Box | None:
         left, top, width, height = map(float, given)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{where}: bbox: {shown(given)}; expected four numbers") from None
-    if not all(abs(edge) <= LARGEST_PLACE for edge in (left, top, width, height)):
-        raise InputError(f"{where}: bbox: {shown(given)}; expected pixels, up to {LARGEST_PLACE:g}")
+    if not all(abs(edge) <= LARGEST_COORDINATE for edge in (left, top, width, height)):
+        raise InputError(f"{where}: bbox: {shown(given)}; expected pixels, up to {LARGEST_COORDINATE:g}")
     return (left, top, left + width, top + height) if min(width, height) > 0 else None
 
 
@@ -386,7 +386,7 @@ def _mask(given: Any, change: PictureChange, orientation: int, where: str) -> np
 
 
 def _is_place(number: Any) -> bool:
-    return isinstance(number, int | float) and not isinstance(number, bool) and abs(number) <= LARGEST_PLACE
+    return isinstance(number, int | float) and not isinstance(number, bool) and abs(number) <= LARGEST_COORDINATE
 
 
 def _mask_of_runs(given: Mapping[str, Any], size: tuple[int, int], orientation: int, where: str) -> np.ndarray:

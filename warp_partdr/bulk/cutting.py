@@ -12,7 +12,7 @@ from ..body.skeletons import Skeleton, skeleton
 from ..cameras import Perspective, UsualLens
 from ..errors import InputError
 from ..inputs.cut_out import cut_out_people
-from ..inputs.cut_people import CutPeople, CutPerson, stack_alike
+from ..inputs.cut_people import CutPeople, CutPerson, batch_people
 from ..inputs.evidence import PicturePerson
 from ..inputs.observation import LABEL_SIZE
 from ..inputs.own_pixels import Mask
@@ -119,7 +119,7 @@ class Cutter:
                 else:
                     cut.append((number, each))
         numbers = np.array([number for number, _ in cut])
-        groups = stack_alike([person for _, person in cut])
+        groups = batch_people([person for _, person in cut])
         return Cut(
             tuple(name for name, _ in held),
             PeopleRows.of(rows),

@@ -18,7 +18,7 @@ import numpy as np
 from ..cameras import Perspective, UsualLens
 from ..errors import InputError
 from ..inputs.cut_out import cut_out_people
-from ..inputs.cut_people import CutPeople, CutPerson, stack_alike
+from ..inputs.cut_people import CutPeople, CutPerson, batch_people
 from ..inputs.cuts import cuts_sentence
 from ..inputs.evidence import PicturePerson
 from ..inputs.films import film_facts
@@ -424,4 +424,4 @@ def _cut_samples(samples: Sequence[Sample], cameras: Sequence[Perspective | None
         if isinstance(found, InputError):
             raise InputError(f"{sample.name}: {found}")
         cut.append(found)
-    return Cut(tuple(names), PeopleRows.of(rows), [(np.array(own), some) for own, some in stack_alike(cut)])
+    return Cut(tuple(names), PeopleRows.of(rows), [(np.array(own), some) for own, some in batch_people(cut)])

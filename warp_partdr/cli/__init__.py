@@ -1,1 +1,1 @@
-"""The command ``partdr``, a file a command."""
+"""Command ``partdr``: each file holds one of its commands."""

@@ -1,4 +1,4 @@
-"""The command ``partdr convert``."""
+"""Command ``partdr convert``."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Annotated
 import typer
 from typer import Argument
 
-CONVERT_HELP = """Make an .npz of a pickle of SMPL, SMPL-H, SMPL-X or SKEL, without running what is in it.
+CONVERT_HELP = """Convert a pickle of SMPL, SMPL-H, SMPL-X or SKEL to .npz, without running code in it.
 
 Examples: `partdr convert basicModel_neutral_lbs_10_207_0_v1.0.0.pkl smpl_neutral.npz`;
 `partdr convert skel_models_v1.1/skel_male.pkl skel_male.npz`
 
-A pickle can run code when it is loaded. This command takes only plain arrays from it and refuses everything else. The
-.npz is what --model of `partdr fit` and `partdr register` takes.
+A pickle can run code when it is loaded. This command takes only plain arrays from it and refuses everything else. You
+can give the .npz to the option --model of `partdr fit` and `partdr register`.
 """
 
 

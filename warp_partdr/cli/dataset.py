@@ -1,4 +1,4 @@
-"""The command ``partdr dataset``: bodies of everyone in a whole data set of pictures, to Parquet."""
+"""Command ``partdr dataset``: fits the bodies of all people in a data set of pictures, and writes them to Parquet."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from .options import (
     LabelsOption,
     SettingOptions,
     check_score,
+    count_people,
     people_at_a_time,
-    say_people,
 )
 from .register import MODEL_HELP, read_model
 
@@ -39,37 +39,45 @@ if TYPE_CHECKING:
     from ..models.model import DetailedModel
     from ..solve.ellipsoids.options import FitOptions
 
-# As ``bulk.people.BulkQuality``, which is not loaded for --help.
+# The same names as in ``bulk.people.BulkQuality``, which is not loaded for --help.
 BulkQualityName = StrEnum("BulkQualityName", ["network", "fast", "mesh"])
 
-DATASET_HELP = """Fit everyone in a whole data set of pictures, to Parquet, a row a person. Killed, it goes on.
+DATASET_HELP = """Fit all people in a data set of pictures, and write a row for each person to Parquet files.
 
 Examples: `partdr dataset photos --out people`; `partdr dataset person_keypoints_val2017.json --images val2017`
 
-PICTURES is a folder of photos, with all folders in it; a .txt file, a path a line; tar files of WebDataset, as a folder
-or as "shards/{000..009}.tar"; a film (.[film]), each frame a picture, film.mp4#0; or COCO's annotations (.json), whose
-keypoints and masks are taken then. Beside 7.jpg, also in tar files, may lie 7.keypoints.json and 7.parts.png (--labels
-says what its ids mean). People without keypoints are found, as by `partdr fit photo.jpg`.
+PICTURES is one of these:
 
-Names in COCO's categories say which keypoint is which; --format NAME says it of files without names, and goes before
-them. Of pictures that were resized since, or annotated as they are stored, annotations are scaled or turned, which the
-column warnings says; a size that this does not explain is an error.
+* a folder of photos, with all folders in it
+* a .txt file with a path in each line
+* tar files of WebDataset, as a folder or as "shards/{000..009}.tar"
+* a film (install .[film]), whose frames are the pictures film.mp4#0, film.mp4#1, ...
+* COCO's annotations (.json), whose keypoints and masks are then taken
 
-**How far**, --quality: network (what `partdr predict` says), fast (ellipsoids refined), or mesh (the detailed body of
-`partdr fit`, too). `--set mirror=false` makes the network faster, `--set mesh.iterations=30` the mesh stage.
-`--set landmarks=heavy` finds keypoints nearer to the truth, slower. Without `--set half=false` or true, the network is
-asked in bfloat16 where the device multiplies that, but for --ray; the metadata says which, and machines that share a
-data set have to agree. Nobody gets a search: where the body ends far from what was seen, the column warnings says so.
+Beside 7.jpg, also in tar files, there may be 7.keypoints.json and 7.parts.png (--labels gives the meaning of its ids).
+People without keypoints are found as by `partdr fit photo.jpg`.
 
-**Results**: part-00000-of-00010.parquet, ..., each with the people of so many pictures (--shard), whole or not there.
-The same command again makes those that are missing, so a run may be killed at any time; options that differ are
-refused. It also reads pictures again that could not be read from the disk (missing, no permission, an outage).
-Machines that share a disk share the work: `--share 0/4` to `--share 3/4`, or `--ray ADDRESS` of a Ray cluster
-(install .[ray]), which gives each shard to one of its processes and starts dead ones anew. A picture that can't be
-read, or shows nobody, is a row, too: columns error and people. If more than half of the rows in a run's shards have an
-error, its exit code is 1. Files that are no pictures are counted on stderr.
+The names in COCO's categories give the order of keypoints. For files without names, use --format NAME, which also
+overrides names. If pictures were resized after the annotation, or annotated before they were turned upright, their
+annotations are scaled or turned, and the column warnings says so. A size that this can't explain is an error.
 
-**To read them**, nothing of this package is needed; lists are flat, and the fields' metadata have shapes and names:
+**Quality**, --quality: network (the body of `partdr predict`), fast (the ellipsoids are also refined), or mesh (the
+detailed body of `partdr fit` is also fitted). `--set mirror=false` makes the network faster, `--set mesh.iterations=30`
+the mesh stage. `--set landmarks=heavy` finds keypoints that are nearer to the truth, but takes longer. On a device that
+multiplies bfloat16, the network uses it, except with --ray; `--set half=false` or `half=true` decides otherwise. The
+metadata says which was used, and machines that share a data set must use the same. No person gets a search. If a body
+ends far from its keypoints, the column warnings says so.
+
+**Results** are part-00000-of-00010.parquet and so on. Each file (a shard) holds the people of as many pictures as
+--shard says, and appears only when it is complete. So a run may be killed at any time: the same command again makes the
+missing files. Other options are then refused. It also reads pictures again that could not be read from the disk
+(missing, no permission, an outage). Machines that share a disk can share the work: `--share 0/4` to `--share 3/4`, or
+`--ray ADDRESS` of a Ray cluster (install .[ray]), which gives each shard to one of its processes and restarts dead
+processes. A picture that can't be read, or that shows nobody, also gets a row: see the columns error and people. If
+more than half of the rows in a run's shards have an error, its exit code is 1. Files that are no pictures are counted
+on stderr.
+
+**To read the results** you don't need this package. Lists are flat, and the fields' metadata have shapes and names:
 
     table = pyarrow.parquet.read_table("people")            # or pandas.read_parquet("people")
     table = datasets.load_dataset("parquet", data_files="people/*.parquet")
@@ -87,24 +95,26 @@ their SHA-256.
 class BulkOptions(SettingOptions):
     """Options that rows depend on; settings are those of ``partdr fit``."""
 
-    quality: Annotated[BulkQualityName, Option(help="How far each fit goes.", metavar="NAME")] = BulkQualityName.fast
+    quality: Annotated[BulkQualityName, Option(help="Quality of each fit: network, fast or mesh.", metavar="NAME")] = (
+        BulkQualityName.fast
+    )
     model: Annotated[str, Option(help=f"Detailed model of --quality mesh: {MODEL_HELP}.", metavar="NAME")] = "anny"
     network: Annotated[
         Path | None,
-        Option(help="A network of `partdr train`; by default the packaged one.", metavar="FILE.safetensors"),
+        Option(help="Network that `partdr train` wrote; default: the packaged one.", metavar="FILE.safetensors"),
     ] = None
     min_score: Annotated[float, Option(help="Least confidence that there is a person, 0 to 1.", metavar="SHARE")] = (
         MIN_SCORE
     )
 
     def absolute(self) -> BulkOptions:
-        """Options with full paths of the files."""
+        """Return the options with full paths of the files."""
         model = str(Path(self.model).absolute()) if Path(self.model).is_file() else self.model
         files = {name: path and path.absolute() for name in ("network", "config") for path in [getattr(self, name)]}
         return replace(self, model=model, **files)
 
     def fit_options(self, *, half: bool) -> FitOptions:
-        """Options of the fits: the quality's, with the settings; ``half`` where these don't say it."""
+        """Options of the fits: those of the quality, changed by the settings; ``half`` counts if they don't set it."""
         from ..bulk.people import BulkQuality, stages_of_quality
         from ..solve.ellipsoids.settings import MESH, change_options
         from ..solve.ellipsoids.stages import OUTLINE
@@ -122,7 +132,7 @@ class BulkOptions(SettingOptions):
     def record(
         self, view: CameraOptions, source: PictureSource, keypoint_format: str | None, *, half: bool
     ) -> dict[str, Any]:
-        """All that rows depend on but the pictures, as shards state it."""
+        """Record everything that rows depend on, except the pictures, for the metadata of shards."""
         check_score("--min-score", self.min_score)
         options = self.fit_options(half=half)
         settings = {name: value for name, value in self.read().items() if name != "half"}
@@ -144,11 +154,13 @@ class BulkOptions(SettingOptions):
 class ShardOptions:
     """Options of the shards that are made."""
 
-    shard: Annotated[int, Option(help="Pictures of a shard.", metavar="N", min=1)] = 1000
-    share: Annotated[str, Option(help="Shards of this machine: each Nth from I on.", metavar="I/N")] = "0/1"
+    shard: Annotated[int, Option(help="Number of pictures in a shard.", metavar="N", min=1)] = 1000
+    share: Annotated[str, Option(help="Shards that this machine makes: every Nth, starting at I.", metavar="I/N")] = (
+        "0/1"
+    )
 
     def mine(self, count: int) -> range:
-        """The shards, of so many, that this machine is to make."""
+        """Indices of the shards, among ``count``, that this machine makes."""
         first, slash, step = self.share.partition("/")
         if not (slash and first.isdecimal() and step.isdecimal() and int(first) < int(step)):
             raise InputError(f"--share: {shown(self.share)}; expected I/N, such as 0/4 to 3/4")
@@ -159,14 +171,17 @@ class ShardOptions:
 class ClusterOptions:
     """Options of a Ray cluster."""
 
-    ray: Annotated[str | None, Option(help="Work on a Ray cluster: local, auto, HOST:PORT.", metavar="ADDRESS")] = None
+    ray: Annotated[str | None, Option(help="Use a Ray cluster: local, auto or HOST:PORT.", metavar="ADDRESS")] = None
     workers: Annotated[
-        int | None, Option(help="Most processes there; default: what it has room for.", metavar="N", min=1)
+        int | None,
+        Option(help="Most processes on the cluster; default: as many as have room.", metavar="N", min=1),
     ] = None
-    cores: Annotated[int | None, Option(help="CPU cores of each; default: 1, with a GPU 8.", metavar="N", min=1)] = None
+    cores: Annotated[
+        int | None, Option(help="CPU cores of each process; default: 1, with a GPU 8.", metavar="N", min=1)
+    ] = None
 
     def check(self) -> None:
-        """Raise an InputError unless the options go together, and Ray is installed where it is asked for."""
+        """Raise an InputError unless the options go together, and Ray is installed if it is needed."""
         if self.ray is None and (self.workers, self.cores) != (None, None):
             raise InputError("--workers, --cores: without a cluster; expected --ray with it")
         if self.ray is not None and (find_spec("ray") is None or find_spec("pandas") is None):
@@ -175,7 +190,7 @@ class ClusterOptions:
 
 @dataclass(frozen=True)
 class _Cameras:
-    """Cameras of a source's pictures, also in another process."""
+    """Cameras of a source's pictures. It can be sent to another process."""
 
     view: CameraOptions
     source: PictureSource
@@ -188,15 +203,15 @@ class _Cameras:
 class FitterSetup:
     """Options of a fitter, which may be made in another process."""
 
-    how: BulkOptions
+    options: BulkOptions
     view: CameraOptions
     batch: int | None
     device: str
     half: bool
 
     def model(self) -> DetailedModel | None:
-        """The detailed model, if there is to be one."""
-        return read_model(self.how.model, self.device) if self.how.quality == "mesh" else None
+        """Load the detailed model; None if the quality needs none."""
+        return read_model(self.options.model, self.device) if self.options.quality == "mesh" else None
 
     def __call__(self, source: PictureSource, detailed: DetailedModel | None = None) -> PeopleFitter:
         """Make the fitter, and load its kernels."""
@@ -205,8 +220,8 @@ class FitterSetup:
         from ..networks.regression.checkpoint import load_label_network
 
         detailed = detailed or self.model()
-        options = self.how.fit_options(half=self.half)
-        network = load_label_network(self.how.network, device=self.device)
+        options = self.options.fit_options(half=self.half)
+        network = load_label_network(self.options.network, device=self.device)
         assumed = usual_camera if options.guess_camera and not self.view.refused else no_camera
         fitter = PeopleFitter(
             options,
@@ -214,7 +229,7 @@ class FitterSetup:
             detailed,
             self.device,
             self.batch or _people_at_a_time(self.device, meshes=detailed is not None),
-            self.how.min_score,
+            self.options.min_score,
             cutter=Cutter(
                 _Cameras(self.view, source) if self.view.given else assumed,
                 source.skeleton,
@@ -228,7 +243,7 @@ class FitterSetup:
 
 
 def _people_at_a_time(device: str, *, meshes: bool) -> int:
-    """The option --batch where it is not given: a GPU's launches take their time however many people there are."""
+    """Default of the option --batch. It is large on a GPU, whose launches take as long for a few people as for many."""
     return people_at_a_time(None, device) if device == "cpu" else 256 if meshes else 1000
 
 
@@ -237,24 +252,28 @@ class DatasetRequest:
     """Arguments and options of ``partdr dataset``.
 
     Raises:
-        InputError: If one is wrong whatever the pictures show, or a package is missing that it needs.
+        InputError: If one is wrong whatever the pictures show, or if a package is missing that it needs.
     """
 
     pictures: Annotated[
         Path, Argument(help="Folder, list (.txt), film, tar files, or COCO's annotations (.json).", metavar="PICTURES")
     ]
     out: Annotated[Path, Option(help="Folder for the shards.", metavar="FOLDER")] = Path("dataset")
-    images: Annotated[Path | None, Option(help="Folder of COCO's pictures, else its own.", metavar="FOLDER")] = None
+    images: Annotated[
+        Path | None,
+        Option(help="Folder of COCO's pictures; default: the folder of the annotations.", metavar="FOLDER"),
+    ] = None
     batch: Annotated[
-        int | None, Option(help="People at a time; default: 1000, with meshes 256, on a CPU 16.", metavar="N", min=1)
+        int | None,
+        Option(help="Number of people at a time; default: 1000, with meshes 256, on a CPU 16.", metavar="N", min=1),
     ] = None
     device: DeviceOption = "auto"
     labels: LabelsOption = None
     keypoint_format: Annotated[
         str | None,
-        Option("--format", help="Of the keypoints, if the files do not say; or a JSON file.", metavar="NAME"),
+        Option("--format", help="Format of keypoints, if files do not name it; or its JSON file.", metavar="NAME"),
     ] = None
-    how: BulkOptions
+    options: BulkOptions
     parts: ShardOptions
     view: CameraOptions
     cluster: ClusterOptions
@@ -266,22 +285,22 @@ class DatasetRequest:
         self.cluster.check()
 
     def absolute(self) -> DatasetRequest:
-        """Request with full paths of files and folders."""
+        """Return the request with full paths of files and folders."""
         return replace(
             self,
             pictures=self.pictures.absolute(),
             out=self.out.absolute(),
             images=self.images and self.images.absolute(),
-            how=self.how.absolute(),
+            options=self.options.absolute(),
         )
 
     def record(self, source: PictureSource, *, half: bool) -> dict[str, Any]:
-        """All that rows depend on but the pictures, as shards state it."""
-        return self.how.record(self.view, source, self.keypoint_format, half=half)
+        """Record everything that rows depend on, except the pictures, for the metadata of shards."""
+        return self.options.record(self.view, source, self.keypoint_format, half=half)
 
     def setup(self, device: str, *, half: bool) -> FitterSetup:
-        """Options of the fitter on a device."""
-        return FitterSetup(self.how, self.view, self.batch, device, half)
+        """Collect the options of the fitter on a device."""
+        return FitterSetup(self.options, self.view, self.batch, device, half)
 
 
 def dataset(request: DatasetRequest) -> None:
@@ -301,11 +320,10 @@ def dataset(request: DatasetRequest) -> None:
     for warning in source.warnings:
         typer.echo(f"partdr: warning: {warning}", err=True)
     where = choose_device(request.device) if cluster.ray is None else request.device
-    half = cluster.ray is None and multiplies_bfloat16(where)  # machines of a cluster may differ, its rows may not
+    half = cluster.ray is None and multiplies_bfloat16(where)  # machines of a cluster may differ, but rows must not
     check_folder(out)
     shards = Shards(out, source.names, request.parts.shard, request.record(source, half=half))
-    there = shards.there()
-    done = {index for index, unread in there.items() if not unread}
+    done = {index for index, unread in shards.there().items() if not unread}
     todo = [index for index in request.parts.mine(shards.count) if index not in done]
     if source.left_out:
         typer.echo(f"partdr: {source.left_out}", err=True)
@@ -325,7 +343,7 @@ def dataset(request: DatasetRequest) -> None:
 
 @dataclass(frozen=True)
 class _Work:
-    """Shards to be made."""
+    """Shards that must be made."""
 
     source: PictureSource
     shards: Shards
@@ -333,7 +351,7 @@ class _Work:
     done: int
 
     def run(self, setup: FitterSetup, cluster: ClusterOptions) -> None:
-        """Make them, here or on a cluster, and tell how it goes."""
+        """Make the shards, here or on a cluster, and report progress."""
         from ..bulk.rows import columns
         from ..bulk.run import make_dataset, source_readers
         from ..kernels.launch import get_num_threads
@@ -350,7 +368,7 @@ class _Work:
             def written(index: int, tally: Tally) -> None:
                 if cluster.ray is not None:
                     progress(shards.path(index).name, left[index])
-                if not progress.console.is_terminal:  # where no bar is seen
+                if not progress.console.is_terminal:  # there is no bar
                     speed = tally.pictures / (time.perf_counter() - started)
                     minutes = (total - tally.pictures) / speed / 60
                     progress.say(f"{shards.path(index).name}: {speed:.1f} pictures a second, {minutes:.0f} min to go")
@@ -382,18 +400,17 @@ class _Work:
                         written=written,
                     )
             except KeyboardInterrupt:
-                there = f"{len(shards.there())} of {shards.count} shards"
-                progress.say(f"partdr: stopped; {shards.folder} has {there}, the same command goes on")
+                finished = f"{len(shards.there())} of {shards.count} shards"
+                progress.say(f"partdr: stopped; {shards.folder} has {finished}, the same command goes on")
                 raise
             seconds = time.perf_counter() - started
-        _tell(tally, shards, seconds, setup.device)
+        _summarise(tally, shards, seconds, setup.device)
 
 
-def _tell(tally: Tally, shards: Shards, seconds: float, where: str) -> None:
-    speeds = f"{tally.people / seconds:.1f} people, {tally.pictures / seconds:.1f} pictures a second, {where}"
-    typer.echo(f"{say_people(tally.people)} in {tally.pictures} pictures; {speeds}")
-    there = shards.there()
-    typer.echo(f"{shards.folder} has {len(there)} of {shards.count} shards")
+def _summarise(tally: Tally, shards: Shards, seconds: float, device: str) -> None:
+    speeds = f"{tally.people / seconds:.1f} people, {tally.pictures / seconds:.1f} pictures a second, {device}"
+    typer.echo(f"{count_people(tally.people)} in {tally.pictures} pictures; {speeds}")
+    typer.echo(f"{shards.folder} has {len(shards.there())} of {shards.count} shards")
     if tally.errors:
         rows = f"{tally.errors} row{'s' * (tally.errors > 1)}"
         typer.echo(f"partdr: warning: {rows} with an error, first {tally.first_error}", err=True)
@@ -411,7 +428,7 @@ def _tell(tally: Tally, shards: Shards, seconds: float, where: str) -> None:
 
 
 def _name_or_sha256(given: str) -> str:
-    """A name as it is, and the SHA-256 of a file."""
+    """Return a name as it is, or the SHA-256 of a file."""
     return _sha256(Path(given)) if Path(given).is_file() else given
 
 
@@ -423,7 +440,7 @@ def _sha256(path: Path) -> str:
 
 
 def _versions(device: str) -> dict[str, Any]:
-    """Versions of what makes the rows, and the device."""
+    """Versions of the packages that make the rows, and the device."""
     import platform
 
     import pyarrow

@@ -1,4 +1,4 @@
-"""The commands ``partdr report`` and ``partdr export``: a look at a data set, and files of single people out of it."""
+"""Commands ``partdr report`` and ``partdr export``: a page about a data set, and files of single people from it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typer import Argument, Option
 
 from ..errors import InputError, cause, install_command, printable
 from ..files.disk import file_sha256
-from .options import BodyFormat, check_further, say_people
+from .options import BodyFormat, check_further, count_people
 from .register import MODEL_HELP, read_model
 
 if TYPE_CHECKING:
@@ -23,44 +23,53 @@ if TYPE_CHECKING:
     from ..bulk.reading import PeopleFiles
     from ..models.model import DetailedModel
 
-# As ``bulk.survey.RANKED`` and ``bulk.export.WRITERS``, which are not loaded for --help.
+# The same names as in ``bulk.survey.RANKED`` and ``bulk.export.WRITERS``, which are not loaded for --help.
 ByName = StrEnum("ByName", ["keypoint_error", "energy", "score", "depth", "size"])
 FormatName = StrEnum("FormatName", ["glb", "obj", "npz", "json", "usda", "usdz", "fbx"])
 
 _MOST_DRAWN = 1000
 
-REPORT_HELP = """Look at a data set before you trust it: one HTML page, with all pictures in it.
+REPORT_HELP = """Check a data set before you trust it: this writes one HTML page, which holds all its pictures.
 
 Examples: `partdr report people --pictures photos`; `partdr report people --by depth --out depth.html`
 
-The page has numbers of rows, people and errors; warnings counted; distributions of scores; versions and options, and
-if they are the same in all shards; shards that are missing; and the worst hundred people, over their photo where
---pictures still has it, each with its row's address, such as 3/17: row 17 of shard 3, both from 0 on.
+The page shows the numbers of rows, people and errors; how often each warning occurs; distributions of scores; versions
+and options, and if they are the same in all shards; shards that are missing; and the worst hundred people. If
+--pictures has their photos, people are drawn over them. Each has the address of the row, such as 3/17: row 17 of shard
+3, both counted from 0.
 """
 
-EXPORT_HELP = """Write files of single people of a data set, as `partdr fit` writes them: a folder a row.
+EXPORT_HELP = """Write files of single people of a data set, a folder for each row, as `partdr fit` writes them.
 
 Examples: `partdr export people --rows 3/17,3/20 --to glb`; `partdr export people --worst 20 --to npz --to json`
 
---rows: shard/row, both from 0 on, as `partdr report` shows them; or 0:100, counted through all shards; commas between.
+--rows takes addresses shard/row, both counted from 0, as `partdr report` shows them; or a range such as 0:100, counted
+through all shards. Write commas between them.
 
---to: glb (ellipbody.glb), npz (body.npz, which `load_body` and `partdr register` read), json (body.json). Of rows with
-a detailed body (--quality mesh) also its detailed.glb, detailed.npz, of obj detailed.obj, and of usda, usdz (extra
-`usd`) and fbx (made by Blender's command) the same.
+--to takes glb (ellipbody.glb), npz (body.npz, which `load_body` and `partdr register` read) and json (body.json). If
+rows have a detailed body (--quality mesh), glb and npz also write detailed.glb and detailed.npz, obj writes
+detailed.obj, and usda, usdz (extra `usd`) and fbx (written by Blender) write detailed.usda and so on.
 """
 
-DatasetArgument = Annotated[Path, Argument(help="Folder of partdr dataset.", metavar="DATASET")]
-ByOption = Annotated[ByName, Option("--by", help=f"Worst by {', '.join(ByName)}.", metavar="NAME")]
+DatasetArgument = Annotated[Path, Argument(help="Folder that `partdr dataset` wrote.", metavar="DATASET")]
+ByOption = Annotated[
+    ByName, Option("--by", help=f"Quantity that decides who is worst: {', '.join(ByName)}.", metavar="NAME")
+]
 
 
 def report(
     dataset: DatasetArgument,
-    out: Annotated[Path, Option(help="The page.", metavar="FILE.html")] = Path("report.html"),
+    out: Annotated[Path, Option(help="File for the page.", metavar="FILE.html")] = Path("report.html"),
     pictures: Annotated[
-        Path | None, Option(help="The pictures, as partdr dataset was given them.", metavar="PICTURES")
+        Path | None, Option(help="Pictures, as they were given to `partdr dataset`.", metavar="PICTURES")
     ] = None,
-    images: Annotated[Path | None, Option(help="Folder of COCO's pictures, else its own.", metavar="FOLDER")] = None,
-    worst: Annotated[int, Option(help="How many people are drawn.", metavar="N", min=0, max=_MOST_DRAWN)] = 100,
+    images: Annotated[
+        Path | None,
+        Option(help="Folder of COCO's pictures; default: the folder of the annotations.", metavar="FOLDER"),
+    ] = None,
+    worst: Annotated[
+        int, Option(help="Number of the worst people who are drawn.", metavar="N", min=0, max=_MOST_DRAWN)
+    ] = 100,
     by: ByOption = ByName.keypoint_error,
 ) -> None:
     """Write the page of a data set; see ``REPORT_HELP``."""
@@ -77,15 +86,17 @@ def report(
     read, note = _reader(pictures, images)
     with PictureProgress(len(files.paths), "shards") as progress:
         survey = survey_people(files, by.value, worst, progress)
-    detailed = read_model("anny", "cpu") if _made_with(files) == "anny" else None  # of others, ellipsoids are drawn
+    detailed = (
+        read_model("anny", "cpu") if _made_with(files) == "anny" else None
+    )  # with other models, ellipsoids are drawn
     people = {}
     with PictureProgress(len(survey.worst.values), "pictures") as progress:
         for drawn in draw_worst(files, survey.worst, read, detailed):
             people[drawn.address] = drawn
             progress(drawn.picture)
     if pictures is not None:
-        seen = sum(each.on_photo for each in people.values())
-        note = f"Left the photo and keypoints, right the body; {seen} of {len(people)} photos could be read."
+        readable = sum(each.on_photo for each in people.values())
+        note = f"Left the photo and keypoints, right the body; {readable} of {len(people)} photos could be read."
     page = write_page(files, survey, [people[address] for address in survey.worst.addresses], note=note)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -148,31 +159,31 @@ def export(
                 progress(str(address))
     if not written:
         raise InputError(f"{dataset}: no body in rows such as {empty[0]}; expected rows with one")
-    typer.echo(f"{say_people(written)} written to {out}")
+    typer.echo(f"{count_people(written)} written to {out}")
     if empty:
         typer.echo(f"partdr: warning: {len(empty)} without a body, first {empty[0]}", err=True)
 
 
 def _open(folder: Path, command: str) -> PeopleFiles:
-    """The data set of a command, which needs pyarrow."""
+    """Open the data set of a command, which needs pyarrow."""
     if find_spec("pyarrow") is None:
         raise InputError(f"partdr {command}: without pyarrow; expected it: {install_command('dataset')}")
 
     from ..bulk.reading import PeopleFiles
     from ..interop.devices import choose_device
 
-    choose_device("cpu")  # or Warp says what it loads
+    choose_device("cpu")  # keeps Warp from printing what it loads
     return PeopleFiles.open(folder)
 
 
 def _check_outside(out: Path, dataset: Path) -> None:
-    """Refuse results within a data set's folder, of which readers take every file for Parquet."""
+    """Raise InputError if results would be in a data set's folder, where readers take every file for Parquet."""
     if out.resolve().is_relative_to(dataset.resolve()):
         raise InputError(f"--out: {out}, in the data set, of which readers take all files; expected another folder")
 
 
 def _reader(pictures: Path | None, images: Path | None) -> tuple[Callable[[str], np.ndarray] | None, str]:
-    """Reader of a picture by its name, if there are pictures, and what to say if not."""
+    """Reader of a picture by its name, and a note; without pictures, None and a note that says so."""
     if pictures is None:
         if images is not None:
             raise InputError(f"--images: {images}, without --pictures; expected COCO's annotations with it")
@@ -181,18 +192,18 @@ def _reader(pictures: Path | None, images: Path | None) -> tuple[Callable[[str],
     from ..bulk.opening import open_source
 
     source = open_source(pictures, images)
-    names = {printable(name): name for name in source.names}  # rows hold the printable ones
+    names = {printable(name): name for name in source.names}  # rows hold printable names
     return lambda name: source.read(names.get(name, name)).pixels, ""
 
 
 def _made_with(files: PeopleFiles) -> str | None:
-    """The model of detailed bodies, as the first shard states it: a name, or the SHA-256 of its file."""
+    """Model of the detailed bodies, as the first shard states it: a name, or the SHA-256 of its file."""
     made = files.about(next(iter(files.paths))).get("options", {}).get("model")
     return None if made is None else str(made)
 
 
 def _model(files: PeopleFiles, given: str | None) -> DetailedModel | None:
-    """The detailed model of the data set's bodies; None if they have none."""
+    """Load the detailed model of the data set's bodies; None if they have none."""
     made = _made_with(files)
     if made is None:
         if given is not None:
@@ -200,6 +211,6 @@ def _model(files: PeopleFiles, given: str | None) -> DetailedModel | None:
         return None
     same = given is None or given == made or (Path(given).is_file() and file_sha256(Path(given)) == made)
     if not same or (given is None and made != "anny"):
-        told = "missing" if given is None else given
-        raise InputError(f"--model: {told}; expected that of the data set: {'anny' if made == 'anny' else made[:16]}")
+        found = "missing" if given is None else given
+        raise InputError(f"--model: {found}; expected that of the data set: {'anny' if made == 'anny' else made[:16]}")
     return read_model(given or made, "cpu")

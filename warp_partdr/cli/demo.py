@@ -1,4 +1,4 @@
-"""The command ``partdr demo``: play with a body and its refinement in a window, or record one without."""
+"""Command ``partdr demo``: play with a body and its refinement in a window, or record it without a window."""
 
 from __future__ import annotations
 
@@ -20,25 +20,26 @@ from ..inputs.part_labels import read_photo
 from .options import OutOption, PersonFiles, SettingOptions, take_whole
 
 _START, _TARGET = "t-pose", "walking"
-DEMO_HELP = """Play with a body in a window: change it, and watch it be refined toward a target, step by step.
+DEMO_HELP = """Play with a body in a window: change it, and watch how it is refined toward a target, step by step.
 
-Examples: `partdr demo`, then the space bar; in a browser, `partdr demo --web`; as a file, `partdr demo --record out.gif
---target "crossed arms"`
+Examples: `partdr demo`, then press the space bar; `partdr demo --web` for a browser; `partdr demo --record out.gif
+--target "crossed arms"` for a file
 
-Left, the body in 3D; right, its labels, the target's, what differs, where the loss pulls each part, and the loss.
-Point at a button for what it does and its key. Bodies by name: t-pose, walking, crossed arms, sitting, random.
+On the left you see the body in 3D. On the right you see its labels, the target's labels, the difference, the pull of
+the loss on each part, and the loss. Point at a button to see what it does and its key. Bodies have these names: t-pose,
+walking, crossed arms, sitting, random.
 
-**A person of your own**: `partdr demo photo.jpg`, the largest person in it, or --person N; or --keypoints and, for more
-than those, --parts with --labels, as `partdr fit` takes them.
+**A person of your own**: `partdr demo photo.jpg` takes the largest person, or the one of --person N. Or give
+--keypoints and, if you have them, --parts with --labels, as for `partdr fit`.
 
-**A film that was fitted**: `partdr demo FOLDER`, FOLDER being --out of `partdr fit film.mp4`: everyone in the world,
-a slider through time, and what each camera saw. Its settings: `film=FILE` (of several, their folder), where it isn't
-where it was; `speed=1`; `model=anny`.
+**A film that was fitted**: `partdr demo FOLDER`, where FOLDER is the --out of `partdr fit film.mp4`. It shows all
+people in the world, a slider through time, and the picture of each camera. Its settings are `film=FILE` (for several
+films, their folder) if the film was moved; `speed=1`; `model=anny`.
 
 **Settings** for --set and --config, with their defaults: `supervision=parts` (or silhouette, keypoints),
 `renderer=exact` (or the meshes E0 to E3), `gradient=partdr` (or coverage, edges), `depth_gradient=true`, `size=256`
-(or 64, 128, 512 px), `steps=100`, `learning_rate=0.06`, `seed=0` of random bodies; of --web, `host=127.0.0.1` (0.0.0.0
-lets other machines in), `port=8080` (0 takes a free one), `browser=true` (opens it).
+(or 64, 128, 512 px), `steps=100`, `learning_rate=0.06`, and `seed=0` for random bodies; for --web, `host=127.0.0.1`
+(0.0.0.0 lets other machines in), `port=8080` (0 takes a free one), and `browser=true` (it is opened).
 """
 
 
@@ -48,7 +49,7 @@ class WebAddress:
 
     host: str = "127.0.0.1"
     port: int = 8080
-    browser: bool = True  # whether to open it, if there is a screen
+    browser: bool = True  # True: open the page in a browser, if there is a screen
 
     def __post_init__(self) -> None:
         if not 0 <= self.port < 2**16:
@@ -66,24 +67,24 @@ class DemoRequest:
     files: PersonFiles
     photo: Annotated[
         Path | None,
-        Argument(help="Picture of the person to reach; or the folder of a fitted film.", metavar="[PHOTO|FOLDER]"),
+        Argument(help="Picture of a person, the target; or the folder of a fitted film.", metavar="[PHOTO|FOLDER]"),
     ] = None
     start: Annotated[
         str,
         Option(
-            help="Body to begin with: its name; network, what the label network says; or a body.npz of `partdr fit`.",
+            help="First body: its name, network (the label network's prediction), or a body.npz of `partdr fit`.",
             metavar="NAME",
         ),
     ] = _START
-    target: Annotated[str, Option(help="Body to reach.", metavar="NAME")] = _TARGET
+    target: Annotated[str, Option(help="Name of the body that is the target.", metavar="NAME")] = _TARGET
     record: Annotated[
-        Path | None, Option(help="Write it to a file, without a window: .gif, .mp4 or .html.", metavar="FILE")
+        Path | None, Option(help="Write the demo to a file, without a window: .gif, .mp4 or .html.", metavar="FILE")
     ] = None
     web: Annotated[
-        bool, Option("--web", help="The same in a browser; drawn on this machine, which needs no screen.")
+        bool, Option("--web", help="Show the demo in a browser. This machine draws it and needs no screen.")
     ] = False
     profile: Annotated[
-        bool, Option("--profile", help="Print how long a change takes to be drawn, without a window.")
+        bool, Option("--profile", help="Print how long it takes to draw a change, without a window.")
     ] = False
     out: OutOption = Path("out")
     settings: SettingOptions
@@ -95,7 +96,7 @@ class DemoRequest:
 
     @cached_property
     def values(self) -> dict[str, Any]:
-        """Settings in nested tables, read once."""
+        """Settings in nested tables, which are read once."""
         return self.settings.read()
 
     @cached_property
@@ -107,8 +108,8 @@ class DemoRequest:
         return read_section(WebAddress, given) if self.web else None
 
     @property
-    def own_settings(self) -> dict[str, Any]:
-        """Settings of what is shown, without those of the page."""
+    def demo_settings(self) -> dict[str, Any]:
+        """Settings of the demo, without those of the page."""
         return {name: value for name, value in self.values.items() if name not in _ADDRESS_KEYS}
 
     @property
@@ -142,23 +143,23 @@ def demo(request: DemoRequest) -> None:
 
 def _show_body(request: DemoRequest) -> None:
     """Show a body and its refinement, in a window or as a page, or record them."""
-    values = request.own_settings
+    values = request.demo_settings
     seed, settings = take_whole(values, "seed"), _viewer("settings").Settings
     check_keys(values, [*(field.name for field in fields(settings)), "seed", *_ADDRESS_KEYS])
     chosen = read_section(settings, values)
     first, goal = _bodies(request, seed)
-    shown = _viewer("state").DemoState(first, goal, chosen)
+    state = _viewer("state").DemoState(first, goal, chosen)
     if request.record is not None:
-        _record(shown, request.record, chosen.steps)
+        _record(state, request.record, chosen.steps)
         return
-    window = _viewer("window").Window(shown, request.out, off_screen=request.off_screen, seed=seed + 1)
+    window = _viewer("window").Window(state, request.out, off_screen=request.off_screen, seed=seed + 1)
     _show(window, request, f", at {chosen.size}x{chosen.size}")
 
 
 def _show_film(request: DemoRequest, folder: Path) -> None:
-    """Show what ``partdr fit FILM`` left in a folder, in a window or as a page, or record it."""
+    """Show the results of ``partdr fit FILM`` in a folder, in a window or as a page, or record them."""
     _check_folder(request, folder)
-    opening, values = _viewer("motion_state"), request.own_settings
+    opening, values = _viewer("motion_state"), request.demo_settings
     check_keys(values, [*(field.name for field in fields(opening.MotionSettings)), *_ADDRESS_KEYS])
     state, films = opening.open_motion(folder, read_section(opening.MotionSettings, values))
     if request.record is None:
@@ -173,11 +174,11 @@ def _show_film(request: DemoRequest, folder: Path) -> None:
             count = _viewer("motion_recording").record_motion(scene, request.record, progress)
     finally:
         scene.close()
-    _tell_recorded(request.record, count)
+    _print_recorded(request.record, count)
 
 
 def _show(window: Any, request: DemoRequest, size: str) -> None:
-    """Open a window, or serve it at an address; or tell how fast it is, with these words about its size."""
+    """Open a window, serve it at an address, or print how fast it is; ``size`` are words about its size."""
     if request.profile:
         for what, took in window.profile().items():
             typer.echo(f"{what}: {took:.1f} ms from the change to its drawn picture{size}")
@@ -186,20 +187,20 @@ def _show(window: Any, request: DemoRequest, size: str) -> None:
         _serve(window, request.address)
     else:
         window.show()
-    if told := window.finish():
-        typer.echo(told)
+    if message := window.finish():
+        typer.echo(message)
 
 
 _ADDRESS_KEYS = tuple(field.name for field in fields(WebAddress))
 
 
 def _viewer(name: str) -> Any:
-    """A module of the demo, which stands above the package: nothing of it is imported until it is asked for."""
+    """Import a module of the demo, which is above the package, so nothing of it is imported before it is needed."""
     return import_module(f"..viewer.{name}", __package__)
 
 
 def _check_folder(request: DemoRequest, folder: Path) -> None:
-    """Raise an InputError if something was given that a fitted film has no use for."""
+    """Raise an InputError if an option was given that does not go with a fitted film."""
     given = {name: value for name, value in vars(request.files).items() if value is not None}
     given |= {"start": request.start} if request.start != _START else {}
     given |= {"target": request.target} if request.target != _TARGET else {}
@@ -209,7 +210,7 @@ def _check_folder(request: DemoRequest, folder: Path) -> None:
 
 
 def _bodies(request: DemoRequest, seed: int) -> tuple[Any, Any]:
-    """The body to begin with and the target."""
+    """Make the first body and the target."""
     targets, files, photo, start = _viewer("targets"), request.files, request.photo, request.start
     if files.keypoints is not None:
         goal = targets.person_target(files.read(photo))
@@ -225,7 +226,7 @@ def _bodies(request: DemoRequest, seed: int) -> tuple[Any, Any]:
     elif files.person is not None:
         raise InputError(f"--person: {files.person}, without a photo or keypoints; expected one of them")
     else:
-        goal = targets.body_target(targets.body_of(request.target, seed + 1))  # another than a random start
+        goal = targets.body_target(targets.body_of(request.target, seed + 1))  # unlike a random first body
     if start.endswith(".npz"):
         return targets.read_body(start), goal
     return targets.network_body(goal) if start == targets.NETWORK else targets.body_of(start, seed), goal
@@ -252,21 +253,21 @@ def _serve(window: Any, address: WebAddress) -> None:
         asyncio.run(web.serve(window, address.host, address.port, ready))
 
 
-def _record(shown: Any, path: Path, steps: int) -> None:
+def _record(state: Any, path: Path, steps: int) -> None:
     from .progress import FitProgress
 
-    scene = _viewer("scene").PlottedScene(shown)
+    scene = _viewer("scene").PlottedScene(state)
     try:
         pictures = []
         with FitProgress() as progress:
             for picture in _viewer("recording").frames(scene, steps):
                 pictures.append(picture)
-                progress("recording", len(shown.history), steps)
+                progress("recording", len(state.history), steps)
         _viewer("recording").write(pictures, path)
     finally:
         scene.close()
-    _tell_recorded(path, len(pictures))
+    _print_recorded(path, len(pictures))
 
 
-def _tell_recorded(path: Path, count: int) -> None:
+def _print_recorded(path: Path, count: int) -> None:
     typer.echo(f"{path}: {count} pictures, {path.stat().st_size / 1e6:.1f} MB")

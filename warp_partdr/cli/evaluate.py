@@ -1,4 +1,4 @@
-"""The command ``partdr evaluate``: fit the people of a data set, or of PartBench, and say how well that went."""
+"""Command ``partdr evaluate``: fit the people of a data set, or of PartBench, and measure how good the fits are."""
 
 from __future__ import annotations
 
@@ -22,29 +22,34 @@ if TYPE_CHECKING:
     from ..lab.evaluation.evaluate import Evaluated, Fitting
 
 QUICK_LEVELS = ("clean", "realistic")
-PEOPLE, QUICK_PEOPLE = 20, 6  # for ten minutes and for one on two cores
+PEOPLE, QUICK_PEOPLE = 20, 6  # take ten minutes and one minute on two cores
 
 evaluate = typer.Typer(
-    help="How good fits are on a data set: parts, keypoints, 3D joints, with 95 % intervals; see docs/evaluation.md.",
+    help="Measure how good fits are on a data set: parts, keypoints and 3D joints, with 95 % intervals. "
+    "See docs/evaluation.md.",
     no_args_is_help=True,
 )
 
 
 PicturesOption = Annotated[Path | None, Option(help="The data set's pictures; not needed to fit.", metavar="FOLDER")]
 KeypointsOption = Annotated[
-    Path | None, Option(help="2D keypoints, one JSON file a picture, instead of the file's own.", metavar="FOLDER")
+    Path | None, Option(help="2D keypoints, a JSON file for each picture, instead of the file's own.", metavar="FOLDER")
 ]
 
 
 def folder(
-    path: Annotated[Path, Argument(help="N.jpg, N.keypoints.json, and perhaps N.parts.png.", metavar="FOLDER")],
+    path: Annotated[
+        Path, Argument(help="Folder with N.jpg, N.keypoints.json and, if you like, N.parts.png.", metavar="FOLDER")
+    ],
     labels: LabelsOption = None,
     *,
     options: RunOptions,
 ) -> None:
-    """Pictures of your own: how well bodies follow the labels and keypoints given.
+    """Evaluate on your own pictures: it measures how well bodies follow the given labels and keypoints.
 
-    Without --labels, labels.json in the folder says what the part labels are.
+    Example: `partdr evaluate folder pictures --limit 10`
+
+    Without --labels, labels.json in the folder describes the part labels.
     """
     from ..inputs.photo_files import LeftOut
     from ..lab.evaluation.datasets import read_folder
@@ -58,42 +63,54 @@ def folder(
 
 
 def h36m(
-    path: Annotated[Path, Argument(help="SPIN's h36m_valid_protocol1.npz or the like.", metavar="FILE.npz")],
+    path: Annotated[
+        Path, Argument(help="SPIN's h36m_valid_protocol1.npz, or a file with the same arrays.", metavar="FILE.npz")
+    ],
     keypoints: KeypointsOption = None,
     pictures: PicturesOption = None,
     *,
     options: RunOptions,
 ) -> None:
-    """Human3.6M, in SPIN's annotation arrays: MPJPE and PA-MPJPE."""
+    """Evaluate on Human3.6M, in SPIN's annotation arrays: MPJPE and PA-MPJPE.
+
+    Example: `partdr evaluate h36m h36m_valid_protocol1.npz --limit 100`
+    """
     from ..lab.evaluation.datasets import read_human36m
 
     _evaluate(read_human36m(path, pictures=pictures, keypoints=keypoints), options)
 
 
 def lsp(
-    path: Annotated[Path, Argument(help="lsp_dataset, or an annotation file.", metavar="FOLDER|FILE.npz")],
+    path: Annotated[Path, Argument(help="The folder lsp_dataset, or an annotation file.", metavar="FOLDER|FILE.npz")],
     parts: Annotated[
-        Path | None, Option(help="im1001_part_segmentation.png and so on, of UPi-S1h.", metavar="FOLDER")
+        Path | None,
+        Option(help="Folder of UPi-S1h with im1001_part_segmentation.png and so on.", metavar="FOLDER"),
     ] = None,
     labels: Annotated[str, Option(help="Label set of --parts, or a JSON file.", metavar="NAME")] = "lsp6",
     pictures: PicturesOption = None,
     *,
     options: RunOptions,
 ) -> None:
-    """Leeds Sports Pose with UP-3D's six parts: foreground and part accuracy and F1."""
+    """Evaluate on Leeds Sports Pose with UP-3D's six parts: accuracy and F1 of foreground and parts.
+
+    Example: `partdr evaluate lsp lsp_dataset --parts upi-s1h --limit 100`
+    """
     from ..lab.evaluation.datasets import read_lsp
 
     _evaluate(read_lsp(path, parts=parts, labels=_label_set(labels), pictures=pictures), options)
 
 
 def pw3d(
-    path: Annotated[Path, Argument(help="SPIN's 3dpw_test.npz or the like.", metavar="FILE.npz")],
+    path: Annotated[Path, Argument(help="SPIN's 3dpw_test.npz, or a file with the same arrays.", metavar="FILE.npz")],
     keypoints: KeypointsOption = None,
     pictures: PicturesOption = None,
     *,
     options: RunOptions,
 ) -> None:
-    """3DPW, in SPIN's annotation arrays; 3D errors need the array S in the file."""
+    """Evaluate on 3DPW, in SPIN's annotation arrays. For 3D errors, the file must have the array S.
+
+    Example: `partdr evaluate 3dpw 3dpw_test.npz --limit 100`
+    """
     from ..lab.evaluation.datasets import read_pw3d
 
     _evaluate(read_pw3d(path, pictures=pictures, keypoints=keypoints), options)
@@ -101,37 +118,47 @@ def pw3d(
 
 def partbench(
     quick: Annotated[
-        bool, Option("--quick", help=f"{QUICK_PEOPLE} people, two levels, EllipBody alone: a minute.")
+        bool, Option("--quick", help=f"Take {QUICK_PEOPLE} people, two levels and only EllipBody: a minute.")
     ] = False,
-    people: Annotated[int | None, Option(help=f"The first N of the 200 people; default {PEOPLE}.", metavar="N")] = None,
+    people: Annotated[
+        int | None, Option(help=f"Take the first N of the 200 people; default: {PEOPLE}.", metavar="N")
+    ] = None,
     level: Annotated[
         list[str] | None,
         Option(
             "--level",
             "--levels",
-            help="clean, mild, realistic, hard (default: these), near, far, tilted, turned, clothed, photo, crossed, "
-            "pairs, groups, clip, views; may be given again.",
+            help="Level of difficulty: clean, mild, realistic, hard (default: these four), near, far, tilted, turned, "
+            "clothed, photo, crossed, pairs, groups, clip, views. May be given several times.",
             metavar="NAME",
         ),
     ] = None,
     method: Annotated[
         list[str] | None,
-        Option("--method", "--methods", help="A row of the tables; may be given again. Default: all.", metavar="NAME"),
+        Option(
+            "--method",
+            "--methods",
+            help="Row of the tables. May be given several times. Default: all.",
+            metavar="NAME",
+        ),
     ] = None,
     mocap: Annotated[
-        Path | None, Option(help="Motion capture for --level clip, with cmu_expmap.npz in it.", metavar="FOLDER")
+        Path | None, Option(help="Folder of motion capture with cmu_expmap.npz, for --level clip.", metavar="FOLDER")
     ] = None,
     jobs: Annotated[
-        int | None, Option(help="Fits at a time, a process each; default: one a core.", metavar="N")
+        int | None, Option(help="Number of fits at a time, each in a process; default: one a core.", metavar="N")
     ] = None,
     device: DeviceOption = "cpu",
     out: Annotated[
-        Path | None, Option(help="For partbench.html, with the worst fits drawn, and .json.", metavar="FOLDER")
+        Path | None,
+        Option(help="Folder for partbench.html, which shows the worst fits, and partbench.json.", metavar="FOLDER"),
     ] = None,
 ) -> None:
-    """PartBench: synthetic people with the whole truth known; nothing to download.
+    """Evaluate on PartBench: synthetic people whose true bodies are known. Nothing must be downloaded.
 
-    Ten minutes on two cores; --quick one.
+    Example: `partdr evaluate partbench --quick`
+
+    It takes ten minutes on two cores, one minute with --quick.
     """
     check_counts(jobs=jobs, people=people)
     from ..lab.evaluation.partbench.crossed import CASES, CROSSED_METHODS, crossed_samples

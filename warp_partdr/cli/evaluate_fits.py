@@ -1,4 +1,4 @@
-"""Fits of many samples, as all commands of ``partdr evaluate`` run and report them."""
+"""Fits of many samples, which all commands of ``partdr evaluate`` run and report in one way."""
 
 from __future__ import annotations
 
@@ -22,18 +22,20 @@ if TYPE_CHECKING:
 class RunOptions:
     """Options of every data set."""
 
-    limit: Annotated[int | None, Option(help="Only the first N people, or views.", metavar="N")] = None
-    jobs: Annotated[int, Option(help="Fits at a time, a process each; they make one another slower.", metavar="N")] = 1
+    limit: Annotated[int | None, Option(help="Take only the first N people or views.", metavar="N")] = None
+    jobs: Annotated[int, Option(help="Fits at a time, each in a process; they slow each other down.", metavar="N")] = 1
     methods: Annotated[
         list[str] | None,
         Option(
             "--method",
-            help="A row of the tables, such as keypoints only; may be given again; default: all.",
+            help="Row of the tables, such as 'keypoints only'. May be given several times. Default: all.",
             metavar="NAME",
         ),
     ] = None
     device: DeviceOption = "auto"
-    out: Annotated[Path | None, Option(help="Write all figures, also of each fit.", metavar="FILE.json")] = None
+    out: Annotated[Path | None, Option(help="File for all figures, with those of each fit.", metavar="FILE.json")] = (
+        None
+    )
 
     def check_out(self) -> None:
         """Raise InputError if figures can't be written to ``out``."""
@@ -51,7 +53,7 @@ class RunOptions:
 
         if self.out is not None:
             save_figures(figures, self.out)
-            typer.echo(f"{self.out} holds the same figures, and each fit's")
+            typer.echo(f"{self.out} holds the same figures, and those of each fit")
 
 
 def check_counts(**options: int | None) -> None:
@@ -62,14 +64,14 @@ def check_counts(**options: int | None) -> None:
 
 
 def choose_methods(methods: Mapping[str, Fitting], names: Collection[str]) -> dict[str, Fitting]:
-    """Some of the methods, in their order."""
+    """Choose methods by their names, in the order of ``methods``."""
     if unknown := sorted(set(names) - methods.keys()):
         raise InputError(f"--method: {', '.join(unknown)}; expected {'; '.join(methods)}")
     return {name: method for name, method in methods.items() if name in names}
 
 
 def one_thread_device(device: str) -> str:
-    """Keep this process and those to come to one core each; returns the device to fit on."""
+    """Keep this process and later ones to one core each, and return the device to fit on."""
     from ..interop.devices import choose_device
     from ..lab.evaluation.evaluate import one_thread
 
@@ -85,11 +87,17 @@ def fit_samples(
     device: str,
     *,
     clusters: str = "people",
-    together: bool = False,
+    pooled: bool = False,
 ) -> tuple[Report, dict[str, Any]]:
-    """Fit everybody and print what came of it; returns all figures for a file, too.
+    """Fit all people, print the results, and return the report and all figures for a file.
 
-    ``clusters`` and ``together`` are the report's.
+    Args:
+        people: Samples to fit.
+        methods: Methods by their names, the rows of the tables.
+        jobs: Number of fits at a time.
+        device: Device to fit on.
+        clusters: Names of the groups of samples that are not independent, for the report.
+        pooled: True: the report also has a table of all sources together.
     """
     from ..lab.bench.machine import about
     from ..lab.evaluation.evaluate import evaluate, tables
@@ -98,11 +106,10 @@ def fit_samples(
 
     with FitProgress() as progress:
         fitted = evaluate(people, methods, jobs=jobs, device=device, progress=progress)
-    report = replace(fitted, clusters=clusters, together=together)
+    report = replace(fitted, clusters=clusters, together=pooled)
     console = wide_console()
     for table in tables(report):
         console.print(table)
     for failure in report.failures:
-        who = f"{failure.source}: {failure.sample}"
-        typer.echo(f"not fitted: {who}, {failure.method}: {failure.reason}", err=True)
+        typer.echo(f"not fitted: {failure.source}: {failure.sample}, {failure.method}: {failure.reason}", err=True)
     return report, {"about": {**about(device), "jobs": jobs}, **report.to_json()}

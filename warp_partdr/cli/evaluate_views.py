@@ -25,85 +25,101 @@ _SET, _PERSON = "set", "person"
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """Options of views of real people: whom, what fits are told, and tables."""
+    """Options for views of real people: the people, the knowledge of a fit, and the tables."""
 
     rows: Annotated[
-        str, Option(help="inside: all joints are in the picture; baseline: marked so; every.", metavar="ROWS")
+        str,
+        Option(
+            help="Views to take: inside (all joints in the picture), baseline (those the file marks), or every.",
+            metavar="ROWS",
+        ),
     ] = "inside"
     people: Annotated[
-        list[str] | None, Option(help="Only this person, SET/PERSON, or set; may be given again.", metavar="NAME")
+        list[str] | None,
+        Option(help="Take only this set or person, SET/PERSON. May be repeated.", metavar="NAME"),
     ] = None
     leave_out: Annotated[
-        list[str] | None, Option(help="Not this person or set; may be given again.", metavar="NAME")
+        list[str] | None, Option(help="Leave out this set or person. May be given several times.", metavar="NAME")
     ] = None
     frames: Annotated[
-        list[str] | None, Option("--frame", help="Only this moment; may be given again.", metavar="NAME")
+        list[str] | None, Option("--frame", help="Take only this frame. May be given several times.", metavar="NAME")
     ] = None
-    step: Annotated[int, Option(help="Only one of N of these rows.", metavar="N")] = 1
+    step: Annotated[int, Option(help="Take every Nth of these views.", metavar="N")] = 1
     camera: Annotated[
         str,
         Option(
-            help="What fits know of the camera: none (a usual lens is assumed), true, or a focal length, where 1.0 is "
-            "the picture's longer side.",
+            help="Camera that fits get: none (they assume a usual lens), true (the file's camera), or a focal length, "
+            "where 1.0 is the picture's longer side.",
             metavar="LENS",
         ),
     ] = _NONE
     stature: Annotated[
         str,
-        Option(help="What fits know of people's height: none, true, or the same for everyone [m].", metavar="HEIGHT"),
+        Option(
+            help="Height of the people that fits get: none, true (the file's), or one number for all [m].",
+            metavar="HEIGHT",
+        ),
     ] = _NONE
     convention: Annotated[
         str | None,
         Option(
-            help="Where on the body the file's joints lie: as coco, h36m or shelf mean them, or own, as this package's "
-            "bodies. Default: by the set's name.",
+            help="Definition of the file's joints: coco, h36m, shelf, or own (the joints of this package's bodies). "
+            "Default: by the set's name.",
             metavar="NAME",
         ),
     ] = None
     keypoints: Annotated[
         str | None,
         Option(
-            help="Fit only the joints of this format, such as coco17. Default: all that the file has.", metavar="FORMAT"
+            help="Fit only the joints of this format, such as coco17. Default: all of the file.",
+            metavar="FORMAT",
         ),
     ] = None
-    network: Annotated[Path | None, Option(help="Label network of partdr train.", metavar="FILE")] = None
-    by: Annotated[str, Option(help="A table for each set, or for each person.", metavar="set|person")] = _SET
+    network: Annotated[Path | None, Option(help="Label network that `partdr train` wrote.", metavar="FILE")] = None
+    by: Annotated[str, Option(help="Print a table for each set, or for each person.", metavar="set|person")] = _SET
     intervals: Annotated[
-        str, Option(help="Intervals are over people, or over their moments.", metavar="people|moments")
+        str,
+        Option(help="Units that intervals resample: people, or moments of people.", metavar="people|moments"),
     ] = "people"
 
     def select(self) -> ViewSelection:
-        """Choice of rows."""
+        """Choose the views."""
         from ..lab.evaluation.datasets import ViewSelection
 
-        people, leave_out, frames = (tuple(each or ()) for each in (self.people, self.leave_out, self.frames))
-        return ViewSelection(self.rows, people, leave_out, frames, self.step)
+        return ViewSelection(
+            self.rows, tuple(self.people or ()), tuple(self.leave_out or ()), tuple(self.frames or ()), self.step
+        )
 
 
 @dataclass(frozen=True)
 class JointFileOptions:
-    """Options of joints over time that calibrated cameras see."""
+    """Options for a file of joints over time, with calibrated cameras."""
 
     cameras: Annotated[
-        Path | None, Option(help="Calibrated cameras of a .trc file or joints over time.", metavar="FILE")
+        Path | None, Option(help="File of calibrated cameras, for a .trc file or joints over time.", metavar="FILE")
     ] = None
-    films: Annotated[Path | None, Option(help="Films of these cameras, for photo alone.", metavar="FOLDER")] = None
+    films: Annotated[
+        Path | None, Option(help="Films of these cameras, for the method 'photo alone'.", metavar="FOLDER")
+    ] = None
     axes: Annotated[
-        str | None, Option(help="The file's axes that are x, y and z of the cameras' world.", metavar='"x -z y"')
+        str | None,
+        Option(help="Axes of the file that are x, y and z in the world of the cameras.", metavar='"x -z y"'),
     ] = None
 
 
 def real(
-    path: Annotated[Path, Argument(help="Views of people, or a data set's own files.", metavar="FOLDER|FILE")],
-    save: Annotated[Path | None, Option(help="Write the views that were fitted.", metavar="FILE.npz")] = None,
+    path: Annotated[Path, Argument(help="File of views, or a data set's own files.", metavar="FOLDER|FILE")],
+    save: Annotated[Path | None, Option(help="File for the views that are fitted.", metavar="FILE.npz")] = None,
     *,
     views: ViewOptions,
     joints: JointFileOptions,
     options: RunOptions,
 ) -> None:
-    """Real people with 3D truth: joints, sizes and stated depths, with intervals over people.
+    """Evaluate on real people with true 3D joints: joints, sizes and stated depths, with intervals over people.
 
-    Reads views.npz of docs/evaluation.md, SPIN's .npz, MPI-INF-3DHP's annot.mat, Human3.6M's annot.h5, and .trc.
+    Example: `partdr evaluate real views.npz --rows baseline --camera none`
+
+    It reads views.npz (docs/evaluation.md), SPIN's .npz, MPI-INF-3DHP's annot.mat, Human3.6M's annot.h5, and .trc.
     """
     from ..lab.evaluation.datasets import read_real, write_views
 
@@ -142,8 +158,10 @@ def _evaluate_views(views: Views, rows: np.ndarray, chosen: ViewOptions, options
         )
     stature = _number("stature", chosen.stature)
     if stature is True and (unknown := [sample.name for sample in samples if sample.stature is None]):
-        told = f"true, but that of {unknown[0]} is not known (nor of {len(unknown) - 1} more)"
-        raise InputError(f"--stature: {told}; expected the array stature, joints from ankles to shoulders, or metres")
+        missing = f"true, but that of {unknown[0]} is not known (nor of {len(unknown) - 1} more)"
+        raise InputError(
+            f"--stature: {missing}; expected the array stature, joints from ankles to shoulders, or metres"
+        )
     methods = real_methods(
         camera=camera is not False,
         stature=stature,
@@ -153,9 +171,9 @@ def _evaluate_views(views: Views, rows: np.ndarray, chosen: ViewOptions, options
     some = choose_methods(methods, options.methods or served)
     options.check_out()
     device = one_thread_device(options.device)
-    report, figures = fit_samples(samples, some, options.jobs, device, clusters=chosen.intervals, together=True)
-    for source, told in compare_pairs(report, PAIRS):
-        typer.echo(f"{source}: {told}")
+    report, figures = fit_samples(samples, some, options.jobs, device, clusters=chosen.intervals, pooled=True)
+    for source, finding in compare_pairs(report, PAIRS):
+        typer.echo(f"{source}: {finding}")
     options.save(figures)
 
 
@@ -165,7 +183,7 @@ def _check_word(name: str, given: str, known: Sequence[str]) -> None:
 
 
 def _number(name: str, given: str) -> bool | float:
-    """False for "none", True for "true", or a positive number."""
+    """Parse an option: False for "none", True for "true", or a positive number."""
     if given in (_NONE, _TRUE):
         return given == _TRUE
     try:
@@ -178,7 +196,7 @@ def _number(name: str, given: str) -> bool | float:
 
 
 def _with_lens(samples: Sequence[Sample], share: float) -> list[Sample]:
-    """Samples before a camera whose focal length is so many longer sides of the picture."""
+    """Samples with a camera whose focal length is ``share`` times the picture's longer side."""
     from ..cameras import Perspective
 
     found = []

@@ -1,4 +1,4 @@
-"""The command ``partdr fit``: bodies of everyone in a photo or film, or of the person whose keypoints are given."""
+"""Command ``partdr fit``: bodies of all people in a photo or film, or of the person whose keypoints are given."""
 
 from __future__ import annotations
 
@@ -7,24 +7,25 @@ from ..body.skeletons import SKELETONS
 from ..inputs.films import is_film
 from .fit_request import FitRequest
 
-FIT_HELP = f"""Fit a body of 20 ellipsoids, and a skinned mesh, to everyone in a photo or film: people.json.
+FIT_HELP = f"""Fit a body of 20 ellipsoids and a skinned mesh to all people in a photo or film, or to one person.
 
 Examples: `partdr fit photo.jpg`; `partdr fit p.jpg --keypoints p.json --parts p.png --labels cdcl14`
 
-**2D keypoints**, JSON: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, or as OpenPose, COCO, MMPose
-and others do. Formats: {", ".join(SKELETONS)}; or your own.
+**2D keypoints** are JSON: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, or a file of OpenPose,
+COCO, MMPose and others. Formats: {", ".join(SKELETONS)}; or your own.
 
-**Part labels**, as large as the picture: ids, a network's probabilities, or each person's mask (full1); without them,
-keypoints alone are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file of your own (docs/inputs.md).
+**Part labels** are as large as the picture: ids, a network's probabilities, or each person's mask (full1). Without
+them, only keypoints are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file of your own (docs/inputs.md).
 
-**Results**: overlay.png (look at it first), parts.png, loss.png, body.json (measurements), body.npz, ellipbody.glb
-(for Blender), report.json; detailed.png, detailed.glb, detailed.obj, detailed.ply, detailed.bvh, detailed.npz,
-registration.json; of films overlay.mp4, scene.glb, and a .npz, .glb and .bvh each. Older ones are replaced.
+**Results** for a person: overlay.png (look at it first), parts.png, loss.png, body.json (measurements), body.npz,
+ellipbody.glb (for Blender), report.json; and for the mesh detailed.png, detailed.glb, detailed.obj, detailed.ply,
+detailed.bvh, detailed.npz, registration.json. For a photo, each person has a folder, and people.json lists them. For a
+film: overlay.mp4, scene.glb, people.json, and a .npz, .glb and .bvh for each person. Older results are replaced.
 
-**Settings** (docs/fitting.md): `stature=1.78` (one person's height [m], in films too), `trust_background=true`,
-`landmarks=full` (of photos and films: quicker keypoints, farther from the truth), `weights.prior=5`, `labels.size=256`,
-`mesh.apart=0.1`, `threads=4`, `also=usdz,fbx` (more files; usda, too);
-`outline=true` (nearer outlines, farther joints), `outline=labels-first` (even more so), both with --model none.
+**Settings** (docs/fitting.md): `stature=1.78` (a person's height [m], in films, too), `trust_background=true`,
+`landmarks=full` (for photos and films: faster keypoints, farther from the truth), `weights.prior=5`, `labels.size=256`,
+`mesh.apart=0.1`, `threads=4`, `also=usdz,fbx` (more files, also usda); with --model none also `outline=true`
+(outlines nearer to the labels, joints farther from the truth) and `outline=labels-first` (even more so).
 """
 
 

@@ -1,4 +1,4 @@
-"""``partdr fit FILM``, and films of several cameras: the motion of everyone in them."""
+"""Fit of films, by ``partdr fit FILM`` and ``partdr scene``: the motion of all people in them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..inputs.films import film_facts, is_photo, read_frames
 from ..inputs.part_labels import scan_photo
 from .fit_request import FitRequest, QualityName, StartName
 from .loading import NO_MODEL, load_mesh_kernels
-from .options import EXIF, CameraOptions, NetworkOptions, RunSettings, say_distance
+from .options import EXIF, CameraOptions, NetworkOptions, RunSettings, distance_words
 from .register import read_model
 
 if TYPE_CHECKING:
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 
 def fit_motions(request: FitRequest) -> None:
-    """Fit motions to everyone in a film, or to one of them, and write and tell what was found.
+    """Fit motions to all people in a film, or to one of them; write the results and print a summary.
 
     Raises:
-        InputError: If an option is of photos alone, or the film can't be fitted.
+        InputError: If an option is only for photos, or the film can't be fitted.
     """
     film, files = request.photo, request.files
     assert film is not None  # it is a film
@@ -45,13 +45,13 @@ def fit_motions(request: FitRequest) -> None:
     if request.model == NO_MODEL:
         raise InputError("--model: none, with a film; expected a detailed model")
     check_film_view(request.view, [film])
-    film_facts(film)  # faults of the file are told before anything is loaded
+    film_facts(film)  # raises faults of the file before anything is loaded
 
     fit_films([film], request)
 
 
 def check_film_view(view: CameraOptions, films: Sequence[Path]) -> None:
-    """Raise an InputError for what cameras of films, or of photos among them, can't be."""
+    """Raise an InputError if camera options don't fit films, or photos among them."""
     if view.focal == EXIF and not all(map(is_photo, films)):
         raise InputError("--focal: exif, with a film; expected pixels, or --fov")
     view.check()
@@ -61,8 +61,11 @@ def check_film_view(view: CameraOptions, films: Sequence[Path]) -> None:
 class RigOptions:
     """Options for the cameras of films, and their clocks."""
 
-    cameras: Annotated[Path | None, Option(help="Calibrated cameras; default: found.", metavar="FILE")] = None
-    align: Annotated[bool, Option("--align", help="Find which frames show one moment.")] = False
+    cameras: Annotated[
+        Path | None,
+        Option(help="File or folder of calibrated cameras; default: they are found from the people.", metavar="FILE"),
+    ] = None
+    align: Annotated[bool, Option("--align", help="Find the frames that show the same moment.")] = False
 
 
 class MotionRequest(Protocol):
@@ -102,7 +105,7 @@ class MotionRequest(Protocol):
 
 
 def fit_films(paths: Sequence[Path], request: MotionRequest, rig: RigOptions | None = None) -> None:
-    """Finds people in films, fits their motions, and writes and prints the results.
+    """Find people in films, fit their motions, write the results and print a summary.
 
     Args:
         paths: Films that were taken at the same time.
@@ -185,7 +188,7 @@ def _read_rig(file: Path | None, paths: Sequence[Path], options: SceneOptions) -
 
     if file is None:
         return None
-    cameras = cameras_of_films(file, paths, say=_say)
+    cameras = cameras_of_films(file, paths, warn=_echo)
     options.check_known_stature(1, len(paths))
     for path, camera in zip(paths, cameras, strict=True):
         picture = next(read_frames(path)).picture
@@ -195,7 +198,7 @@ def _read_rig(file: Path | None, paths: Sequence[Path], options: SceneOptions) -
 
 
 def _load_networks(options: NetworkOptions, device: str) -> GivenNetworks | None:
-    """Networks of others, if there are any."""
+    """Load networks from other projects, if there are any."""
     from ..networks.predictors.film_predictions import GivenNetworks
 
     if not options.given:
@@ -204,27 +207,26 @@ def _load_networks(options: NetworkOptions, device: str) -> GivenNetworks | None
     return GivenNetworks(loaded.parts_from, loaded.keypoints_from)
 
 
-def _say(sentence: str) -> None:
+def _echo(sentence: str) -> None:
     typer.echo(f"partdr: {sentence}", err=True)
 
 
 def _print_report(
     films: Sequence[ObservedFilm], paths: Sequence[Path], out: Path, rig: RigOptions, report: dict[str, Any]
 ) -> None:
-    """Prints what was found, and where the results are."""
+    """Print lines about the results and their files."""
     from ..body.rotations import rotation_to_axis_angle
     from ..cameras import UsualLens
     from ..results.save_film import CAMERAS, SCENE, overlay_name
 
     several = len(films) > 1
     assumed = any(isinstance(film.view.camera, UsualLens) for film in films)
-    sure = not assumed and (rig.cameras is not None or not several)
+    exact = not assumed and (rig.cameras is not None or not several)
     for person in report["people"]:
         frames = f"frames {person['first_frame']} to {person['last_frame']}, seen in {person['frames_seen']}"
         by = f", by {', '.join(person['seen_by'])}" if several else ""
-        typer.echo(
-            f"person{person['person']}: {frames}{by}; {say_distance(person['distance_m'], sure=sure, assumed=assumed)}"
-        )
+        distance = distance_words(person["distance_m"], exact=exact, assumed=assumed)
+        typer.echo(f"person{person['person']}: {frames}{by}; {distance}")
     if rig.align:
         for path, film in zip(paths, films, strict=True):
             typer.echo(f"{path.name}: from frame {film.skipped} on")

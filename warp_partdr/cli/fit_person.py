@@ -1,4 +1,4 @@
-"""``partdr fit`` of the person whose keypoints and, perhaps, part labels are given."""
+"""Fit of one person, by ``partdr fit`` with the person's keypoints and, perhaps, part labels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 from ..errors import InputError
 from .fit_request import FitRequest
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
-from .register import SeenBody, clothe, describe_scores, read_model, say_detailed
+from .register import BodyPicture, clothe, describe_detailed, describe_scores, read_model
 
 if TYPE_CHECKING:
     from ..cameras import Perspective
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from ..solve.ellipsoids.options import FitOptions
     from ..solve.mesh.mesh_stage import MeshFit
 
-_FAULTS = (ValueError, RuntimeError)  # of a detailed body, also those of torch and Warp: no memory left, for example
+_FAULTS = (ValueError, RuntimeError)  # errors of a detailed body, also of torch and Warp, such as no memory left
 
 
 def fit_person(request: FitRequest) -> None:
-    """Fit a body to one person, and write and tell what was found.
+    """Fit a body to one person; write the results and print a summary.
 
     Raises:
         InputError: If the files and options don't go together, or the detailed body fails.
@@ -32,7 +32,7 @@ def fit_person(request: FitRequest) -> None:
         raise InputError(f"--min-score: {request.min_score:g}, with --keypoints; expected a photo alone")
     person = request.files.read(request.photo)
 
-    # Loaded after the files, so that faults in them are found at once.
+    # Imported after the files are read, so that faults in them are found at once.
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
     from ..results.result_sets import check_folder
@@ -78,23 +78,23 @@ def fit_person(request: FitRequest) -> None:
     _summarise(report, request.out)
     if detailed_model is None:
         return
-    seen = SeenBody(result.camera, size, person.photo, result.evidence)
+    picture = BodyPicture(result.camera, size, person.photo, result.evidence)
     try:
         if failure is not None:
             raise failure
         with FitProgress() as progress:
             if mesh is None:
                 formats = request.run.formats
-                told = clothe(result.posed, detailed_model, request.out, seen, formats=formats, progress=progress)
+                summary = clothe(result.posed, detailed_model, request.out, picture, formats=formats, progress=progress)
             else:
-                told = _save_mesh(mesh, request, seen)
+                summary = _save_mesh(mesh, request, picture)
     except _FAULTS as error:
         raise InputError(f"{error}; {request.out} holds the fit without its detailed body") from error
-    typer.echo(told)
+    typer.echo(summary)
 
 
 def _options(request: FitRequest, *, with_labels: bool) -> FitOptions:
-    """Options of the fit; an InputError if they are of a stage that it does not have."""
+    """Options of the fit; raises InputError if one belongs to a stage that this fit does not have."""
     from ..solve.ellipsoids.settings import MESH
     from ..solve.ellipsoids.stages import OUTLINE
 
@@ -111,7 +111,7 @@ def _options(request: FitRequest, *, with_labels: bool) -> FitOptions:
 
 
 def _check_inputs(request: FitRequest, options: FitOptions) -> None:
-    """Raise an InputError if a result would replace one of the files that were given."""
+    """Raise an InputError if a result would replace a file that was given."""
     from ..results.result_sets import check_inputs
     from ..results.save import DETAILED_FILES, RESULT_FILES, SMPLX_FILE
 
@@ -122,22 +122,22 @@ def _check_inputs(request: FitRequest, options: FitOptions) -> None:
     check_inputs(request.out, given, (*RESULT_FILES, *DETAILED_FILES, SMPLX_FILE))
 
 
-def _save_mesh(mesh: MeshFit, request: FitRequest, seen: SeenBody) -> str:
-    """Write the files of the mesh stage; returns a line about them."""
+def _save_mesh(mesh: MeshFit, request: FitRequest, picture: BodyPicture) -> str:
+    """Write the files of the mesh stage, and return a line about them."""
     from ..results.save import save_registered
 
     report = save_registered(
         mesh.body,
         request.out,
-        seen.camera,
-        seen.image_size,
-        photo=seen.photo,
-        evidence=seen.evidence,
+        picture.camera,
+        picture.image_size,
+        photo=picture.photo,
+        evidence=picture.evidence,
         clothes=mesh.clothes,
         formats=request.run.formats,
         seconds=round(mesh.ellipbody.stage_seconds["mesh"], 3),
     )
-    return say_detailed(report, request.out)
+    return describe_detailed(report, request.out)
 
 
 def _explain(

@@ -1,4 +1,4 @@
-"""``partdr fit PHOTO`` with nothing else: everyone in the photo."""
+"""Fit of all people in a photo, by ``partdr fit PHOTO`` without keypoints."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import typer
 from ..errors import InputError, told_as
 from .fit_request import FitRequest
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
-from .options import read_shown_photo, say_distance
+from .options import distance_words, read_photo_with_warnings
 from .register import read_model
 
 
 def fit_everyone(request: FitRequest) -> None:
-    """Fit bodies to everyone in a photo, or to one of them, and write and tell what was found.
+    """Fit bodies to all people in a photo, or to one of them; write the results and print a summary.
 
     Raises:
         InputError: If the files and options don't go together, or nobody is found.
@@ -27,7 +27,7 @@ def fit_everyone(request: FitRequest) -> None:
     if request.model == NO_MODEL:
         raise InputError("--model: none, without keypoints; expected a detailed model")
     files.networks.check("--keypoints")
-    picture = read_shown_photo(photo)
+    picture = read_photo_with_warnings(photo)
 
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
@@ -65,7 +65,7 @@ def fit_everyone(request: FitRequest) -> None:
     for person in report["people"]:
         for warning in person["warnings"]:
             typer.echo(f"partdr: warning: {person['folder']}: {warning}", err=True)
-        hidden = "".join(f", hidden by person{place}" for place in person["hidden_by"])
-        away = say_distance(person["distance_m"], sure=camera is not None, assumed=camera is None)
+        hidden = "".join(f", hidden by person{index}" for index in person["hidden_by"])
+        away = distance_words(person["distance_m"], exact=camera is not None, assumed=camera is None)
         typer.echo(f"{person['folder']}: score {person['score']:.2f}, {away}{hidden}")
     typer.echo(f"{out / 'overlay.png'} shows all bodies, {out / 'people.json'} has their measurements")

@@ -1,4 +1,4 @@
-"""Request of ``partdr fit``: its arguments and options, checked once and handed down whole."""
+"""Request of ``partdr fit``: its arguments and options, which are checked once and passed on as one object."""
 
 from __future__ import annotations
 
@@ -29,14 +29,16 @@ from .register import MODEL_HELP
 if TYPE_CHECKING:
     from ..solve.ellipsoids.options import FitOptions
 
-# Keys of ``solve.ellipsoids.stages.STAGES``, which is not loaded for --help.
+# The same names as the keys of ``solve.ellipsoids.stages.STAGES``, which is not loaded for --help.
 StartName = StrEnum("StartName", ["network", "search"])
 QualityName = StrEnum("QualityName", ["fast", "balanced", "accurate"])
 
-# Of these, the default stands in the text: typer would give each a line of its own.
+# These texts name the default themselves; typer would add a line for each.
 _MODEL_HELP = f"Detailed model: {MODEL_HELP}; none skips it. Default: anny."
-_QUALITY_HELP = "fast, balanced (default) or accurate, whose mesh stage takes three times as long (docs/accuracy.md)."
-_START_HELP = "network (default; a search if that ends far off) or search."
+_QUALITY_HELP = (
+    "Quality: fast, balanced (default) or accurate, whose mesh stage takes three times as long (docs/accuracy.md)."
+)
+_START_HELP = "Start: network (default; if it ends far from the keypoints, a search follows) or search."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +50,9 @@ class FitRequest:
     """
 
     files: PhotoFiles
-    photo: Annotated[Path | None, Argument(help="Photo or film; with keypoints optional.", metavar="PHOTO")] = None
+    photo: Annotated[
+        Path | None, Argument(help="Photo or film. With --keypoints, it may be left out.", metavar="PHOTO")
+    ] = None
     out: OutOption = Path("out")
     model: Annotated[str, Option(help=_MODEL_HELP, metavar="NAME", show_default=False)] = "anny"
     quality: Annotated[QualityName, Option(help=_QUALITY_HELP, metavar="NAME", show_default=False)] = (
@@ -57,7 +61,9 @@ class FitRequest:
     start: Annotated[StartName, Option(help=_START_HELP, metavar="NAME", show_default=False)] = StartName.network
     min_score: MinScoreOption = None
     device: DeviceOption = "auto"
-    explain: Annotated[bool, Option("--explain", help="First say what is modelled, what is left out, and why.")] = False
+    explain: Annotated[bool, Option("--explain", help="First print what is modelled, what is left out, and why.")] = (
+        False
+    )
     view: CameraOptions
     settings: SettingOptions
 
@@ -68,7 +74,7 @@ class FitRequest:
 
     @cached_property
     def run(self) -> RunSettings:
-        """Settings, read once."""
+        """Settings, which are read once."""
         return self.settings.read_run()
 
     @property
@@ -87,7 +93,7 @@ class FitRequest:
         return MIN_SCORE if self.min_score is None else self.min_score
 
     def fit_options(self) -> FitOptions:
-        """Options of the fit: those of the quality and the start, with the settings and what is said of the camera.
+        """Options of the fit: those of the quality and the start, changed by the settings and the camera's options.
 
         Raises:
             InputError: If a setting is wrong.
@@ -113,6 +119,6 @@ class FitRequest:
 
         options = self.fit_options()
         if OUTLINE in self.run.fit:
-            told = f"{OUTLINE}: settings of a stage that costs joints, and that the mesh stage replaces"
-            raise InputError(f"{told}; expected --keypoints, --parts and --model none with it")
+            fault = f"{OUTLINE}: settings of a stage that costs joints, and that the mesh stage replaces"
+            raise InputError(f"{fault}; expected --keypoints, --parts and --model none with it")
         return options

@@ -1,4 +1,4 @@
-"""Kernels that a fit needs, loaded before it starts, so that no stage seems to take so long."""
+"""Loader of the kernels that a fit needs. It runs before the fit, so that loading does not count as a stage's time."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ..solve.ellipsoids.options import FitOptions
 
-NO_MODEL = "none"  # of --model
+NO_MODEL = "none"  # value of --model
 
 
 def load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> None:
-    """Compile a fit's kernels, or load them: later, one of its stages would seem to take so long."""
+    """Compile a fit's kernels, or load compiled ones; later, this would count as a stage's time."""
     import warp as wp
 
     from ..kernels import kinematics, labels, own_pixels, own_targets
@@ -21,7 +21,7 @@ def load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> None
     from ..render.renderers import RendererEllipsoids, RendererMesh
 
     modules: list[Any] = [kinematics, rasterize, resolve]
-    if device == "cpu":  # on CUDA, these are compiled for block sizes that their launches know
+    if device == "cpu":  # on CUDA, launches compile these for their own block sizes
         modules.append(state.MODULE)
     if with_labels and isinstance(options.renderer, RendererMesh):
         modules += [label_borders] if options.renderer.gradient == "edges" else [push_xy, push_z]
@@ -37,7 +37,7 @@ def load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> None
 
 
 def load_mesh_kernels(device: str) -> None:
-    """Compile the mesh stage's kernels, or load them."""
+    """Compile the mesh stage's kernels, or load compiled ones."""
     import warp as wp
 
     from ..kernels.mesh import label_borders, rasterize, resolve

@@ -1,4 +1,4 @@
-"""The command ``partdr``."""
+"""Command ``partdr``, which holds all other commands."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from .register import REGISTER_HELP, register_body
 from .scene import SCENE_HELP, scene
 from .train import TRAIN_HELP, train_network
 
-_UsageError: Any = typer.BadParameter.__base__  # typer keeps it in different places, its subclass in one
+_UsageError: Any = typer.BadParameter.__base__  # versions of typer have it in different modules, but not its subclass
 
-# Between two looks for rubbish: imports make a million objects that stay, and by default every 700 are looked through.
+# New objects between two garbage collections. Imports make a million objects that stay, and the default is 700.
 _OBJECTS = 100_000
 
 app = typer.Typer(
@@ -47,7 +47,7 @@ def _print_version(asked: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, Option("--version", help="Print the version and leave.", callback=_print_version, is_eager=True)
+        bool, Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
     """Differentiable rendering of body parts, and reconstruction of human pose and shape."""
@@ -75,30 +75,30 @@ def main() -> None:
     try:
         code = app(sys.argv[1:] or ["--help"], prog_name="partdr", standalone_mode=False)
     except InputError as error:
-        code = _complain(str(error))
+        code = _print_error(str(error))
     except _UsageError as error:
         command = error.ctx.command_path if error.ctx else "partdr"
-        code = _complain(f"{error.format_message().rstrip('.') or 'no command'}; see {command} --help")
+        code = _print_error(f"{error.format_message().rstrip('.') or 'no command'}; see {command} --help")
     except typer.Abort:
         code = 130
     sys.exit(code)
 
 
 def run() -> None:
-    """Run the command as a process of its own, which ends here: ``main``, without what costs a command a second."""
+    """Run ``main`` as a process of its own, which ends here, without clean-up that would take a second."""
     gc.set_threshold(_OBJECTS)
     try:
         main()
     except SystemExit as left:
         code = left.code if isinstance(left.code, int) else int(left.code is not None)
-    # To free object after object takes torch a third of a second.
+    # Torch takes a third of a second to free its objects one by one.
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # closed, or a pipe that nobody reads any more
+        with contextlib.suppress(OSError, ValueError):  # it is closed, or a pipe that nobody reads any more
             stream.flush()
     os._exit(code)
 
 
-def _complain(message: str) -> int:
+def _print_error(message: str) -> int:
     typer.echo(f"partdr: {printable(' '.join(message.split()))}", err=True)
     return 2

@@ -18,11 +18,11 @@ from ..inputs.keypoints import choose_person
 from ..inputs.part_labels import (
     PhotoFile,
     check_sizes,
+    exif_focal_length,
     photo_warnings,
     read_focal,
     read_labelled_parts,
     read_photo,
-    told_focal,
 )
 from ..inputs.person import PersonInputs, check_inside
 from ..networks.detection import MIN_SCORE
@@ -35,10 +35,15 @@ if TYPE_CHECKING:
 
 EXIF, NO_CAMERA = "exif", "none"  # values of --focal beside numbers
 
-DeviceOption = Annotated[str, Option("--device", help="cpu or cuda; auto: CUDA where there is some.", metavar="NAME")]
+DeviceOption = Annotated[
+    str, Option("--device", help="Device: cpu, cuda, or auto (CUDA if there is some).", metavar="NAME")
+]
 OutOption = Annotated[Path, Option("--out", help="Folder for the results.", metavar="FOLDER")]
 LabelsOption = Annotated[
-    str | None, Option("--labels", help="Label set, or its JSON file; default: labels.json there.", metavar="NAME")
+    str | None,
+    Option(
+        "--labels", help="Label set, or its JSON file; default: labels.json beside the part labels.", metavar="NAME"
+    ),
 ]
 MinScoreOption = Annotated[
     float | None,
@@ -55,31 +60,33 @@ class LandmarksName(StrEnum):
 
 LandmarksOption = Annotated[
     LandmarksName | None,
-    Option(
-        help="Network that finds the joints: full (default), or heavy, slower and nearer to the truth.", metavar="NAME"
-    ),
+    Option(help="Network that finds joints: full (default), or heavy (slower, nearer to the truth).", metavar="NAME"),
 ]
 SetOption = Annotated[
-    list[str] | None, Option("--set", help="Change one setting; may be given again.", metavar="KEY=VALUE")
+    list[str] | None, Option("--set", help="Change a setting. May be given several times.", metavar="KEY=VALUE")
 ]
 
 
 @dataclass(frozen=True)
 class SettingOptions:
-    """The options --config and --set."""
+    """Options --config and --set."""
 
-    config: Annotated[Path | None, Option(help="Settings as TOML; --set goes before them.", metavar="FILE")] = None
+    config: Annotated[Path | None, Option(help="TOML file of settings; --set overrides them.", metavar="FILE")] = None
     overrides: SetOption = None
 
     def read(self) -> dict[str, Any]:
-        """Nested tables of what was given."""
+        """Read the given settings as nested tables."""
         values = {} if self.config is None else read_toml(self.config, str(self.config), "a .toml file")
         for override in self.overrides or ():
             set_value(values, override)
         return values
 
     def read_run(self) -> RunSettings:
-        """Settings of a run, checked as far as they are of no fit; an InputError for what is an option instead."""
+        """Read the settings of a run, and check those that are not of the fit.
+
+        Raises:
+            InputError: If one is wrong, or is an option instead of a setting.
+        """
         values = self.read()
         if "min_score" in values:
             raise InputError(f"min_score: {shown(values['min_score'])}, as a setting; expected the option --min-score")
@@ -92,7 +99,7 @@ class RunSettings:
 
     Attributes:
         threads: Number of CPU threads; 0: one a core.
-        formats: Formats of more files of detailed bodies.
+        formats: Formats of further files of detailed bodies.
         fit: Settings of the fit's options, in nested tables.
     """
 
@@ -101,13 +108,13 @@ class RunSettings:
     fit: Mapping[str, Any]
 
 
-# As ``results.further_files.FURTHER``, which is not loaded for --help.
+# The same names as in ``results.further_files.FURTHER``, which is not loaded for --help.
 BodyFormat = StrEnum("BodyFormat", ["usda", "usdz", "fbx"])
 _ALSO = "also"
 
 
 def take_formats(values: dict[str, Any]) -> tuple[str, ...]:
-    """Take the formats of more files of detailed bodies out of settings: ``also=usdz,fbx``, or a list."""
+    """Take the formats of further files of detailed bodies out of settings: ``also=usdz,fbx``, or a list."""
     given = values.pop(_ALSO, ())
     names = given.split(",") if isinstance(given, str) else given
     if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
@@ -116,7 +123,7 @@ def take_formats(values: dict[str, Any]) -> tuple[str, ...]:
 
 
 def check_further(given: Sequence[str] | None, option: str = "--to") -> tuple[str, ...]:
-    """Formats of more files of detailed bodies, each once; an InputError if one can't be written here."""
+    """Formats of further files of detailed bodies, each once; raises InputError if one can't be written here."""
     formats = tuple(dict.fromkeys(str(name) for name in given or ()))
     if formats:
         from ..results.further_files import check_formats
@@ -126,7 +133,7 @@ def check_further(given: Sequence[str] | None, option: str = "--to") -> tuple[st
 
 
 def take_whole(values: dict[str, Any], name: str) -> int:
-    """Take a whole number of 0 or more out of settings, 0 where it is missing."""
+    """Take a whole number of 0 or more out of settings; 0 if it is missing."""
     value = values.pop(name, 0)
     if type(value) is not int or value < 0:
         raise InputError(f"{name}: {shown(value)}; expected 0 or more")
@@ -134,30 +141,30 @@ def take_whole(values: dict[str, Any], name: str) -> int:
 
 
 def check_score(name: str, value: Any) -> float:
-    """A least confidence that there is a person, as the option of this name gave it."""
+    """Check the least confidence that there is a person, which the option ``name`` gave."""
     if type(value) not in (int, float) or not 0 <= value < 1:
         raise InputError(f"{name}: {shown(value)}; expected 0 to below 1")
     return float(value)
 
 
 def check_person(person: int | None) -> None:
-    """Raise an InputError for a --person whom no picture has."""
+    """Raise an InputError if --person is negative."""
     if person is not None and person < 0:
         raise InputError(f"--person: {person}; expected 0 or more")
 
 
 def people_at_a_time(batch: int | None, device: str) -> int:
-    """The option --batch of networks; a CPU's caches hold less."""
+    """Option --batch of networks, with its default. It is smaller on a CPU, whose caches hold less."""
     return batch or (16 if device == "cpu" else 64)
 
 
-def say_people(count: int) -> str:
+def count_people(count: int) -> str:
     """Count people in words."""
     return "1 person" if count == 1 else f"{count} people"
 
 
-def read_shown_photo(photo: Path) -> np.ndarray:
-    """A photo's picture, as of ``read_photo``; warnings about its file go to stderr."""
+def read_photo_with_warnings(photo: Path) -> np.ndarray:
+    """Read a photo by ``read_photo``, and print warnings about its file on stderr."""
     picture = read_photo(photo)
     for warning in photo_warnings(photo):
         echo(f"partdr: warning: {photo}: {warning}", err=True)
@@ -171,7 +178,7 @@ class PersonFiles:
     keypoints: Annotated[
         Path | None,
         Option(
-            help="The person's joints in the picture, as a network or you found them: JSON, or OpenPose's folder.",
+            help="Joints of the person in the picture, found by a network or by you: JSON, or OpenPose's folder.",
             metavar="FILE",
         ),
     ] = None
@@ -179,29 +186,31 @@ class PersonFiles:
         str | None,
         Option(
             "--format",
-            help="Which joints the keypoints are, such as coco17, if the file does not say; or a JSON file.",
+            help="Format of the keypoints, such as coco17, if the file does not name it; or its JSON file.",
             metavar="NAME",
         ),
     ] = None
     parts: Annotated[
-        Path | None, Option(help="Part labels, .png or .npy: ids, masks, probabilities.", metavar="FILE")
+        Path | None, Option(help="Part labels, .png or .npy: ids, masks or probabilities.", metavar="FILE")
     ] = None
     labels: LabelsOption = None
-    person: Annotated[int | None, Option(help="Whom to take, 0 = first; default: the largest.", metavar="N")] = None
+    person: Annotated[
+        int | None, Option(help="Index of the person to take, 0 = first; default: the largest.", metavar="N")
+    ] = None
 
     def keypoint_file(self, photo: Path | None) -> Path:
-        """The file of keypoints, a photo's one of a folder."""
+        """File of keypoints; from a folder, the photo's file."""
         if self.keypoints is None:
             raise InputError("--keypoints: missing; expected the person's 2D keypoints, FILE.json")
         return keypoint_file(self.keypoints, photo)
 
     def read(self, photo: Path | None) -> PersonInputs:
-        """The person, and the picture if there is one; an InputError if the files don't fit each other."""
+        """Read the person, and the picture if there is one; raise InputError if the files don't fit each other."""
         keypoints = self.keypoint_file(photo)
-        picture = None if photo is None else read_shown_photo(photo)
+        picture = None if photo is None else read_photo_with_warnings(photo)
         parts = read_labelled_parts(self.parts, self.labels)
         groups = None if parts is None else parts.groups
-        sizes = [None if seen is None else seen.shape[:2] for seen in (picture, groups)]
+        sizes = [None if image is None else image.shape[:2] for image in (picture, groups)]
         check_sizes(photo=sizes[0], parts=sizes[1])
         people = read_keypoints(keypoints, self.keypoint_format, photo=photo, size=sizes[0] or sizes[1])
         chosen = choose_person(people, groups, self.person)
@@ -211,15 +220,21 @@ class PersonFiles:
         return PersonInputs(chosen, others, parts, picture)
 
 
-PartsFromOption = Annotated[str | None, Option(help="Network for part labels: folder or hf:ORG/NAME.", metavar="NAME")]
+PartsFromOption = Annotated[
+    str | None, Option(help="Network that finds part labels: a folder, or hf:ORG/NAME.", metavar="NAME")
+]
 KeypointsFromOption = Annotated[
-    str | None, Option(help="Network for keypoints, likewise; or POSE+BOXES.", metavar="NAME")
+    str | None,
+    Option(
+        help="Network that finds keypoints: a folder or hf:ORG/NAME; or POSE+BOXES, with a network that finds people.",
+        metavar="NAME",
+    ),
 ]
 
 
 @dataclass(frozen=True)
 class LoadedNetworks:
-    """Networks of others; None where none was asked for."""
+    """Networks from other projects; None for one that was not asked for."""
 
     parts_from: PartNetwork | None
     keypoints_from: KeypointNetwork | None
@@ -227,15 +242,17 @@ class LoadedNetworks:
 
 @dataclass(frozen=True)
 class NetworkOptions:
-    """Options for networks of others, and what their results mean."""
+    """Options for networks from other projects, and the meaning of their results."""
 
     parts_from: PartsFromOption = None
     keypoints_from: KeypointsFromOption = None
     labels: Annotated[
-        str | None, Option(help="Label set of the part network, where its classes do not tell.", metavar="NAME")
+        str | None,
+        Option(help="Label set of the network for part labels, if its classes don't name it.", metavar="NAME"),
     ] = None
     keypoint_format: Annotated[
-        str | None, Option("--format", help="Of the other's keypoints, likewise.", metavar="NAME")
+        str | None,
+        Option("--format", help="Format of the network for keypoints, if it doesn't name it.", metavar="NAME"),
     ] = None
 
     @property
@@ -245,7 +262,7 @@ class NetworkOptions:
 
     @property
     def files(self) -> list[Path]:
-        """Files in the user's own folders of networks, by whose times it is seen that they are the same."""
+        """Files in the user's own folders of networks; their times show if a network has changed."""
         from ..networks.predictors.checkpoints import split_names
 
         given = (self.parts_from, *((None,) if self.keypoints_from is None else split_names(self.keypoints_from)))
@@ -253,7 +270,10 @@ class NetworkOptions:
         return [path for folder in folders if folder.is_dir() for path in sorted(folder.glob("*.*")) if path.is_file()]
 
     def check(self, instead: str = "") -> None:
-        """Raise an InputError if something was said of a network that is not there; ``instead`` would also take it."""
+        """Raise an InputError if there is an option for a network, but no network.
+
+        ``instead`` names another option that would also take the option.
+        """
         for name, given, other, network in (
             ("--format", self.keypoint_format, "--keypoints-from", self.keypoints_from),
             ("--labels", self.labels, "--parts-from", self.parts_from),
@@ -263,7 +283,7 @@ class NetworkOptions:
                 raise InputError(f"{name}: {given}, without {wanted}")
 
     def check_film(self) -> None:
-        """Raise an InputError if a network is to find the people, which films have none for."""
+        """Raise an InputError if a network is given that finds people: in films, the packaged detector does that."""
         from ..networks.predictors.checkpoints import split_names
 
         if self.keypoints_from is not None and split_names(self.keypoints_from)[1] is not None:
@@ -287,21 +307,25 @@ class NetworkOptions:
 
 @dataclass(frozen=True)
 class PhotoFiles(PersonFiles):
-    """Options for the files of one person, or for networks that see the people of a photo."""
+    """Options for the files of one person, or for networks that find the people of a photo."""
 
     person: Annotated[
-        int | None, Option(help="Whom, 0 = first; default: all, of keypoints the largest.", metavar="N")
+        int | None,
+        Option(
+            help="Index of the person to fit, 0 = first; default: all people, or with --keypoints the largest.",
+            metavar="N",
+        ),
     ] = None
     parts_from: PartsFromOption = None
     keypoints_from: KeypointsFromOption = None
 
     @property
     def networks(self) -> NetworkOptions:
-        """The networks alone."""
+        """Options of the networks."""
         return NetworkOptions(self.parts_from, self.keypoints_from, self.labels, self.keypoint_format)
 
     def read(self, photo: Path | None) -> PersonInputs:
-        """The person of the files, of whom no network is asked."""
+        """Read the person's files; raise InputError if a network is given, too."""
         for name, given in (("--parts-from", self.parts_from), ("--keypoints-from", self.keypoints_from)):
             if given is not None:
                 raise InputError(f"{name}: {given}, with --keypoints; expected a photo alone")
@@ -315,37 +339,38 @@ class CameraOptions:
     focal: Annotated[
         str | None,
         Option(
-            help="Focal length of the lens [px]; exif: as the photo's file says; none: no perspective. Default: exif "
-            "in `partdr fit` and `scene` if the photo has it; else a usual lens, as long as the picture's longer side.",
+            help="Focal length of the lens [px]; exif: read it from the photo's file; none: no perspective. Default: "
+            "exif in `partdr fit` and `scene`, if the photo has it; else a usual lens, as long as the longer side of "
+            "the picture.",
             metavar="PX",
         ),
     ] = None
     fov: Annotated[
         float | None,
-        Option(help="Instead of --focal: how wide the picture looks, from left to right.", metavar="DEGREES"),
+        Option(help="Field of view from left to right, instead of --focal.", metavar="DEGREES"),
     ] = None
     principal: Annotated[
-        str | None, Option(help="Pixel that the lens's axis goes through; default: the middle.", metavar="U,V")
+        str | None, Option(help="Pixel on the axis of the lens; default: the middle.", metavar="U,V")
     ] = None
 
     @property
     def given(self) -> bool:
-        """True if anything was said."""
+        """True if any of the options was given."""
         return (self.focal, self.fov, self.principal) != (None, None, None)
 
     @property
     def refused(self) -> bool:
-        """True if there is to be no camera, not even a usual lens."""
+        """True if there must be no camera, not even a usual lens."""
         return self.focal == NO_CAMERA
 
     def check(self) -> None:
-        """Raise an InputError for what is at fault whatever the picture's size, before any picture is read."""
+        """Raise an InputError, before any picture is read, if the options are wrong for any size of the picture."""
         if self.given and self.focal not in (EXIF, NO_CAMERA):
             alone = self.focal is None and self.fov is None
             replace(self, principal=self.principal if alone else None).read((480, 640), None)
 
     def read(self, size: tuple[int, int], photo: PhotoFile | None) -> Perspective | None:
-        """The camera of a picture of (H, W) pixels, which may be a photo; None if nothing was said."""
+        """Make the camera of a picture of (H, W) pixels, which may be a photo; None if no option was given."""
         if self.focal is None and self.fov is None:
             if self.principal is not None:
                 raise InputError("--principal: alone; expected --focal or --fov, too")
@@ -370,8 +395,8 @@ class CameraOptions:
             raise InputError(f"--{error}") from None
 
     def of_photo(self, size: tuple[int, int], photo: PhotoFile | None) -> Perspective | None:
-        """The camera as ``read`` has it or, where nothing was said, as the photo's EXIF data tell it, which is said."""
-        if self.given or photo is None or (focal := told_focal(photo)) is None:
+        """Make the camera as ``read`` does. Without options, the photo's EXIF data give it, and a line says so."""
+        if self.given or photo is None or (focal := exif_focal_length(photo)) is None:
             return self.read(size, photo)
         echo(f"partdr: focal length {focal:.0f} px, of the photo's EXIF data; --focal none to do without", err=True)
         from ..cameras import Perspective  # loads torch
@@ -379,7 +404,7 @@ class CameraOptions:
         return Perspective.of_picture(size, focal=focal)
 
     def _focal(self, photo: PhotoFile | None) -> float | None:
-        """The focal length [px] that was given."""
+        """Return the focal length [px] that was given."""
         if self.focal is None:
             return None
         if self.focal == EXIF:
@@ -392,18 +417,24 @@ class CameraOptions:
             raise InputError(f"--focal: {shown(self.focal)}; expected pixels, exif or none") from None
 
 
-def say_distance(metres: float, *, sure: bool, assumed: bool) -> str:
-    """Words on how far away somebody is; ``assumed``: for a usual lens, as no focal length is known."""
+def distance_words(metres: float, *, exact: bool, assumed: bool) -> str:
+    """Words about a person's distance.
+
+    Args:
+        metres: Distance from the camera [m].
+        exact: False: the words say "about".
+        assumed: True: the words say that a usual lens is assumed, because no focal length is known.
+    """
     lens = " (the lens is assumed)" if assumed else ""
-    return f"{'' if sure else 'about '}{metres:.1f} m away{lens}"
+    return f"{'' if exact else 'about '}{metres:.1f} m away{lens}"
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """Make a command for Typer of a function that takes dataclasses: each of their fields becomes an option.
+    """Make a command for Typer from a function that takes dataclasses: each of their fields becomes an option.
 
     Args:
-        command: The function. Fields may be dataclasses of options, too. The annotation and the default of any other
-            field are those of an option.
+        command: Function to call. Fields may be dataclasses of options, too. The annotation and the default of any
+            other field are those of an option.
     """
 
     def run(**given: Any) -> None:
@@ -416,7 +447,7 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _options_of(function: Callable[..., Any]) -> Iterator[inspect.Parameter]:
-    """Parameters of a function or a dataclass; those of a dataclass stand in its parameter's place."""
+    """Parameters of a function or a dataclass. A parameter that is a dataclass is replaced by that one's parameters."""
     kinds = get_type_hints(function, include_extras=True)
     for name, parameter in inspect.signature(function).parameters.items():
         if is_dataclass(kinds[name]):
@@ -426,7 +457,7 @@ def _options_of(function: Callable[..., Any]) -> Iterator[inspect.Parameter]:
 
 
 def _call_with(function: Callable[..., Any], given: Mapping[str, Any]) -> Any:
-    """Call a function with options by their names, of which those of dataclasses are made."""
+    """Call a function with options by their names; its dataclasses are made from them."""
     kinds = get_type_hints(function)
     arguments = {
         name: _call_with(kinds[name], given) if is_dataclass(kinds[name]) else given[name]

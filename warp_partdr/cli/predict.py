@@ -1,4 +1,4 @@
-"""The command ``partdr predict``: bodies of people in one pass of the label network, without refinement."""
+"""Command ``partdr predict``: bodies of people in one pass of the label network, without refinement."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from .options import (
     MinScoreOption,
     check_person,
     check_score,
+    count_people,
     people_at_a_time,
-    say_people,
 )
 
 if TYPE_CHECKING:
@@ -35,22 +35,22 @@ if TYPE_CHECKING:
     from ..cameras import Perspective
     from ..inputs.sample import Sample
 
-PREDICT_HELP = """Say at once where bodies are: pose and measurements of people in photos and films, without
-refinement. For many people; `partdr fit` starts with the same and goes on.
+PREDICT_HELP = """Predict pose and measurements of people in photos and films in one pass, without refinement. This is
+fast enough for many people; `partdr fit` starts with the same prediction and refines it.
 
 Examples: `partdr predict photo.jpg`; `partdr predict pictures`; `partdr predict film.mp4 --out bodies`
 
-PATH is a photo, a film, or a folder of them. People are found, and followed through films, which need PyAV
-(`pip install av`). Or it is a folder of N.jpg or N.png with your own N.keypoints.json and, for all or
-none, N.parts.png: the largest person of each is taken; without --labels, labels.json there says what the labels are.
-With --focal or --fov, one camera took all pictures, or with `--focal exif` each its own. Bodies then stand in metres
-before the camera. Without, a usual lens is assumed where keypoints were given, and distances are rough; people who are
-found have a camera of weak perspective.
+PATH is a photo, a film, or a folder of them. People are found, and are followed through films, which need PyAV
+(`pip install av`). Or PATH is a folder of N.jpg or N.png with your own N.keypoints.json and, for all pictures or none,
+N.parts.png: then the largest person of each picture is taken, and --labels, or labels.json in the folder, describes the
+labels. With --focal or --fov, one camera took all pictures; with `--focal exif`, each picture has its own. Bodies then
+have positions before the camera in metres. Without a camera, a usual lens is assumed if keypoints were given, and
+distances are rough; people who are found have a camera of weak perspective.
 
-**Results** in --out: N.personK.npz for each person of N.jpg, largest first, as body.npz of `partdr fit` (`partdr
-register` clothes it); of a film, one with all frames of that person, most seen first; N.npz where keypoints were given;
-predictions.json, which names them all. Older results of those names are replaced. What can't be read is told and left
-out; the exit code is then 1.
+**Results** in --out are N.personK.npz for each person of N.jpg, largest first, in the format of body.npz of `partdr
+fit` (`partdr register` makes a detailed body of it). For a film, each of these files holds all frames of a person; the
+person in most frames is the first. If keypoints were given, the file is N.npz. predictions.json lists all files. Older
+results with these names are replaced. Files that can't be read are reported and left out, and the exit code is then 1.
 """
 
 
@@ -67,16 +67,17 @@ class PredictRequest:
     out: Annotated[Path, Option(help="Folder for the bodies.", metavar="FOLDER")] = Path("out")
     network: Annotated[
         Path | None,
-        Option(help="A network of `partdr train`; by default the packaged one.", metavar="FILE.safetensors"),
+        Option(help="Network that `partdr train` wrote; default: the packaged one.", metavar="FILE.safetensors"),
     ] = None
     person: Annotated[
-        int | None, Option(help="Whom to take of each photo or film, 0 = first; default: all.", metavar="N")
+        int | None,
+        Option(help="Index of the person to take in each photo or film, 0 = first; default: all.", metavar="N"),
     ] = None
     min_score: MinScoreOption = None
     landmarks: LandmarksOption = None
-    batch: Annotated[
-        int | None, Option(help="People at a time in the network; default: 64, on a CPU 16.", metavar="N")
-    ] = None
+    batch: Annotated[int | None, Option(help="Number of people at a time; default: 64, on a CPU 16.", metavar="N")] = (
+        None
+    )
     device: DeviceOption = "auto"
     view: CameraOptions
 
@@ -98,7 +99,7 @@ class PredictRequest:
 
     @property
     def described(self) -> Path | None:
-        """The folder with keypoints, if there is one among the paths."""
+        """Folder with keypoints among the paths; None if there is none."""
         return next((path for path in self.paths if path.is_dir() and any(path.glob("*.keypoints.json"))), None)
 
     @property
@@ -107,11 +108,11 @@ class PredictRequest:
         return MIN_SCORE if self.min_score is None else self.min_score
 
     def report(self) -> dict[str, Any]:
-        """The beginning of ``predictions.json``."""
+        """Return the beginning of ``predictions.json``."""
         return {"network": None if self.network is None else str(self.network)}
 
     def predictor(self, device: str) -> PeoplePredictor:
-        """Finder of people and predictor of their bodies, loaded to a device."""
+        """Load the networks that find people and predict their bodies to a device."""
         from ..bulk.batches import FindRule
         from ..bulk.cutting import Cutter
         from ..bulk.predict import PeoplePredictor
@@ -169,23 +170,23 @@ def _predict_files(request: PredictRequest) -> None:
         seconds = time.perf_counter() - started
         report |= found.report()
     counts = {"photo": found.photos, "frame": found.frames}
-    passed = [f"{count} {kind}{'s' * (count > 1)}" for kind, count in counts.items() if count]
+    passed = [f"{count} {name}{'s' * (count > 1)}" for name, count in counts.items() if count]
     speed = f"{sum(counts.values()) / seconds:.1f} a second"
-    typer.echo(f"{say_people(len(found.people))} in {' and '.join(passed)}; {speed}, {where}")
+    typer.echo(f"{count_people(len(found.people))} in {' and '.join(passed)}; {speed}, {where}")
     typer.echo(f"{request.out / PREDICTIONS_REPORT} names the files of their bodies")
     if found.unreadable:
         raise typer.Exit(1)
 
 
 def _check_view(view: CameraOptions, files: Sequence[NamedFile]) -> None:
-    """Find faults of the options before people are looked for."""
+    """Raise an InputError for wrong options before people are searched."""
     if view.focal == EXIF and (films := [file.path for file in files if file.is_film]):
         raise InputError(f"--focal: exif, with {films[0]}, a film; expected pixels, or --fov")
     view.check()
 
 
 def _predict_folder(request: PredictRequest, folder: Path) -> None:
-    """Predict the body of the person of each picture in a folder with keypoints."""
+    """Predict the body of one person for each picture in a folder with keypoints."""
     from ..body.labels import label_set
     from ..lab.evaluation.datasets import read_folder
 
@@ -216,7 +217,7 @@ def _predict_folder(request: PredictRequest, folder: Path) -> None:
             say=lambda line: progress.say(f"partdr: {line}"),
         )
     typer.echo(
-        f"{say_people(len(samples))}: {speeds.network:.0f} a second through the network, "
+        f"{count_people(len(samples))}: {speeds.network:.0f} a second through the network, "
         f"{speeds.whole:.0f} a second with cropping; batches of {predictor.batch}, {where}"
     )
     typer.echo(f"{request.out} holds a body of each: N.npz")
@@ -228,5 +229,5 @@ def _file(sample: Sample) -> Path:
 
 
 def _camera(view: CameraOptions, sample: Sample) -> Perspective | None:
-    """The camera of a sample's picture."""
+    """Make the camera of a sample's picture."""
     return view.read(read_photo(_file(sample)).shape[:2], _file(sample))

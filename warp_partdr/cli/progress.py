@@ -1,4 +1,4 @@
-"""Progress of a fit on the terminal, and of pictures that pass."""
+"""Progress bars on the terminal: for a fit, and for pictures that are processed."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from rich.text import Text
 
 from ..errors import printable
 
-_SPEED_OVER = 20.0  # [s] of which rate and remaining time are measured
+_SPEED_OVER = 20.0  # [s], period over which rate and remaining time are measured
 
 
 class FitProgress(Progress):
-    """A bar on stderr for ``fit_body(progress=...)``; plain silence where stderr is no terminal."""
+    """Progress bar on stderr for ``fit_body(progress=...)``; nothing is printed if stderr is no terminal."""
 
     def __init__(self) -> None:
         console = Console(stderr=True)
@@ -39,12 +39,12 @@ class FitProgress(Progress):
         self._task = self.add_task("compiling kernels, once for this machine", total=None)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Show that ``done`` of ``total`` iterations are over."""
+        """Show that ``done`` of ``total`` iterations are done."""
         self.update(self._task, description=stage, completed=done, total=total)
 
 
 class PictureProgress(Progress):
-    """A bar on stderr for pictures and frames that pass, with their rate and the time that remains."""
+    """Progress bar on stderr for pictures and frames, with their rate and the remaining time."""
 
     def __init__(self, total: int | None, first: str = "loading networks") -> None:
         console = Console(stderr=True)
@@ -62,7 +62,7 @@ class PictureProgress(Progress):
         self._task = self.add_task(first, total=total)
 
     def __call__(self, name: str, count: int = 1) -> None:
-        """Show that ``count`` more have passed, the last of them from the file ``name``."""
+        """Show that ``count`` more pictures are done, the last of them from the file ``name``."""
         self.update(self._task, description=escape(printable(name)), advance=count)
 
     def say(self, line: str) -> None:
@@ -71,8 +71,8 @@ class PictureProgress(Progress):
 
 
 class _Rate(ProgressColumn):
-    """Pictures a second."""
+    """Column with the pictures a second."""
 
     def render(self, task: Task) -> Text:
-        """Draw it."""
+        """Draw the column."""
         return Text("" if task.speed is None else f"{task.speed:.1f}/s")

@@ -1,4 +1,4 @@
-"""The command ``partdr register``, from body.npz to a detailed body, and what ``partdr fit`` shares with it."""
+"""Command ``partdr register``, from body.npz to a detailed body, and functions that ``partdr fit`` shares with it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 from typer import Argument, Option
 
 from ..errors import InputError
-from .options import BodyFormat, DeviceOption, LabelsOption, OutOption, check_further, read_shown_photo
+from .options import BodyFormat, DeviceOption, LabelsOption, OutOption, check_further, read_photo_with_warnings
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,34 +24,35 @@ if TYPE_CHECKING:
     from ..models.model import DetailedModel
     from .progress import FitProgress
 
-REGISTER_HELP = """Clothe a fitted body in a detailed model: body.npz of `partdr fit` in, a skinned mesh out.
+REGISTER_HELP = """Fit a detailed model to a body: it reads body.npz of `partdr fit`, and writes a skinned mesh.
 
 Examples: `partdr register out/body.npz --photo photo.png --out detailed`;
 `partdr register regressed.npz --model SMPLX.npz --parts p.png --labels cdcl14`
 
-**Another method's body**, .npz or .json, is refined against --parts and comes out as the same parameters: SMPL's by
-smplx's names (betas, global_orient, body_pose, transl or pred_cam_t, focal_length), or Multi-HMR's (rotvec, shape,
-transl_pelvis, K); --model says which file of SMPL's it is of.
+**Another method's body**, .npz or .json, is refined against --parts and written with the same parameters. It holds
+SMPL's parameters by smplx's names (betas, global_orient, body_pose, transl or pred_cam_t, focal_length), or Multi-HMR's
+(rotvec, shape, transl_pelvis, K). Give the file of its SMPL model to --model.
 
-**Results** in FOLDER: detailed.png (look at this first), detailed.glb (mesh, skeleton and skin weights, posed; opens in
-Blender), detailed.obj, detailed.ply (with part colours), detailed.bvh (skeleton and pose), detailed.npz (shape,
-rotations and position for the model) and registration.json (terms of the loss; with --parts, F1 against the labels of
-the bare mesh that these files hold, and of the mesh in its clothes if there are any); of SMPL's models
-detailed.smplx.npz, too: betas, global_orient, body_pose, ... and transl, as the smplx package takes them
-(use_pca=False, flat_hand_mean=True), and the camera. Older results there are replaced.
+**Results** in FOLDER are detailed.png (look at it first), detailed.glb (mesh, skeleton and skin weights, posed; it
+opens in Blender), detailed.obj, detailed.ply (with part colours), detailed.bvh (skeleton and pose), detailed.npz
+(shape, rotations and position for the model) and registration.json (terms of the loss; with --parts also F1 against the
+labels, for the bare mesh that these files hold and, if there are clothes, for the mesh in its clothes). For SMPL's
+models there is also detailed.smplx.npz, with betas, global_orient, body_pose, ... and transl for the smplx package
+(use_pca=False, flat_hand_mean=True), and the camera. Older results in FOLDER are replaced.
 """
 MODEL_HELP = "anny, mhr:PATH, soma:PATH, skel:PATH or an SMPL, SMPL-H or SMPL-X file"
 
 
 @dataclass(frozen=True)
 class ClotheOptions:
-    """Options for a fit's body: how the model is to follow its ellipsoids."""
+    """Options for a fit's body, whose ellipsoids the model follows."""
 
     inscribed: Annotated[
-        bool, Option("--inscribed", help="Keep the skin outside the ellipsoids; a fit's match its outlines instead.")
+        bool,
+        Option("--inscribed", help="Keep the skin outside the ellipsoids. By default, it matches their outlines."),
     ] = False
     grow: Annotated[
-        bool, Option("--grow", help="Let parts grow beyond the model's people: for bodies whose lengths were edited.")
+        bool, Option("--grow", help="Let parts grow beyond the model's range, for bodies whose lengths were edited.")
     ] = False
 
 
@@ -59,30 +60,36 @@ class ClotheOptions:
 class RegisterRequest:
     """Arguments and options of ``partdr register``."""
 
-    body: Annotated[Path, Argument(help="body.npz of partdr fit, or another method's body.", metavar="BODY")]
-    model: Annotated[str, Option(help=f"{MODEL_HELP}.", metavar="NAME")] = "anny"
-    photo: Annotated[Path | None, Option(help="The fit's picture, to draw the body over.", metavar="FILE")] = None
+    body: Annotated[Path, Argument(help="File body.npz of `partdr fit`, or another method's body.", metavar="BODY")]
+    model: Annotated[str, Option(help=f"Detailed model: {MODEL_HELP}.", metavar="NAME")] = "anny"
+    photo: Annotated[Path | None, Option(help="Picture of the fit, over which the body is drawn.", metavar="FILE")] = (
+        None
+    )
     parts: Annotated[
-        Path | None, Option(help="The fit's part labels, to say how well the detailed body fills them.", metavar="FILE")
+        Path | None,
+        Option(help="Part labels of the fit, with which the detailed body is compared.", metavar="FILE"),
     ] = None
     labels: LabelsOption = None
     keypoints: Annotated[
-        Path | None, Option(help="2D keypoints, if another method's body is to follow them, too.", metavar="FILE")
+        Path | None, Option(help="2D keypoints that another method's body must follow, too.", metavar="FILE")
     ] = None
     out: OutOption = Path("out")
     to: Annotated[
-        list[BodyFormat] | None, Option(help="Also detailed.usda, .usdz or .fbx (by Blender).", metavar="NAME")
+        list[BodyFormat] | None,
+        Option(
+            help="Also write detailed.usda, .usdz or .fbx (by Blender). May be given several times.", metavar="NAME"
+        ),
     ] = None
     device: DeviceOption = "auto"
-    how: ClotheOptions
+    options: ClotheOptions
 
     @cached_property
     def formats(self) -> tuple[str, ...]:
-        """Formats of more files; an InputError if one can't be written here."""
+        """Formats of further files; raises InputError if one can't be written here."""
         return check_further(self.to)
 
     def check_out(self) -> None:
-        """Raise an InputError if results can't be written, or would replace one of the files that were given."""
+        """Raise an InputError if results can't be written, or would replace a file that was given."""
         from ..results.result_sets import check_folder, check_inputs
         from ..results.save import DETAILED_FILES, SMPLX_FILE
 
@@ -98,15 +105,15 @@ def register_body(request: RegisterRequest) -> None:
     from ..inputs.part_labels import read_labelled_parts
     from ..solve.mesh.given_files import is_given
 
-    picture = None if request.photo is None else read_shown_photo(request.photo)
+    picture = None if request.photo is None else read_photo_with_warnings(request.photo)
     parts = read_labelled_parts(request.parts, request.labels)
-    _ = request.formats  # faults in it are told before anything is made
-    told = _refine(request, picture, parts) if is_given(request.body) else _clothe_fit(request, picture, parts)
-    typer.echo(told)
+    _ = request.formats  # raises faults before anything is made
+    summary = _refine(request, picture, parts) if is_given(request.body) else _clothe_fit(request, picture, parts)
+    typer.echo(summary)
 
 
 def _clothe_fit(request: RegisterRequest, photo: np.ndarray | None, parts: PartLabels | None) -> str:
-    """Clothe the body of a fit and write it; returns a line about it."""
+    """Fit the model to the body of a fit, write it, and return a line about it."""
     from ..inputs.part_labels import check_sizes
     from ..results.body_file import BODY_ARRAYS, load_body
 
@@ -114,8 +121,11 @@ def _clothe_fit(request: RegisterRequest, photo: np.ndarray | None, parts: PartL
         raise InputError(f"--keypoints: with {request.body}, a fit's; expected another method's body")
     fitted = load_body(request.body)
     height, width = fitted.image_size.tolist()
-    seen = {"photo": photo, "parts": None if parts is None else parts.groups}
-    check_sizes(body=(height, width), **{name: each.shape[:2] for name, each in seen.items() if each is not None})
+    check_sizes(
+        body=(height, width),
+        photo=None if photo is None else (photo.shape[0], photo.shape[1]),
+        parts=None if parts is None else (parts.groups.shape[0], parts.groups.shape[1]),
+    )
 
     import torch
 
@@ -128,19 +138,19 @@ def _clothe_fit(request: RegisterRequest, photo: np.ndarray | None, parts: PartL
     model = read_model(request.model, where)
     posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in BODY_ARRAYS))
     evidence = None if parts is None else _evidence_of(posed, fitted.camera(), parts)
-    view = SeenBody(fitted.camera(), (height, width), photo, evidence)
+    picture = BodyPicture(fitted.camera(), (height, width), photo, evidence)
     with FitProgress() as progress:
-        return clothe(posed, model, request.out, view, request.how, formats=request.formats, progress=progress)
+        return clothe(posed, model, request.out, picture, request.options, formats=request.formats, progress=progress)
 
 
 @dataclass(frozen=True, eq=False)
-class SeenBody:
-    """Picture in which a body was seen.
+class BodyPicture:
+    """Picture that a body was fitted to.
 
     Attributes:
-        camera: The camera of the picture.
-        image_size: (H, W) of the picture [px].
-        photo: The picture, shape (H, W, 3), uint8; None: there is none.
+        camera: Camera of the picture.
+        image_size: Size (H, W) of the picture [px].
+        photo: Picture, shape (H, W, 3), uint8; None: there is none.
         evidence: Keypoints and labels of the person; None: they are not known.
     """
 
@@ -151,11 +161,11 @@ class SeenBody:
 
 
 def _refine(request: RegisterRequest, photo: np.ndarray | None, parts: PartLabels | None) -> str:
-    """Refine another method's body and write it; returns a line about it."""
-    body, how = request.body, request.how
+    """Refine another method's body, write it, and return a line about it."""
+    body, options = request.body, request.options
     if parts is None:
         raise InputError(f"--parts: missing; expected the part labels that {body}, another method's, is to follow")
-    if how.inscribed or how.grow:
+    if options.inscribed or options.grow:
         raise InputError(f"--inscribed, --grow: with {body}, another method's body; expected one of partdr fit")
 
     from ..inputs.keypoint_files import read_keypoints
@@ -196,11 +206,11 @@ def _refine(request: RegisterRequest, photo: np.ndarray | None, parts: PartLabel
         )
     for warning in fit.ellipbody.evidence.warnings:
         typer.echo(f"partdr: warning: {warning}", err=True)
-    return say_detailed(report, request.out)
+    return describe_detailed(report, request.out)
 
 
 def _evidence_of(posed: Posed, camera: Camera, parts: PartLabels) -> Evidence:
-    """The labels of the person where a body is; an InputError if there are none."""
+    """Weigh the labels of the person where a body is; raise InputError if there are none."""
     import numpy as np
 
     from ..body.posing import LandmarkGather
@@ -217,7 +227,7 @@ def _evidence_of(posed: Posed, camera: Camera, parts: PartLabels) -> Evidence:
 
 
 def read_model(name: str, device: str) -> DetailedModel:
-    """The model that ``--model`` names."""
+    """Load the model that ``--model`` names."""
     from ..models.load import load_model
 
     try:
@@ -230,17 +240,26 @@ def clothe(
     posed: Posed,
     model: DetailedModel,
     out: Path,
-    seen: SeenBody,
-    how: ClotheOptions = ClotheOptions(),
+    picture: BodyPicture,
+    options: ClotheOptions = ClotheOptions(),
     *,
     formats: tuple[str, ...] = (),
     progress: FitProgress,
 ) -> str:
-    """Register a model to one EllipBody (B = 1) and write it as ``save_registered`` does; returns a line about it.
+    """Register a model to one EllipBody (B = 1), write it with ``save_registered``, and return a line about it.
 
-    ``how.inscribed``: the ellipsoids are to lie within the skin. ``how.grow``: EllipBody's lengths and thicknesses
-    count one by one, and parts may grow beyond the model's people. A fit's are too rough for that: hands and feet came
-    out as thin as boards.
+    With ``options.inscribed``, the ellipsoids must lie within the skin. With ``options.grow``, the model follows each
+    of EllipBody's lengths and thicknesses, and parts may grow beyond the model's range. The sizes of a fit are too
+    rough for that: hands and feet came out as thin as boards.
+
+    Args:
+        posed: Posed EllipBody, B = 1, in the camera frame [m].
+        model: Detailed model.
+        out: Folder for the files.
+        picture: Picture that the body was fitted to.
+        options: Options of the registration.
+        formats: Formats of further files.
+        progress: Progress bar.
     """
     import warp as wp
 
@@ -251,32 +270,34 @@ def clothe(
 
     for module in (registration, rasterize, resolve):
         wp.load_module(module, device=str(posed.joints.device))
-    if how.inscribed:
-        weights = (
-            RegistrationWeights.inscribed() if how.grow else replace(RegistrationWeights.inscribed(), measures=0.0)
-        )
+    if options.inscribed:
+        weights = RegistrationWeights.inscribed()
+        if not options.grow:
+            weights = replace(weights, measures=0.0)
+    elif options.grow:
+        weights = RegistrationWeights()
     else:
-        weights = RegistrationWeights() if how.grow else RegistrationWeights.fitted()
-    options = RegistrationOptions(weights=weights, growth=how.grow)
+        weights = RegistrationWeights.fitted()
+    registration_options = RegistrationOptions(weights=weights, growth=options.grow)
     started = time.perf_counter()
-    registered = register(posed, model, options=options, progress=progress)
+    registered = register(posed, model, options=registration_options, progress=progress)
     seconds = round(time.perf_counter() - started, 3)
     progress("writing results", 1, 1)
     report = save_registered(
         registered,
         out,
-        seen.camera,
-        seen.image_size,
-        photo=seen.photo,
-        evidence=seen.evidence,
+        picture.camera,
+        picture.image_size,
+        photo=picture.photo,
+        evidence=picture.evidence,
         formats=formats,
         seconds=seconds,
     )
-    return say_detailed(report, out)
+    return describe_detailed(report, out)
 
 
-def say_detailed(report: dict[str, Any], out: Path) -> str:
-    """A line about a detailed body's report, and where it is."""
+def describe_detailed(report: dict[str, Any], out: Path) -> str:
+    """Line about a detailed body's report and its files."""
     scores = f"{describe_scores(report)}; " if "parts" in report else ""
     if "parts_clothed" in report:
         scores += f"in clothes {describe_scores(report, 'parts_clothed')}; "
@@ -285,7 +306,7 @@ def say_detailed(report: dict[str, Any], out: Path) -> str:
 
 
 def describe_scores(report: dict[str, Any], key: str = "parts") -> str:
-    """Scores of a body against the labels, in words; those under a key of a fit's report, or a registration's."""
+    """Words about a body's scores against the labels, which are under ``key`` in a report."""
     scores = report[key]
     left_out = "" if scores["left_out"] is None else f", {100 * scores['left_out']:.0f} % of the person left out"
     return f"foreground F1 {scores['foreground_f1']:.3f}, part F1 {scores['part_f1']:.3f}{left_out}"

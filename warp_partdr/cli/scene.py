@@ -1,4 +1,4 @@
-"""The command ``partdr scene``: the motion of everyone whom several cameras filmed."""
+"""Command ``partdr scene``: the motion of all people in films of several cameras."""
 
 from __future__ import annotations
 
@@ -24,22 +24,23 @@ from .options import (
     check_score,
 )
 
-SCENE_HELP = """Fit motions to everyone in films of several cameras: with a second view, depth is no guess.
+SCENE_HELP = """Fit motions to all people in films of several cameras. A second view measures depth.
 
-Examples: `partdr scene left.mp4 right.mp4`; `partdr scene left.jpg right.jpg`; one person of four films of calibrated
+Examples: `partdr scene left.mp4 right.mp4`; `partdr scene left.jpg right.jpg`; for one person and four calibrated
 cameras, `partdr scene cam*.mp4 --cameras calibration/ --person 0`
 
-Films (or photos) start at the same moment, else `--align` finds where they do; their rates may differ or vary, for
-frames are matched by their times. Who is who in them is found by where rays meet.
+Films (or photos) must start at the same moment; otherwise `--align` finds their common start. Their rates may differ or
+vary, because frames are matched by their times. People are matched between the films by the points where rays meet.
 
-**Cameras** stand still: a file or a folder of Pose2Sim, Anipose, FreeMoCap, Caliscope, OpenCV, EasyMocap, MC-Calib,
-Kalibr or Qualisys, or a JSON of ours (docs/inputs.md), in metres. Each is of the film of its name or number
-(cam1_sync.mp4 of cam1), else they are in the films' order. Distortion is taken away. Without --cameras they are placed
-by the people; say one's height with `--set stature=1.78` (metres), or distances are as large as people seem.
+**Cameras** must stand still. --cameras takes a file or a folder of Pose2Sim, Anipose, FreeMoCap, Caliscope, OpenCV,
+EasyMocap, MC-Calib, Kalibr or Qualisys, or a JSON file of this project (docs/inputs.md), in metres. A camera belongs to
+the film with its name or number (cam1 to cam1_sync.mp4); without such names, cameras are in the order of the films.
+Distortion is removed. Without --cameras, the positions of the cameras are found from the people. Then give a person's
+height, `--set stature=1.78` (metres), or distances follow from the sizes that people seem to have.
 
-Results are those of `partdr fit film.mp4`, in the frame of the first film's camera, with an overlay of each film; a
-run that was ended goes on where it was. **Settings** for --set and --config are the same: `window=64`, `overlap=12`,
-`smoothing=0.15` seconds, `mesh.iterations=60`, and more.
+Results are those of `partdr fit film.mp4`, in the frame of the first film's camera, with an overlay of each film. If a
+run was ended, the same command continues it. **Settings** for --set and --config are the same, too: `window=64`,
+`overlap=12`, `smoothing=0.15` seconds, `mesh.iterations=60`, and more.
 """
 
 
@@ -54,9 +55,13 @@ class SceneRequest:
     films: Annotated[list[Path], Argument(help="Films of the same moments.", metavar="FILM...", show_default=False)]
     out: OutOption = Path("out")
     person: Annotated[
-        int | None, Option(help="Whom alone, 0 = the most and largest seen; default: everyone.", metavar="N")
+        int | None,
+        Option(
+            help="Index of the only person to fit, 0 = the largest and in most frames; default: all people.",
+            metavar="N",
+        ),
     ] = None
-    model: Annotated[str, Option(help="Detailed body: anny, or a model's file.", metavar="NAME")] = "anny"
+    model: Annotated[str, Option(help="Detailed model: anny, or a model's file.", metavar="NAME")] = "anny"
     min_score: Annotated[float, Option(help="Least confidence that there is a person.", metavar="SHARE")] = MIN_SCORE
     device: DeviceOption = "auto"
     rig: RigOptions
@@ -77,7 +82,7 @@ class SceneRequest:
 
     @cached_property
     def run(self) -> RunSettings:
-        """Settings, read once."""
+        """Settings, which are read once."""
         return self.settings.read_run()
 
     @property
@@ -89,5 +94,5 @@ class SceneRequest:
 def scene(request: SceneRequest) -> None:
     """Fit motions; see ``SCENE_HELP``."""
     for film in request.films:
-        film_facts(film)  # faults are told before anything is loaded
+        film_facts(film)  # raises faults of the file before anything is loaded
     fit_films(request.films, request, request.rig)

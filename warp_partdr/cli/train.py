@@ -1,4 +1,4 @@
-"""The command ``partdr train``: train a network, on one processor, many GPUs or many machines."""
+"""Command ``partdr train``: train a network, on one processor, many GPUs or many machines."""
 
 from __future__ import annotations
 
@@ -11,37 +11,42 @@ from typer import Argument, Option
 from ..errors import InputError
 from .options import DeviceOption, SetOption
 
-TRAIN_HELP = """Train a network: label-network, ellipbodynet, or a config of your own; see docs/training.md.
+TRAIN_HELP = """Train a network: label-network, ellipbodynet, or a config of your own (see docs/training.md).
 
 Examples:
 
-* `partdr train label-network --out out/net` on the GPU, or on the CPU where there is none
-* `partdr train label-network --out out/net --resume` goes on from the newest checkpoint
-* `partdr train label-network --minutes 30 --set batch_size=512` half an hour, in smaller batches
-* `torchrun --nproc-per-node 4 -m warp_partdr train label-network` or `accelerate launch -m warp_partdr train ...`: on
-  several GPUs, batch_size on each
+* `partdr train label-network --out out/net` trains on the GPU, or on the CPU if there is no GPU
+* `partdr train label-network --out out/net --resume` continues from the newest checkpoint
+* `partdr train label-network --minutes 30 --set batch_size=512` trains for half an hour, in smaller batches
+* `torchrun --nproc-per-node 4 -m warp_partdr train label-network` or `accelerate launch -m warp_partdr train ...` train
+  on several GPUs, with batch_size samples on each
 
-CONFIG is a packaged name or a .toml file of the same keys; `--set steps=1000 --set data.KEY=...` changes single ones.
+CONFIG is the name of a packaged config, or a .toml file with the same keys. `--set steps=1000 --set data.KEY=...`
+changes single keys.
 
-**Written** to FOLDER: model.safetensors (the running mean of the weights: the trained network), report.json (errors,
-time, machine, config), checkpoints/step-N, pictures/step-N.png (held-out samples), log.jsonl, tensorboard (`tensorboard
---logdir FOLDER`). Ctrl-C or SIGTERM writes a checkpoint first. A loss that is NaN stops the run; nan-batch.safetensors
-holds what led to it.
+**Results** in FOLDER are model.safetensors (the trained network: the running mean of the weights), report.json (errors,
+time, machine, config), checkpoints/step-N, pictures/step-N.png (held-out samples), log.jsonl, and tensorboard
+(`tensorboard --logdir FOLDER`). Ctrl-C and SIGTERM first write a checkpoint. If the loss is NaN, the run stops, and
+nan-batch.safetensors holds the batch that led to it.
 """
 
 
 def train_network(
-    config: Annotated[str, Argument(help="A packaged config's name, or a file.", metavar="CONFIG")],
-    out: Annotated[Path | None, Option(help="For all results; default: the config's.", metavar="FOLDER")] = None,
+    config: Annotated[str, Argument(help="Name of a packaged config, or a file.", metavar="CONFIG")],
+    out: Annotated[
+        Path | None, Option(help="Folder for all results; default: the one in the config.", metavar="FOLDER")
+    ] = None,
     resume: Annotated[
-        bool, Option("--resume", help="Go on from FOLDER's newest checkpoint; the same options are needed.")
+        bool, Option("--resume", help="Continue from FOLDER's newest checkpoint. Give the same options again.")
     ] = False,
     minutes: Annotated[
         float | None,
-        Option(help="Stop after so long, resumed parts together; the learning rate falls in time for it.", metavar="M"),
+        Option(
+            help="Stop after M minutes, with those of resumed runs. The learning rate falls until then.", metavar="M"
+        ),
     ] = None,
     settings: SetOption = None,
-    bits: Annotated[int, Option(help="Of the trained network's weights in their file: 32, 16 or 8.")] = 32,
+    bits: Annotated[int, Option(help="Bits of each weight in the trained network's file: 32, 16 or 8.")] = 32,
     device: DeviceOption = "auto",
 ) -> None:
     """Train; see ``TRAIN_HELP``."""
@@ -69,7 +74,7 @@ def train_network(
     if result.stopped is not None:
         raise typer.Exit(128 + result.stopped)
     if not report:
-        return  # the first process speaks for all
+        return  # the first process prints for all
     errors = ", ".join(f"{name} {value:.4g}" for name, value in report["errors"].items())
     speed = f"{report['samples_per_second']:,.0f} samples/s"
     typer.echo(f"{result.step} steps, {report['seconds']:.0f} s, {speed}; {errors}")

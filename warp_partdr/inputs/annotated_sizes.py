@@ -23,17 +23,20 @@ from .part_labels import LARGEST_PICTURE
 from .person import Box
 
 _ROUNDING = 1.0  # [px] of the smaller picture: resizing rounds its sides
-# Keys of a picture's width and height, of lists of both, of objects that hold them, and of entries that have a box.
+# Pairs of keys under which files state a picture's width and height.
 _SIDES = tuple(
     (f"{picture}{gap}{width}", f"{picture}{gap}{height}")
     for picture in ("canvas", "image", "img", "frame", "picture", "photo", "original")
     for gap, width, height in (("_", "width", "height"), ("", "Width", "Height"), ("_", "w", "h"))
 )
+# Keys of lists of both sides.
 _SIZES = (
     *("image_size", "img_size", "imageSize", "imsize", "original_size", "orig_size", "canvas_size", "resolution"),
     *("image_shape", "img_shape", "ori_shape", "orig_shape"),
 )
+# Keys of objects that hold a width and a height.
 _HOLDERS = ("image", "img", "picture", "photo", "image_info", "metadata", "meta", "info", "size")
+# Keys of a box: beside one of them, width and height are the box's.
 _BOX_KEYS = ("x", "y", "center", "left", "top", "x_min", "xmin", "x1", "center_x", "cx")
 _THUMBNAIL = 0.02  # share of a side that rounding may change at most, in very small pictures
 
@@ -65,11 +68,11 @@ class PictureChange:
     """Change from the picture that was annotated to the picture that is read.
 
     Attributes:
-        annotated: (H, W) [px] of the picture that was annotated.
-        picture: (H, W) [px] of the picture that is read.
+        annotated: Size (H, W) of the picture that was annotated [px].
+        picture: Size (H, W) of the picture that is read [px].
         orientation: EXIF's orientation, 1 to 8, by which annotations are turned; 1: they stay upright.
-        warning: Sentence about the change, or about what the sizes do not tell, without its subject, the annotations;
-            None where there is nothing to say.
+        warning: Sentence about the change, or about what the sizes leave open. It has no subject: the annotations are.
+            None if there is nothing to say.
     """
 
     annotated: tuple[int, int]
@@ -83,7 +86,7 @@ class PictureChange:
         return self.annotated != self.picture or self.orientation != _UPRIGHT
 
     def points(self, points: np.ndarray) -> np.ndarray:
-        """Points (..., 2) of the annotated picture, x and y [px], in the picture that is read, of the same type."""
+        """Convert points (..., 2) of the annotated picture, x and y [px], to the picture that is read; same dtype."""
         if not self.changes:
             return points
         turn = _TURN_OF_ORIENTATION[self.orientation]
@@ -95,14 +98,14 @@ class PictureChange:
         return (shares * self.picture[::-1]).astype(points.dtype)
 
     def keypoints(self, keypoints: Keypoints2D) -> Keypoints2D:
-        """Keypoints of the annotated picture in the picture that is read; missing ones stay at 0."""
+        """Convert keypoints of the annotated picture to the picture that is read; missing ones stay at 0."""
         if not self.changes:
             return keypoints
-        moved = np.where(keypoints.visible[:, None], self.points(keypoints.points), keypoints.points)
-        return replace(keypoints, points=moved)
+        points = np.where(keypoints.visible[:, None], self.points(keypoints.points), keypoints.points)
+        return replace(keypoints, points=points)
 
     def box(self, box: Box) -> Box:
-        """A box of the annotated picture in the picture that is read."""
+        """Convert a box of the annotated picture to the picture that is read."""
         if not self.changes:
             return box
         corners = self.points(np.array([box[:2], box[2:]], dtype=np.float64))
@@ -110,7 +113,7 @@ class PictureChange:
         return left, top, right, bottom
 
     def mask(self, mask: np.ndarray) -> np.ndarray:
-        """A mask or label image of the annotated picture, (H, W), for the picture that is read: nearest pixels.
+        """Resample a mask or label image (H, W) of the annotated picture for the picture that is read: nearest pixels.
 
         Raises:
             ValueError: If the mask has another size than the annotated picture.
@@ -122,21 +125,20 @@ class PictureChange:
         turn = _TURN_OF_ORIENTATION[self.orientation]
         turned = mask.T if turn.transposed else mask
         turned = turned[:: -1 if turn.flipped else 1, :: -1 if turn.mirrored else 1]
-        rows, columns = (
-            ((np.arange(now) + 0.5) * was / now).astype(np.int64)
-            for was, now in zip(turned.shape, self.picture, strict=True)
-        )
+        height, width = self.picture
+        rows = ((np.arange(height) + 0.5) * turned.shape[0] / height).astype(np.int64)
+        columns = ((np.arange(width) + 0.5) * turned.shape[1] / width).astype(np.int64)
         return turned[rows[:, None], columns]
 
 
 def stated_size(
     entry: Mapping[str, Any], where: str, width: str = "width", height: str = "height"
 ) -> tuple[int, int] | None:
-    """The (H, W) that an entry of a file states; None where it is missing, null or 0, as many tools write it.
+    """Size (H, W) [px] that an entry of a file states; None if it is missing, null or 0, as many tools write it.
 
     Args:
-        entry: Of the file.
-        where: Begins messages.
+        entry: Entry of the file.
+        where: Beginning of messages.
         width: Key of the width, such as LabelMe's "imageWidth".
         height: Key of the height.
 
@@ -161,17 +163,17 @@ class StatedSize:
     """Size of a picture that a file states.
 
     Attributes:
-        size: (H, W) [px].
-        either: True if a bare list [a, b] says it, which some programs write as (W, H) and some as (H, W).
+        size: Size (H, W) [px].
+        either: True if a bare list [a, b] states it. Some programs write it as (W, H), others as (H, W).
     """
 
     size: tuple[int, int]
     either: bool = False
 
     def of(self, picture: tuple[int, int], orientation: int) -> tuple[int, int]:
-        """Size (H, W) as it fits a picture (H, W) best: the other way round where that alone is its shape.
+        """Size (H, W) in the order that fits a picture (H, W): the other order if that alone has the picture's shape.
 
-        Of a picture that EXIF's ``orientation`` turns on its side, both are shapes of it, and the usual order counts.
+        If EXIF's ``orientation`` turns the picture on its side, both orders have its shape, and the usual one counts.
         """
         swapped = self.size[::-1]
         turned = _TURN_OF_ORIENTATION.get(orientation, _Turn()).transposed
@@ -180,11 +182,11 @@ class StatedSize:
 
 
 def find_size(entry: Mapping[str, Any], where: str) -> StatedSize | None:
-    """The picture's size that an entry of a file states under any of the usual keys; None if it states none.
+    """Find the picture's size that an entry of a file states under any of the usual keys; None if it states none.
 
-    These are ``canvas_width``, ``image_width``, ``imageWidth`` and the like with their heights, ``image_size`` and the
-    like, an object such as ``image`` with a width and a height, and ``width`` and ``height`` of the entry itself, if
-    they are not those of a box.
+    These keys are ``canvas_width``, ``image_width``, ``imageWidth`` and the like with their heights; ``image_size`` and
+    the like; an object such as ``image`` with a width and a height; and ``width`` and ``height`` of the entry itself,
+    if they are not those of a box.
 
     Raises:
         InputError: If a number there is no size.
@@ -211,13 +213,13 @@ def find_size(entry: Mapping[str, Any], where: str) -> StatedSize | None:
 
 
 def outside_warning(keypoints: Keypoints2D, size: tuple[int, int]) -> str | None:
-    """Sentence about a person most of whose confident keypoints lie outside a picture (H, W); None if they do not."""
-    sure = keypoints.points[keypoints.confident]
-    outside = int(((sure < 0) | (sure > size[::-1])).any(axis=1).sum())
-    if 2 * outside <= len(sure):
+    """Warning if most confident keypoints of a person lie outside a picture (H, W); None if they do not."""
+    points = keypoints.points[keypoints.confident]
+    outside = int(((points < 0) | (points > size[::-1])).any(axis=1).sum())
+    if 2 * outside <= len(points):
         return None
     return (
-        f"keypoints: {outside} of {len(sure)} confident ones lie outside the picture, {_side_by_side(size)} px; "
+        f"keypoints: {outside} of {len(points)} confident ones lie outside the picture, {_side_by_side(size)} px; "
         "expected keypoints of this picture, at its size"
     )
 
@@ -228,46 +230,51 @@ def match_sizes(
     """Find the change from the picture that was annotated to the picture that is read.
 
     Args:
-        annotated: (H, W) [px] that the annotations' file states; None if it states none: nothing changes, but there is
-            a warning if the photo is turned.
-        picture: (H, W) [px] of the picture as it is read, upright.
+        annotated: Size (H, W) [px] that the annotations' file states; None if it states none. Then nothing changes, but
+            there is a warning if the photo is turned.
+        picture: Size (H, W) of the picture as it is read, upright [px].
         orientation: EXIF's orientation of the picture's file (``read_orientation``).
-        where: Begins messages, such as the picture's name.
+        where: Beginning of messages, such as the picture's name.
 
     Raises:
         InputError: If neither a resized picture nor one that was annotated as it is stored explains the sizes.
     """
     turned = orientation in _TURN_OF_ORIENTATION and orientation != _UPRIGHT
     if annotated is None:
-        return PictureChange(picture, picture, warning=_told(picture, picture, orientation, turned))
+        return PictureChange(picture, picture, warning=_upright_warning(picture, picture, orientation, turned))
     stored = picture[::-1] if turned and _TURN_OF_ORIENTATION[orientation].transposed else picture
     for explains in (_is_equal, _is_resized):  # equal sizes are no accident, so they go first
         if explains(annotated, picture):
-            open_still = turned and explains(annotated, stored)
-            return PictureChange(annotated, picture, warning=_told(annotated, picture, orientation, open_still))
+            unclear = turned and explains(annotated, stored)
+            return PictureChange(annotated, picture, warning=_upright_warning(annotated, picture, orientation, unclear))
         if turned and explains(annotated, stored):
-            told = (
+            warning = (
                 f"made at {_side_by_side(annotated)} px, as the photo is stored; turned by its EXIF "
                 f"orientation {orientation} to the picture's {_side_by_side(picture)}"
             )
-            return PictureChange(annotated, picture, orientation, told)
+            return PictureChange(annotated, picture, orientation, warning)
     raise InputError(
         f"{where}: annotated at {_side_by_side(annotated)} px, picture {_side_by_side(picture)} (width x height); "
         "expected one shape: the picture that was annotated, resized at most"
     )
 
 
-def _told(annotated: tuple[int, int], picture: tuple[int, int], orientation: int, open_still: bool) -> str | None:
-    """Warning about upright annotations; None where the sizes are equal but for rounding, and tell all."""
-    told: list[str] = []
+def _upright_warning(
+    annotated: tuple[int, int], picture: tuple[int, int], orientation: int, unclear: bool
+) -> str | None:
+    """Warning about annotations that are taken as upright; None if the sizes agree but for rounding.
+
+    ``unclear`` is true if the sizes would also fit annotations that were made on the picture as it is stored.
+    """
+    warnings: list[str] = []
     if max(abs(was - now) for was, now in zip(annotated, picture, strict=True)) > _ROUNDING:
-        told.append(f"made at {_side_by_side(annotated)} px, scaled to the picture's {_side_by_side(picture)}")
-    if open_still:
-        told.append(
+        warnings.append(f"made at {_side_by_side(annotated)} px, scaled to the picture's {_side_by_side(picture)}")
+    if unclear:
+        warnings.append(
             f"the photo is turned by its EXIF orientation {orientation}, and no size tells if they were made before; "
             "taken as made on the upright picture"
         )
-    return "; ".join(told) or None
+    return "; ".join(warnings) or None
 
 
 def _is_equal(annotated: tuple[int, int], picture: tuple[int, int]) -> bool:
@@ -275,7 +282,7 @@ def _is_equal(annotated: tuple[int, int], picture: tuple[int, int]) -> bool:
 
 
 def _is_resized(annotated: tuple[int, int], picture: tuple[int, int]) -> bool:
-    """True if one factor makes one size of the other, but for rounding of the smaller one's sides."""
+    """True if one size is the other one times a factor, except for rounding of the smaller one's sides."""
     (height, width), (tall, wide) = sorted((annotated, picture))
     lows, highs = [], []
     for small, large in ((height, tall), (width, wide)):
@@ -286,5 +293,5 @@ def _is_resized(annotated: tuple[int, int], picture: tuple[int, int]) -> bool:
 
 
 def _side_by_side(size: tuple[int, int]) -> str:
-    """Width x height of (H, W)."""
+    """Text "width x height" for a size (H, W)."""
     return f"{size[1]} x {size[0]}"

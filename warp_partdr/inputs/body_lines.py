@@ -1,6 +1,7 @@
-"""Bones, flesh and limbs of many people by their keypoints, as arrays for kernels.
+"""Bones, flesh and limbs of N people, found from their keypoints, as arrays for kernels.
 
-All people have one skeleton. Bones that are there stand first in each person's row; how many they are stands beside.
+All people have one skeleton. In each person's row, the bones whose keypoints are known come first; their number is
+given beside the row.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _SHORTEST = 1e-12  # [px^2], of a line's square
 _SLACK = 1.0  # [px], more than the rounding of a distance
 
 Segment = tuple[str, str, float]  # landmarks at both ends, and a radius as a share of the person's height
-Place = TypeVar("Place")
+Point = TypeVar("Point")
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,14 @@ class Bones:
     """Bones of N people, and of others beside them.
 
     Attributes:
-        reaches: Distances [px] from bones and from loose ends, beyond which nothing is a person's, and that of what is
-            along bones, shape (N, 3).
-        lines: Between confident keypoints, and points that must be near, as ``kernels.own_pixels.Bone``, shape
-            (N, S, 12).
-        counts: Numbers of those that are there, shape (N,), int32.
-        theirs: Bones of others who come near, one person's after another's, likewise, shape (T, 12).
-        first_theirs: The first of each person, and their number in all, shape (N + 1,), int32.
+        reaches: Distances from bones and from loose ends, beyond which no pixel is the person's, and the distance
+            within which a pixel lies along a bone [px], shape (N, 3).
+        lines: Bones between confident keypoints, then lone keypoints and loose ends, as rows of
+            ``kernels.own_pixels.Bone``, shape (N, S, 12).
+        counts: Number of bones that are known, which are the first of ``lines``, shape (N,), int32.
+        theirs: Bones of other people who come near, one person's after another's, as rows of the same kind, shape
+            (T, 12).
+        first_theirs: Index of the first of ``theirs`` beside each person, and their number T, shape (N + 1,), int32.
     """
 
     reaches: np.ndarray
@@ -67,10 +69,10 @@ class Flesh:
     """Segments near which the groups of N people may be.
 
     Attributes:
-        lines: Start, way to the end, its square and the flesh's radius as a share of the height, -1 where an end is
-            missing, one group's after another's, shape (N, F, 6).
+        lines: Segments, one group's after another's: start, vector to the end, its squared length, and the flesh's
+            radius as a share of the height, -1 where an end is missing, shape (N, F, 6).
         firsts: First segment of each group from 0 on, and their number, shape (G + 2,), int32.
-        complete: 1 for groups whose keypoints are all known, shape (N, G + 1), uint8.
+        complete: Value 1 for groups whose keypoints are all known, shape (N, G + 1), uint8.
     """
 
     lines: np.ndarray
@@ -83,15 +85,15 @@ class Limbs:
     """Bones of limbs of N people.
 
     Attributes:
-        lines: Start and way to the end, shape (N, L, 4).
-        around: What is ignored about them where they are missing, shape (N, L, 6), float32: the same, the square of the
-            way, and a squared distance.
-        there: 1 where both ends are known, shape (N, L), uint8.
+        lines: Start and vector to the end, shape (N, L, 4).
+        around: Region that is ignored if the limb is missing: start, vector to the end, its squared length, and the
+            largest squared distance from it, shape (N, L, 6), float32.
+        known: Value 1 where both ends are known, shape (N, L), uint8.
     """
 
     lines: np.ndarray
     around: np.ndarray
-    there: np.ndarray
+    known: np.ndarray
 
 
 class Points(NamedTuple):
@@ -100,11 +102,11 @@ class Points(NamedTuple):
     form: str | Skeleton
     points: np.ndarray  # (M, J, 2) [px], float32
     confidence: np.ndarray  # (M, J)
-    whose: np.ndarray  # (M,) which of N people they are beside
+    beside: np.ndarray  # (M,) index of the one among N people whom they are beside
 
 
 def limbs_of(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, heights: np.ndarray) -> Limbs:
-    """Limbs of N people: points (N, J, 2) [px], float32, confidence (N, J), and heights (N,)."""
+    """Find limbs of N people from points (N, J, 2) [px], float32, confidence (N, J), and heights (N,) [px]."""
     joints, extents = limb_table(form)
     ends = points[:, joints]
     limbs = np.concatenate([ends[:, :, 0], ends[:, :, 1] - ends[:, :, 0]], axis=2).astype(np.float64)
@@ -116,63 +118,65 @@ def limbs_of(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, h
     return Limbs(limbs, around, _both(confident(confidence), joints).astype(np.uint8))
 
 
-def _both(sure: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Pairs of joints (S, 2) that are both among the confident ones (N, J), shape (N, S)."""
-    return sure[:, joints[:, 0]] & sure[:, joints[:, 1]]
+def _both(confident: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """True for pairs of joints (S, 2) that are both among the confident ones (N, J), shape (N, S)."""
+    return confident[:, joints[:, 0]] & confident[:, joints[:, 1]]
 
 
-def _lines(ends: np.ndarray, kind: type) -> np.ndarray:
-    """Start, way to the end and its square, of ends (..., 2, 2), counted in a precision: (..., 5)."""
-    way: np.ndarray = ends[..., 1, :].astype(kind) - ends[..., 0, :].astype(kind)
-    squares = np.maximum(way[..., :1] ** 2 + way[..., 1:] ** 2, kind(_SHORTEST))
-    return np.concatenate([ends[..., 0, :], way, squares], axis=-1).astype(np.float64)
+def _lines(ends: np.ndarray, dtype: type) -> np.ndarray:
+    """Start, vector to the end and its squared length, computed in ``dtype`` from ends (..., 2, 2): (..., 5)."""
+    vectors: np.ndarray = ends[..., 1, :].astype(dtype) - ends[..., 0, :].astype(dtype)
+    squares = np.maximum(vectors[..., :1] ** 2 + vectors[..., 1:] ** 2, dtype(_SHORTEST))
+    return np.concatenate([ends[..., 0, :], vectors, squares], axis=-1).astype(np.float64)
 
 
-def _first(lines: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lines (N, S, D) with those that are there first, and how many they are."""
-    order = np.argsort(~there, axis=1, kind="stable")
-    return np.take_along_axis(lines, order[..., None], axis=1), there.sum(axis=1, dtype=np.int32)
+def _known_first(lines: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lines (N, S, D) in an order that begins with the known ones (N, S), and the number of those (N,)."""
+    order = np.argsort(~known, axis=1, kind="stable")
+    return np.take_along_axis(lines, order[..., None], axis=1), known.sum(axis=1, dtype=np.int32)
 
 
 def bones_of(
     form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, heights: np.ndarray, others: Sequence[Points]
 ) -> Bones:
-    """Bones of N people, as of ``limbs_of``, and of others: edges of the skeleton, lone joints, and loose ends."""
-    sure = confident(confidence)
-    pairs, there = _bone_joints_of(form, sure)
-    loose, joints = loose_ends(form, sure), np.arange(points.shape[1])
+    """Find bones of N people, given as for ``limbs_of``, and of others: skeleton edges, lone joints, and loose ends."""
+    known_joints = confident(confidence)
+    pairs, known = _bone_joints_of(form, known_joints)
+    loose, joints = loose_ends(form, known_joints), np.arange(points.shape[1])
     ends = points[:, np.concatenate([pairs, np.stack([joints, joints], axis=1)])]
-    reach, seeds = (np.maximum(share * heights, MIN_SEED_RADIUS) for share in (REACH, SEED_RADIUS))
+    reach = np.maximum(REACH * heights, MIN_SEED_RADIUS)
+    seeds = np.maximum(SEED_RADIUS * heights, MIN_SEED_RADIUS)
     reaches = np.stack([reach, LOOSE_REACH * heights, seeds], axis=1)
     are_loose = np.arange(ends.shape[1]) >= len(pairs)
     lines = _bone_rows(
         ends, np.where(are_loose, reaches[:, 1:2], reaches[:, :1]), np.where(are_loose, -1.0, reaches[:, 2:])
     )
-    lines, counts = _first(lines, np.concatenate([there, loose], axis=1))
-    theirs, first_theirs = _others_bones(others, points, sure, reaches, np.any(loose, axis=1))
+    lines, counts = _known_first(lines, np.concatenate([known, loose], axis=1))
+    theirs, first_theirs = _others_bones(others, points, known_joints, reaches, np.any(loose, axis=1))
     return Bones(reaches, lines, counts, theirs, first_theirs)
 
 
 def _bone_rows(ends: np.ndarray, reaches: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Lines between ends (..., 2, 2) as ``kernels.own_pixels.Bone``: (..., 12)."""
+    """Rows of ``kernels.own_pixels.Bone`` for lines between ends (..., 2, 2), shape (..., 12)."""
     low, high = ends.min(axis=-2), ends.max(axis=-2)
     limits = [reaches[..., None] ** 2, radii[..., None], low, high, reaches[..., None] + _SLACK]
     return np.concatenate([_lines(ends, np.float64), *limits], axis=-1)
 
 
-def _bone_joints_of(form: str | Skeleton, sure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Joints at both ends of a skeleton's edges, and each joint twice, (S, 2); which N people have, the latter alone.
+def _bone_joints_of(form: str | Skeleton, confident: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Joints at both ends of a skeleton's edges, then each joint twice, (S, 2), and a mask of those N people have.
 
-    Of N people's confident joints (N, J).
+    In the mask, (N, S), a person has an edge if both its joints are among the confident ones, (N, J). The person has a
+    joint twice if it is confident and none of its neighbours is.
     """
     pairs, neighbours = _edges(form)
-    whole = _both(sure, pairs[: len(pairs) - sure.shape[1]])
-    return pairs, np.concatenate([whole, sure & ~(sure @ neighbours)], axis=1)
+    edges = _both(confident, pairs[: len(pairs) - confident.shape[1]])
+    return pairs, np.concatenate([edges, confident & ~(confident @ neighbours)], axis=1)
 
 
 @lru_cache
 def _edges(form: str | Skeleton) -> tuple[np.ndarray, np.ndarray]:
-    """Joints at both ends of a skeleton's edges, and each joint twice, (S, 2); true for neighbours, (J, J)."""
+    """Joints at both ends of a skeleton's edges, then each joint twice, (S, 2); and a mask of neighbours, (J, J)."""
     joints = np.arange(len(skeleton(form)))
     edges = np.array(skeleton(form).edges, dtype=np.int64).reshape(-1, 2)
     neighbours = np.zeros((len(joints), len(joints)), dtype=bool)
@@ -181,41 +185,42 @@ def _edges(form: str | Skeleton) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _others_bones(
-    others: Sequence[Points], points: np.ndarray, sure: np.ndarray, reaches: np.ndarray, loose: np.ndarray
+    others: Sequence[Points], points: np.ndarray, known: np.ndarray, reaches: np.ndarray, loose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``Bones.theirs`` and ``first_theirs``: those that come near all that may be the person's."""
+    """``Bones.theirs`` and ``first_theirs``: bones of others that come near a region that may be the person's."""
     if not others:
         return np.zeros((0, 12)), np.zeros(len(points) + 1, dtype=np.int32)
     reach = reaches[:, 0]
     farthest = np.where(loose, np.maximum(reaches[:, 1], reach), reach) + reach
-    places = points.astype(np.float64)
-    low = np.where(sure[..., None], places, np.inf).min(axis=1) - farthest[:, None]
-    high = np.where(sure[..., None], places, -np.inf).max(axis=1) + farthest[:, None]
-    found, whose = [], []
+    positions = points.astype(np.float64)
+    low = np.where(known[..., None], positions, np.inf).min(axis=1) - farthest[:, None]
+    high = np.where(known[..., None], positions, -np.inf).max(axis=1) + farthest[:, None]
+    found: list[np.ndarray] = []
+    owners: list[np.ndarray] = []
     for each in others:
-        pairs, there = _bone_joints_of(each.form, confident(each.confidence))
-        person, row = there.nonzero()
-        ends, beside = each.points[person[:, None], pairs[row]], each.whose[person]
+        pairs, has_pair = _bone_joints_of(each.form, confident(each.confidence))
+        person, row = has_pair.nonzero()
+        ends, beside = each.points[person[:, None], pairs[row]], each.beside[person]
         near = (ends.min(axis=1) <= high[beside]).all(axis=1) & (ends.max(axis=1) >= low[beside]).all(axis=1)
         found.append(_bone_rows(ends[near], reach[beside[near]], np.zeros(near.sum())))
-        whose.append(beside[near])
-    of = np.concatenate(whose)
-    counts = np.bincount(of, minlength=len(points))
+        owners.append(beside[near])
+    owner = np.concatenate(owners)
+    counts = np.bincount(owner, minlength=len(points))
     first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-    return np.concatenate(found)[np.argsort(of, kind="stable")], first
+    return np.concatenate(found)[np.argsort(owner, kind="stable")], first
 
 
 def flesh_of(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, labels: LabelSet | None) -> Flesh:
-    """Flesh of N people's groups: points (N, J, 2) [px], float32, and confidence (N, J); none without labels."""
+    """Find flesh of N people's groups, if there are labels, from points (N, J, 2) [px], float32, and confidence."""
     table = _flesh_table(form, () if labels is None else tuple(labels.groups.items()))
-    there = _both(confident(confidence), table.joints)
-    radii = np.where(there, table.radii, -1.0)
+    known = _both(confident(confidence), table.joints)
+    radii = np.where(known, table.radii, -1.0)
     lines = np.concatenate([_lines(points[:, table.joints], np.float32), radii[..., None]], axis=2)
     complete = np.zeros((len(points), len(table.firsts) - 1), dtype=np.uint8)
     for group, parts in enumerate(table.parts, start=1):
         complete[:, group] = 1
         for rows, any_serves in parts:
-            complete[:, group] &= there[:, rows].any(axis=1) if any_serves else there[:, rows].all(axis=1)
+            complete[:, group] &= known[:, rows].any(axis=1) if any_serves else known[:, rows].all(axis=1)
     return Flesh(lines, table.firsts, complete)
 
 
@@ -230,7 +235,7 @@ class _FleshTable(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _flesh_table(form: str | Skeleton, groups: tuple[tuple[str, tuple[str, ...]], ...]) -> _FleshTable:
-    """Flesh of groups: of all their parts and of their mirror images' parts, for which sides may be exchanged."""
+    """Flesh of groups. It is that of all their parts and of their mirror images' parts, for sides may be exchanged."""
     names, known = dict(groups), {name: joint for joint, name in enumerate(skeleton(form).landmarks)}
     segments_of = segments_of_parts(known)
     joints: list[tuple[int, int]] = []
@@ -257,8 +262,8 @@ def _flesh_table(form: str | Skeleton, groups: tuple[tuple[str, tuple[str, ...]]
     return _FleshTable(table, np.array(radii, dtype=np.float64), np.array(firsts, dtype=np.int32), needed)
 
 
-def segments_of_parts(points: Mapping[str, Place]) -> dict[str, list[tuple[Place, Place, float]]]:
-    """Segments near which each part may be, of which a head or neck needs one, between points of any kind."""
+def segments_of_parts(points: Mapping[str, Point]) -> dict[str, list[tuple[Point, Point, float]]]:
+    """Segments near which each part may be, between points of any kind; one of them is enough for a head or neck."""
     known = frozenset(points)
     return {
         part: [(points[start], points[end], radius) for start, end, radius in _part_segments(part, known)]
@@ -297,7 +302,7 @@ def _bone_joints(name: str) -> tuple[str, str]:
 
 @lru_cache
 def limb_names(form: str | Skeleton) -> tuple[str, ...]:
-    """Parts of the limbs whose bones a skeleton has, from one of its joints to another, L names."""
+    """Names of the L limb parts whose bones a skeleton has, from one of its joints to another."""
     known = set(skeleton(form).landmarks)
     every = (f"{side}_{kind}" for side in ("left", "right") for kinds in LIMBS.values() for kind in kinds)
     return tuple(name for name in every if without_side(name) not in _ENDS and known >= set(_bone_joints(name)))
@@ -305,7 +310,7 @@ def limb_names(form: str | Skeleton) -> tuple[str, ...]:
 
 @lru_cache
 def limb_table(form: str | Skeleton) -> tuple[np.ndarray, np.ndarray]:
-    """Joints (L, 2) of limbs' bones, and ``limb_extent`` of each (L, 2)."""
+    """Joints of limbs' bones, shape (L, 2), and ``limb_extent`` of each, shape (L, 2)."""
     landmarks, names = skeleton(form).landmarks, limb_names(form)
     joints = [[landmarks.index(end) for end in _bone_joints(name)] for name in names]
     return np.array(joints, dtype=np.int64).reshape(-1, 2), np.array([limb_extent(each) for each in names]).reshape(
@@ -314,7 +319,7 @@ def limb_table(form: str | Skeleton) -> tuple[np.ndarray, np.ndarray]:
 
 
 def limb_extent(name: str) -> tuple[np.float64, np.float64]:
-    """Half the width of a limb, as a share of the height, and how far it goes on beyond its bone, of whose length."""
+    """Half the width of a limb as a share of the height, and its length beyond its bone as a share of the bone's."""
     mean = template()
     length, thickness, _ = SHAPE_INDICES[PART_NAMES.index(name)]
     further = np.float64(0.0)
@@ -326,9 +331,9 @@ def limb_extent(name: str) -> tuple[np.float64, np.float64]:
 
 @lru_cache(maxsize=1024)
 def limb_sides(form: str | Skeleton, part_groups: bytes) -> np.ndarray:
-    """Group of each limb, and that of its mirror image, where a label set distinguishes them, else 0: (L, 2), int32.
+    """Group of each limb and of its mirror image, 0 where a label set does not distinguish them: (L, 2), int32.
 
-    The label set's ``part_groups``.
+    ``part_groups`` are the label set's, as bytes.
     """
     names, table = limb_names(form), np.frombuffer(part_groups, dtype=np.uint8)
     parts = [[1 + PART_NAMES.index(each) for each in (name, mirror_name(name))] for name in names]
@@ -337,6 +342,6 @@ def limb_sides(form: str | Skeleton, part_groups: bytes) -> np.ndarray:
 
 
 def limb_of(form: str | Skeleton) -> list[int]:
-    """Number of those of ``LIMBS`` that each limb's bone belongs to, L numbers."""
+    """Index in ``LIMBS`` of the limb to which each limb's bone belongs, L numbers."""
     every = list(LIMBS.values())
     return [next(n for n, kinds in enumerate(every) if without_side(name) in kinds) for name in limb_names(form)]

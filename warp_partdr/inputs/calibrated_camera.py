@@ -1,7 +1,7 @@
 """Calibrated camera, and its distortion, which is removed from keypoints, labels and pictures before a fit.
 
-Without distortion a picture has the same size and principal point and square pixels. A place x, y at depth 1 is seen by
-the Brown-Conrady model (Brown, 1966; the rational form as in OpenCV) at::
+Without distortion, a picture has the same size, the same principal point, and square pixels. The Brown-Conrady model
+(Brown, 1966; the rational form as in OpenCV) shows a point x, y at depth 1 at::
 
     x' = x s + 2 p1 x y + p2 (r^2 + 2 x^2)        s = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
     y' = y s + p1 (r^2 + 2 y^2) + 2 p2 x y
@@ -22,32 +22,32 @@ from ..errors import InputError
 from .keypoints import Keypoints2D
 from .part_labels import PartLabels
 
-_MOST_STEPS = 50  # of Newton's iteration; a few serve
-_CLOSE = 1e-12  # at depth 1; about 1e-9 px
-_STEP = 1e-6  # of its derivatives
+_MOST_STEPS = 50  # of Newton's iteration; a few are enough
+_CLOSE = 1e-12  # largest error at depth 1; about 1e-9 px
+_STEP = 1e-6  # for the differences that give its derivatives
 _WIDEST = np.linspace(0.0, 10.0, 10_001)  # radii at depth 1, up to 84 degrees beside the axis
-_FARTHEST = 1e6  # of the world's origin from a camera, in whatever unit a file has: a kilometre in millimetres
-_MOST_PIXELS = 1e6  # [px], of focal length and principal point, as of any camera
-_LEAST_FOCAL = 1.0  # [px]; less is a share of the picture
-_FOCAL_SHARES = (0.1, 100.0)  # of a focal length in the longer side of the picture: 157 to 0.6 degrees
-_MOST_STRETCH = 2.5  # of f_x / f_y or the inverse: pictures of one half of the rows have 2
-_MOST_SIDES = 2.0  # by which the principal point may be outside of the picture, which may be a part of a sensor's
+_FARTHEST = 1e6  # distance of the world's origin from a camera, in the file's unit: a kilometre in millimetres
+_MOST_PIXELS = 1e6  # [px], largest focal length and coordinate of a principal point
+_LEAST_FOCAL = 1.0  # [px]; a smaller number is a share of the picture
+_FOCAL_SHARES = (0.1, 100.0)  # range of a focal length in longer sides of the picture: 157 to 0.6 degrees
+_MOST_STRETCH = 2.5  # largest f_x / f_y or f_y / f_x: a picture with every second row of the sensor has 2
+_MOST_SIDES = 2.0  # sides by which the principal point may lie outside of a picture that is cut out of a sensor's
 _BLOCKS = (8, 16, 32, 64)  # [px]; codecs pad pictures to multiples of one, at the right and at the bottom
-_WHOLE = 0.01  # [px], by which a whole number of pixels may be off
-_ROUNDING = 1.0  # [px], by which a side of a resized picture may be off
+_WHOLE = 0.01  # [px], error of a whole number of pixels
+_ROUNDING = 1.0  # [px], error of a side of a resized picture
 
 
 @dataclass(frozen=True)
 class CalibratedCamera:
-    """Camera of known lens and place: X_camera = R X_world + t.
+    """Camera with known lens and position: X_camera = R X_world + t.
 
     Attributes:
-        focal: (f_x, f_y) [px].
+        focal: Focal lengths (f_x, f_y) [px].
         principal: Principal point (u, v) [px], where the middle of the first pixel is at (0.5, 0.5): OpenCV's + 0.5.
-        distortion: k1, k2, p1, p2, k3, k4, k5, k6; those left out are 0.
-        rotation: R, world to camera, shape (3, 3), float64.
-        translation: t [m], shape (3,), float64.
-        size: (H, W) of its pictures [px]; None: unknown.
+        distortion: Coefficients k1, k2, p1, p2, k3, k4, k5, k6; those left out are 0.
+        rotation: Rotation R, world to camera, shape (3, 3), float64.
+        translation: Translation t [m], shape (3,), float64.
+        size: Size (H, W) of its pictures [px]; None: unknown.
 
     Raises:
         InputError: If a number is out of range or R is no rotation.
@@ -76,77 +76,79 @@ class CalibratedCamera:
 
     def _check_lens(self) -> None:
         """Raise InputError if no camera has this focal length or principal point, such as shares of the picture."""
-        least, most, of = _LEAST_FOCAL, _MOST_PIXELS, ""
+        least, most = _LEAST_FOCAL, _MOST_PIXELS
+        picture = ""
         if self.size is not None:
-            least, most = (share * max(self.size) for share in _FOCAL_SHARES)
-            of = f" for a picture of {self.size[1]} x {self.size[0]} px"
+            least = _FOCAL_SHARES[0] * max(self.size)
+            most = _FOCAL_SHARES[1] * max(self.size)
+            picture = f" for a picture of {self.size[1]} x {self.size[0]} px"
         if not all(least <= each <= most for each in self.focal):
-            raise InputError(f"focal: {self.focal}; expected pixels, {least:g} to {most:g}{of}")
+            raise InputError(f"focal: {self.focal}; expected pixels, {least:g} to {most:g}{picture}")
         if max(self.focal) > _MOST_STRETCH * min(self.focal):
             raise InputError(f"focal: {self.focal}; expected two lengths within a factor of {_MOST_STRETCH:g}")
         ranges = [(-_MOST_PIXELS, _MOST_PIXELS)] * 2
         if self.size is not None:
             ranges = [(-_MOST_SIDES * side, (1 + _MOST_SIDES) * side) for side in self.size[::-1]]
-        if not all(low <= place <= high for place, (low, high) in zip(self.principal, ranges, strict=True)):
-            told = " and ".join(f"{low:g} to {high:g}" for low, high in ranges)
-            raise InputError(f"principal: {self.principal}; expected pixels, {told}{of}")
+        if not all(low <= each <= high for each, (low, high) in zip(self.principal, ranges, strict=True)):
+            expected = " and ".join(f"{low:g} to {high:g}" for low, high in ranges)
+            raise InputError(f"principal: {self.principal}; expected pixels, {expected}{picture}")
 
     @property
     def without_distortion(self) -> Perspective:
-        """The camera of pictures from which distortion is removed, B = 1."""
+        """Camera of the pictures after their distortion is removed, B = 1."""
         focal = self._square
         return Perspective(torch.tensor([[focal, focal]]), torch.tensor([self.principal]))
 
     def undistort_points(self, points: np.ndarray) -> np.ndarray:
-        """Places (..., 2) [px] in the picture as taken, where they are without distortion; float64.
+        """Remove distortion from points (..., 2) [px] of the picture as taken; float64.
 
-        NaN where the lens shows nothing: this distortion moves no place there.
+        A point that no point without distortion is mapped to becomes NaN: the lens shows nothing there.
         """
-        seen = (np.asarray(points, dtype=np.float64) - self.principal) / self.focal
-        found = seen.copy()
+        distorted = (np.asarray(points, dtype=np.float64) - self.principal) / self.focal
+        found = distorted.copy()
+        step_right, step_down = _STEP * np.eye(2)
         for _ in range(_MOST_STEPS):
-            off = self._distort(found) - seen
-            if not (np.abs(off) > _CLOSE).any():
+            errors = self._distort(found) - distorted
+            if not (np.abs(errors) > _CLOSE).any():
                 break
             # The inverse of the 2 x 2 derivatives, which differences give closely enough for quadratic convergence.
-            right, down = (
-                (self._distort(found + move) - self._distort(found - move)) / (2 * _STEP) for move in _STEP * np.eye(2)
-            )
+            right = (self._distort(found + step_right) - self._distort(found - step_right)) / (2 * _STEP)
+            down = (self._distort(found + step_down) - self._distort(found - step_down)) / (2 * _STEP)
             determinant = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]
-            moves = np.stack(
+            steps = np.stack(
                 [
-                    off[..., 0] * down[..., 1] - off[..., 1] * down[..., 0],
-                    off[..., 1] * right[..., 0] - off[..., 0] * right[..., 1],
+                    errors[..., 0] * down[..., 1] - errors[..., 1] * down[..., 0],
+                    errors[..., 1] * right[..., 0] - errors[..., 0] * right[..., 1],
                 ],
                 axis=-1,
             )
             with np.errstate(all="ignore"):
-                found = found - moves / determinant[..., None]
+                found = found - steps / determinant[..., None]
         with np.errstate(invalid="ignore"):
-            off = np.abs(self._distort(found) - seen).max(axis=-1)
-            wrong = ~((off < 1e3 * _CLOSE) & (np.linalg.norm(found, axis=-1) <= self._reach))
+            errors = np.abs(self._distort(found) - distorted).max(axis=-1)
+            wrong = ~((errors < 1e3 * _CLOSE) & (np.linalg.norm(found, axis=-1) <= self._reach))
         found[wrong] = np.nan
         return found * self._square + self.principal
 
     def distort_points(self, points: np.ndarray) -> np.ndarray:
-        """Places (..., 2) [px] without distortion in the picture as taken; float64. NaN beyond what the lens shows."""
-        there = (np.asarray(points, dtype=np.float64) - self.principal) / self._square
+        """Distort points (..., 2) [px] as the lens does; float64. Points that it can't show become NaN."""
+        undistorted = (np.asarray(points, dtype=np.float64) - self.principal) / self._square
         with np.errstate(invalid="ignore"):
-            beyond = ~(np.linalg.norm(there, axis=-1) <= self._reach)
-        seen = self._distort(there) * self.focal + self.principal
-        seen[beyond] = np.nan
-        return seen
+            beyond = ~(np.linalg.norm(undistorted, axis=-1) <= self._reach)
+        distorted = self._distort(undistorted) * self.focal + self.principal
+        distorted[beyond] = np.nan
+        return distorted
 
     def undistort_keypoints(self, keypoints: Keypoints2D) -> Keypoints2D:
-        """Keypoints of the picture as taken, without distortion; those that the lens can't show are missing."""
+        """Remove distortion from keypoints of the picture as taken; those that the lens can't show become missing."""
         points = self.undistort_points(keypoints.points)
-        there = np.isfinite(points).all(axis=1) & keypoints.visible
-        confidence = np.where(there, keypoints.confidence, 0.0).astype(np.float32)
-        points = np.where(there[:, None], points, 0.0).astype(np.float32)
+        visible = np.isfinite(points).all(axis=1) & keypoints.visible
+        confidence = np.where(visible, keypoints.confidence, 0.0).astype(np.float32)
+        points = np.where(visible[:, None], points, 0.0).astype(np.float32)
         return replace(keypoints, points=points, confidence=confidence)
 
     def undistort_parts(self, parts: PartLabels) -> PartLabels:
-        """Part labels of the picture as taken, without distortion; what it does not show is ignored."""
+        """Remove distortion from part labels of the picture as taken; pixels that it lacks become 255, ignore."""
         maps, instances = parts.maps, parts.instances
         return PartLabels(
             parts.label_set,
@@ -158,26 +160,28 @@ class CalibratedCamera:
         )
 
     def undistort_picture(self, picture: np.ndarray, *, fill: int = 0) -> np.ndarray:
-        """A picture as taken, (H, W) or (H, W, C), without distortion: at each pixel what is nearest, or ``fill``.
+        """Remove distortion from a picture as taken, (H, W) or (H, W, C).
+
+        Each pixel takes the nearest pixel's value, or ``fill`` if the picture as taken does not show it.
 
         Raises:
             InputError: If the camera's pictures have another size.
         """
         size = (picture.shape[0], picture.shape[1])
         self.check_size(size)
-        inside, place = (self if self.size is not None else replace(self, size=size))._places
-        shown = picture[place]
-        shown[~inside] = fill
-        return shown
+        inside, pixels = (self if self.size is not None else replace(self, size=size))._source_pixels
+        undistorted = picture[pixels]
+        undistorted[~inside] = fill
+        return undistorted
 
     def check_size(self, size: tuple[int, int]) -> None:
-        """Raise InputError if the camera's pictures are of another (H, W)."""
+        """Raise InputError if the camera's pictures have another size (H, W)."""
         if self.size is not None and self.size != size:
             expected = f"{self.size[1]} x {self.size[0]}"
             raise InputError(f"picture: {size[1]} x {size[0]} px; expected {expected}, as calibrated")
 
     def fitted(self, size: tuple[int, int]) -> CalibratedCamera:
-        """The camera of its pictures at another (H, W): resized, and with or without the padding of a codec.
+        """Camera for the same pictures at another size (H, W): resized, and with or without the padding of a codec.
 
         A codec pads 1080 rows to 1088, at the bottom or at the right, where the principal point does not move.
 
@@ -187,39 +191,41 @@ class CalibratedCamera:
         if self.size is None or self.size == size:
             return replace(self, size=size)
         zooms = [new / own for new, own in zip(size, self.size, strict=True)]
-        # One side tells the zoom, and the other one is rounded or padded.
+        # One side gives the zoom, and the other one is rounded or padded.
         for zoom in (1.0, max(zooms), min(zooms)):
             if _same_shape(self.size, size, zoom):
-                focal, principal = ((zoom * pair[0], zoom * pair[1]) for pair in (self.focal, self.principal))
-                return replace(self, focal=focal, principal=principal, size=size)
+                return self._zoomed(zoom, size)
         self.check_size(size)
         return self
 
     def resized(self, size: tuple[int, int]) -> CalibratedCamera:
-        """The camera of its pictures drawn smaller or larger, at (H, W) of about their shape; its size is known."""
+        """Camera for the same pictures at a size (H, W) of about the same shape. The camera's size must be known."""
         assert self.size is not None
-        zoom = size[1] / self.size[1]
-        focal, principal = ((zoom * pair[0], zoom * pair[1]) for pair in (self.focal, self.principal))
+        return self._zoomed(size[1] / self.size[1], size)
+
+    def _zoomed(self, zoom: float, size: tuple[int, int]) -> CalibratedCamera:
+        focal = (zoom * self.focal[0], zoom * self.focal[1])
+        principal = (zoom * self.principal[0], zoom * self.principal[1])
         return replace(self, focal=focal, principal=principal, size=size)
 
-    def seen_from(self, first: CalibratedCamera) -> CalibratedCamera:
+    def in_frame_of(self, first: CalibratedCamera) -> CalibratedCamera:
         """Camera in another world, whose frame is that of the camera ``first``."""
         rotation = self.rotation @ first.rotation.T
         return replace(self, rotation=rotation, translation=self.translation - rotation @ first.translation)
 
     @property
     def distorts(self) -> bool:
-        """True unless its pictures are as without distortion."""
+        """True if removing the distortion changes its pictures."""
         return any(self.distortion) or self.focal[0] != self.focal[1]
 
     @cached_property
-    def _places(self) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        """Pixels without distortion that are in the picture as taken, and where: rows and columns."""
+    def _source_pixels(self) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """Mask of the pixels without distortion that the picture as taken shows, and their rows and columns there."""
         assert self.size is not None
         rows, columns = np.mgrid[: self.size[0], : self.size[1]]
-        seen = self.distort_points(np.stack([columns, rows], axis=-1) + 0.5)
-        inside = np.all([seen >= 0, seen < self.size[::-1]], axis=(0, -1))
-        u, v = np.moveaxis(np.where(inside[..., None], seen, 0.0).astype(np.int64), -1, 0)
+        distorted = self.distort_points(np.stack([columns, rows], axis=-1) + 0.5)
+        inside = np.all([distorted >= 0, distorted < self.size[::-1]], axis=(0, -1))
+        u, v = np.moveaxis(np.where(inside[..., None], distorted, 0.0).astype(np.int64), -1, 0)
         return inside, (v, u)
 
     @property
@@ -229,10 +235,10 @@ class CalibratedCamera:
 
     @cached_property
     def _reach(self) -> float:
-        """Radius at depth 1 up to which a place that is farther out is seen farther out."""
+        """Radius at depth 1 up to which distortion keeps the order of radii."""
         with np.errstate(all="ignore"):
-            seen = _WIDEST * self._stretch(_WIDEST**2)
-            outward = np.diff(seen) > 0
+            distorted = _WIDEST * self._stretch(_WIDEST**2)
+            outward = np.diff(distorted) > 0
         return math.inf if outward.all() else float(_WIDEST[outward.argmin()])
 
     def _stretch(self, square: np.ndarray) -> np.ndarray:
@@ -240,10 +246,10 @@ class CalibratedCamera:
         k1, k2, _, _, k3, k4, k5, k6 = (*self.distortion, *[0.0] * (8 - len(self.distortion)))
         return (1 + square * (k1 + square * (k2 + square * k3))) / (1 + square * (k4 + square * (k5 + square * k6)))
 
-    def _distort(self, places: np.ndarray) -> np.ndarray:
-        """Places (..., 2) at depth 1 as the lens shows them."""
+    def _distort(self, points: np.ndarray) -> np.ndarray:
+        """Distort points (..., 2) at depth 1 as the lens does."""
         _, _, p1, p2 = (*self.distortion, *[0.0] * 4)[:4]
-        x, y = np.moveaxis(places, -1, 0)
+        x, y = np.moveaxis(points, -1, 0)
         with np.errstate(all="ignore"):
             square = x * x + y * y
             stretch = self._stretch(square)
@@ -253,7 +259,7 @@ class CalibratedCamera:
 
 
 def _same_shape(own: tuple[int, int], new: tuple[int, int], zoom: float) -> bool:
-    """True if sizes [px] are equal after a zoom but for rounding, or one side is, and the other one is padded."""
+    """True if sizes [px] agree after a zoom, except for rounding; or if one side agrees and the other one is padded."""
     sides = [(zoom * one, other) for one, other in zip(own, new, strict=True)]
     if all(abs(one - other) <= _ROUNDING for one, other in sides):
         return True

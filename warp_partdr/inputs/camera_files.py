@@ -1,7 +1,7 @@
-"""Files of calibrated cameras, of many programs, and a JSON of the project's own.
+"""Files of calibrated cameras, written by many programs or in the project's own JSON.
 
-World to camera, metres. The project's own form has pixel centres at + 0.5, as all its pictures; the others' principal
-points are moved there::
+Poses are from world to camera, in metres. The project's own form has pixel centres at + 0.5, like all its pictures, and
+0.5 px are added to the principal points of other programs::
 
     {"cameras": {"left": {"size": [1920, 1080], "focal": [1500, 1500], "principal": [960, 540],
                           "distortion": [k1, k2, p1, p2], "rotation": [rx, ry, rz], "translation": [x, y, z]}}}
@@ -33,14 +33,14 @@ _EXPECTED = (
 _KINDS = (".toml", ".yml", ".yaml", ".json", *QUALISYS)
 _LARGEST_TURN = 2 * math.pi  # [rad], of Rodrigues' vectors
 _TENTHS = 10  # a vector of more than half a turn that is given in tenths is in degrees
-_STEREO = ("intrinsics", "extrinsics")  # files of OpenCV's stereo_calib, together two cameras
-_EASYMOCAP = ("intri", "extri")  # files of EasyMocap, together all cameras
-_ALL = ("camera_array.toml", "calibrated_cameras_data.yml")  # files of Caliscope and MC-Calib, among others of theirs
+_STEREO = ("intrinsics", "extrinsics")  # two files of OpenCV's stereo_calib, which hold two cameras
+_EASYMOCAP = ("intri", "extri")  # two files of EasyMocap, which hold all cameras
+_ALL = ("camera_array.toml", "calibrated_cameras_data.yml")  # Caliscope and MC-Calib write these beside other files
 _CALISCOPE = ("port", "camid")  # keys of its cameras
 # The two cameras of a stereo calibration, and the endings of their matrices' names.
 _PAIRS = ((("1", "1"), ("2", "2")), (("left", "l"), ("right", "r")), (("left", "left"), ("right", "right")))
 _OWN = ("size", "focal", "principal", "distortion", "rotation", "translation")
-# Names that OpenCV's samples, ROS, Pose2Sim and others write, without capitals and underscores.
+# Names that OpenCV's samples, ROS, Pose2Sim and other programs write, here without capitals and underscores.
 _MATRIX = ("cameramatrix", "matrix", "intrinsicmatrix", "k", "m", "mtx", "intrinsics")
 _DISTORTION = (
     *("distortioncoefficients", "distortioncoeffs", "distcoeffs", "distcoef", "distortionvector"),
@@ -59,49 +59,49 @@ _PLAIN_MODELS = (
     *("plumb_bob", "rational_polynomial", "radtan", "pinhole", "brown", "brown_conrady", "opencv", "perspective"),
     *("none", ""),
 )
-_NOTHING = ("null", "none", "nan", "")  # rotations and translations of cameras that nobody placed
-_MILLIMETRES = 10.0  # side of a board's square, from which on it is in millimetres
+_NOTHING = ("null", "none", "nan", "")  # rotations and translations of cameras whose position is not known
+_MILLIMETRES = 10.0  # the side of a board's square is in millimetres if it is at least this number
 
-Say = Callable[[str], None]
+Warn = Callable[[str], None]
 
 
-def read_cameras(path: str | Path, *, say: Say | None = None) -> dict[str, CalibratedCamera]:
+def read_cameras(path: str | Path, *, warn: Warn | None = None) -> dict[str, CalibratedCamera]:
     """Read calibrated cameras by name, in the order of the file, or of the names of a folder's files.
 
-    A file holds cameras by name, or one camera, which has the file's name. A stereo calibration of OpenCV (M1, D1, M2,
-    D2, R, T, or cameraMatrix1, K1, ...; also as the files intrinsics and extrinsics of a folder) are the cameras "1"
-    and "2", or "left" and "right" of cameraMatrixL and R, the world being the first one's frame. Files of a folder that
-    hold no camera are left out beside those that do. Translations are in metres; those of
-    Qualisys and FreeMoCap are converted from millimetres.
+    A file holds cameras by name, or one camera, which takes the file's name. A stereo calibration of OpenCV (M1, D1,
+    M2, D2, R, T, or cameraMatrix1, K1, ...; also in a folder's two files, intrinsics and extrinsics) holds the cameras
+    "1" and "2", or "left" and "right" if its names end in L and R. The first one's frame is then the world. A folder's
+    files without a camera are left out if other files hold one. Translations are in metres; those of Qualisys and
+    FreeMoCap are converted from millimetres.
 
     Args:
-        path: A file, or a folder.
-        say: Told what was left out or converted, a sentence each.
+        path: File or folder.
+        warn: Function that gets a sentence about each thing that was left out or converted.
 
     Raises:
-        InputError: If a file can't be read, or a camera lacks something, is none, or has a fisheye lens.
+        InputError: If a file can't be read, or if a camera is incomplete, invalid, or has a fisheye lens.
     """
     path = Path(path)
-    tell = say or (lambda sentence: None)
+    warn = warn or (lambda sentence: None)
     if path.is_file() and path.stem in _EASYMOCAP and all(_sibling(path, name).is_file() for name in _EASYMOCAP):
         path = path.parent
     if not path.is_dir():
-        return _cameras(_read(path), str(path), _stem(path), tell)
+        return _cameras(_read(path), str(path), _stem(path), warn)
     files = [each for each in path.iterdir() if each.name.lower().endswith(_KINDS) and each.is_file()]
     files = [each for each in files if each.name in _ALL][:1] or files
     files.sort(key=lambda each: natural_key(each.name))
     for pair in (_STEREO, _EASYMOCAP):
         both = [each for each in files if each.stem in pair and each.suffix.lower() in (".yml", ".yaml", ".json")]
         if sorted(each.stem for each in both) == sorted(pair) and (pair == _EASYMOCAP or both == files):
-            return _cameras({key: value for each in both for key, value in _read(each).items()}, str(path), "", tell)
+            return _cameras({key: value for each in both for key, value in _read(each).items()}, str(path), "", warn)
     found: dict[str, CalibratedCamera] = {}
     held = {each: _read(each) for each in files}
     without = [each for each in files if not _has_lens(held[each])]
     for each in without if len(without) < len(files) else []:
-        tell(f"{each}: left out, for it holds no camera")
+        warn(f"{each}: left out, for it holds no camera")
         del held[each]
     for each, data in held.items():
-        for name, camera in _cameras(data, str(each), _stem(each), tell).items():
+        for name, camera in _cameras(data, str(each), _stem(each), warn).items():
             if name in found:
                 raise InputError(f"{each}: camera {name} a second time in {path}; expected each once")
             found[name] = camera
@@ -111,40 +111,40 @@ def read_cameras(path: str | Path, *, say: Say | None = None) -> dict[str, Calib
 
 
 def cameras_of_films(
-    path: str | Path, films: Sequence[str | Path], *, say: Say | None = None
+    path: str | Path, films: Sequence[str | Path], *, warn: Warn | None = None
 ) -> list[CalibratedCamera]:
-    """Calibrated cameras of films, in the frame of the first, by ``assign_cameras``.
+    """Calibrated cameras of films, one a film, in the frame of the first one. ``assign_cameras`` pairs them.
 
     Args:
-        path: As of ``read_cameras``.
+        path: File or folder, as for ``read_cameras``.
         films: The films' files, or their names.
-        say: Told what was left out or converted, and which film is of which camera if only their order, or
-            a number that may be another one, says it.
+        warn: Function that gets a sentence about each thing that was left out or converted. If only their order, or a
+            number that may mean something else, pairs films with cameras, it gets a sentence about that, too.
 
     Raises:
         InputError: If a camera can't be read, or it is not clear which camera took which film.
     """
-    cameras = read_cameras(path, say=say)
+    cameras = read_cameras(path, warn=warn)
     names = list(cameras)
     try:
         assigned = assign_cameras(films, names)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    if (assigned.by_order or assigned.by_number) and say is not None:
+    if (assigned.by_order or assigned.by_number) and warn is not None:
         pairs = zip(film_names(films), assigned.cameras, strict=True)
-        told = ", ".join(f"{film} of {names[place]}" for film, place in pairs)
-        how = (
+        listed = ", ".join(f"{film} of {names[index]}" for film, index in pairs)
+        reason = (
             "in the order of cameras, for no name says otherwise"
             if assigned.by_order
             else "by numbers or letters in their names, which no word for a camera precedes"
         )
-        say(f"{path}: films are taken {how}: {told}")
-    found = [cameras[names[place]] for place in assigned.cameras]
-    return [camera.seen_from(found[0]) for camera in found]
+        warn(f"{path}: films are taken {reason}: {listed}")
+    found = [cameras[names[index]] for index in assigned.cameras]
+    return [camera.in_frame_of(found[0]) for camera in found]
 
 
 def camera_data(cameras: Mapping[str, CalibratedCamera]) -> dict[str, Any]:
-    """The project's own form of cameras by name, to be written as JSON."""
+    """Return cameras by name in the project's own form, to be written as JSON."""
     nodes: dict[str, Any] = {}
     for name, camera in cameras.items():
         size = {} if camera.size is None else {"size": list(camera.size[::-1])}
@@ -160,7 +160,7 @@ def _sibling(path: Path, name: str) -> Path:
 
 
 def _stem(path: Path) -> str:
-    """Name of a file without its ending, also if it has two."""
+    """Name of a file without its ending, which may have two parts."""
     ending = next((each for each in QUALISYS if path.name.lower().endswith(each)), path.suffix)
     return path.name[: len(path.name) - len(ending)]
 
@@ -175,13 +175,13 @@ def _read(path: Path) -> dict[str, Any]:
     return read_opencv(path, _EXPECTED)
 
 
-def _cameras(data: Mapping[str, Any], where: str, name: str, say: Say) -> dict[str, CalibratedCamera]:
-    """Cameras in what a file holds."""
+def _cameras(data: Mapping[str, Any], where: str, name: str, warn: Warn) -> dict[str, CalibratedCamera]:
+    """Cameras in a file's content."""
     listed = data.get("cameras")
     if isinstance(listed, list):
         listed = _by_name(listed, f"{where}: cameras")
     if isinstance(listed, Mapping):
-        nodes = {f"{key}": node for key, node in _placed(listed, where, say).items()}
+        nodes = {f"{key}": node for key, node in _usable(listed, where, warn).items()}
         found = {
             key: _any_camera(node, f"{where}: cameras.{key}", alone=len(listed) == 1) for key, node in nodes.items()
         }
@@ -194,26 +194,26 @@ def _cameras(data: Mapping[str, Any], where: str, name: str, say: Say) -> dict[s
     elif _find(data, _MATRIX) is not None:
         found = {name: _camera(data, where, alone=True)}
     else:
-        found = _tables(data, where, say)
+        found = _tables(data, where, warn)
     if not found:
         raise InputError(f"{where}: no camera in it; expected {_EXPECTED}")
-    if (unit := _told_unit(data)) != 1:
-        say(f"{where}: translations are taken as millimetres, as charuco_square_size is")
+    if (unit := _stated_unit(data)) != 1:
+        warn(f"{where}: translations are taken as millimetres, as charuco_square_size is")
         return {key: replace(camera, translation=unit * camera.translation) for key, camera in found.items()}
     return found
 
 
-def _tables(data: Mapping[str, Any], where: str, say: Say) -> dict[str, CalibratedCamera]:
-    """Cameras that are a file's tables: Pose2Sim's, Anipose's, OpenCV's, MC-Calib's, Kalibr's."""
+def _tables(data: Mapping[str, Any], where: str, warn: Warn) -> dict[str, CalibratedCamera]:
+    """Cameras of a file that has a table for each: Pose2Sim's, Anipose's, OpenCV's, MC-Calib's, Kalibr's."""
     nodes = {key: node for key, node in data.items() if isinstance(node, Mapping) and not is_matrix(node)}
-    # Other tables: metadata, charuco, capture_volume. One that has a camera's name is a camera, and lacks something.
+    # Other tables are metadata, charuco or capture_volume. A table with a camera's name is a camera, maybe incomplete.
     nodes = {key: node for key, node in nodes.items() if _has_lens(node) or _is_camera_name(key, node)}
     if not nodes:
         raise InputError(
             f"{where}: no camera in it, but {', '.join(map(str, data)) or 'nothing'}; expected {_EXPECTED}"
         )
     alone = len(nodes) == 1
-    nodes = _placed(nodes, where, say)
+    nodes = _usable(nodes, where, warn)
     if not nodes:
         return {}
     groups = {node["camera_group"] for node in nodes.values() if isinstance(node.get("camera_group"), int)}
@@ -232,40 +232,40 @@ def _tables(data: Mapping[str, Any], where: str, say: Say) -> dict[str, Calibrat
 
 
 def _by_name(listed: Sequence[Any], where: str) -> dict[str, Any]:
-    """Cameras of a list by their names, or by their places in it."""
+    """Cameras of a list by their names, or by their indices in it."""
     named = [_find(node, _NAME) if isinstance(node, Mapping) else None for node in listed]
-    names = [str(place if each is None else each[1]) for place, each in enumerate(named)]
+    names = [str(index if each is None else each[1]) for index, each in enumerate(named)]
     if len(set(names)) < len(names):
         raise InputError(f"{where}: {', '.join(names)}; expected each name once")
     return dict(zip(names, listed, strict=True))
 
 
-def _placed(nodes: Mapping[Any, Any], where: str, say: Say) -> dict[Any, Any]:
-    """Cameras without those that are marked as ignored, or that nobody calibrated or placed, as Caliscope has them."""
-    some_placed = any(isinstance(node, Mapping) and _find(node, _TRANSLATION) is not None for node in nodes.values())
-    # Kalibr's first camera has no place, for the others stand beside it.
+def _usable(nodes: Mapping[Any, Any], where: str, warn: Warn) -> dict[Any, Any]:
+    """Cameras without those that are marked as ignored, or that have no calibration or pose: Caliscope writes such."""
+    some_have_pose = any(isinstance(node, Mapping) and _find(node, _TRANSLATION) is not None for node in nodes.values())
+    # Kalibr's first camera has no pose, for the poses of the others are relative to it.
     chained = any(isinstance(node, Mapping) and _find(node, _CHAIN) is not None for node in nodes.values())
     found: dict[Any, Any] = {}
     for key, node in nodes.items():
         if isinstance(node, Mapping):
             matrix = _find(node, _MATRIX)
             pose = [_find(node, names) for names in (_ROTATION, _TRANSLATION)]
-            unplaced = some_placed and not chained and matrix is not None and pose == [None, None]
+            lacks_pose = some_have_pose and not chained and matrix is not None and pose == [None, None]
             if node.get("ignore") is True:
-                say(f"{where}: camera {key} is left out, for it is marked with ignore")
+                warn(f"{where}: camera {key} is left out, for it is marked with ignore")
                 continue
             if _find(node, _CALISCOPE) is not None and (matrix is None or _is_nothing(matrix[1])):
-                say(f"{where}: camera {key} is left out, for it is not calibrated")
+                warn(f"{where}: camera {key} is left out, for it is not calibrated")
                 continue
-            if unplaced or any(each is not None and _is_nothing(each[1]) for each in pose):
-                say(f"{where}: camera {key} is left out, for it has no place")
+            if lacks_pose or any(each is not None and _is_nothing(each[1]) for each in pose):
+                warn(f"{where}: camera {key} is left out, for it has no place")
                 continue
         found[key] = node
     return found
 
 
 def _has_lens(data: object) -> bool:
-    """True if a file's or a table's contents, at any depth, have a camera's matrix or focal length, right or not."""
+    """True if a file or table holds, at any depth, a camera's matrix or focal length, be it valid or not."""
     if isinstance(data, list):
         return any(map(_has_lens, data))
     if not isinstance(data, Mapping) or is_matrix(data):
@@ -280,30 +280,30 @@ def _has_lens(data: object) -> bool:
 
 
 def _is_numbers(value: object) -> bool:
-    """True for a matrix or a list, which may be a wrong one."""
+    """True for a matrix or a list, which may be invalid."""
     return isinstance(value, list) or (isinstance(value, Mapping) and is_matrix(value))
 
 
 def _is_camera_name(key: object, node: Mapping[str, Any]) -> bool:
-    """True if a table has a camera's name, or a camera's place."""
+    """True if a table has a camera's name or a translation."""
     return _find(node, _TRANSLATION) is not None or is_camera_s(str(key))
 
 
 def _is_nothing(value: object) -> bool:
-    """True for null, also as a text, for TOML has none."""
+    """True for null, which TOML files write as a text."""
     return value is None or (isinstance(value, str) and value.lower() in _NOTHING)
 
 
-def _told_unit(data: Mapping[str, Any]) -> float:
-    """Metres a unit of translations as FreeMoCap's file tells it by the size of the board's squares."""
+def _stated_unit(data: Mapping[str, Any]) -> float:
+    """Unit of translations [m]. The size of the board's squares in FreeMoCap's file shows if it is a millimetre."""
     metadata = data.get("metadata")
     side = metadata.get("charuco_square_size") if isinstance(metadata, Mapping) else None
-    told = isinstance(side, int | float) and not isinstance(side, bool) and side >= _MILLIMETRES
-    return 0.001 if told else 1.0
+    in_millimetres = isinstance(side, int | float) and not isinstance(side, bool) and side >= _MILLIMETRES
+    return 0.001 if in_millimetres else 1.0
 
 
 def _easymocap(data: Mapping[str, Any], where: str) -> dict[str, CalibratedCamera]:
-    """Cameras of EasyMocap: K_01, dist_01, R_01 (Rodrigues) or Rot_01, T_01, and perhaps H_01 and W_01."""
+    """Cameras of EasyMocap's keys: K_01, dist_01, R_01 (Rodrigues) or Rot_01, T_01, and perhaps H_01 and W_01."""
     cameras: dict[str, CalibratedCamera] = {}
     listed = data.get("names")
     names = list(map(str, listed)) if isinstance(listed, list) else []
@@ -319,7 +319,7 @@ def _easymocap(data: Mapping[str, Any], where: str) -> dict[str, CalibratedCamer
 
 
 def _chained(nodes: Mapping[str, Any], where: str) -> dict[str, CalibratedCamera]:
-    """Cameras of Kalibr, each of which stands beside the one before."""
+    """Cameras of Kalibr. Each one's pose is relative to the camera before it."""
     found: dict[str, CalibratedCamera] = {}
     rotation, translation = np.eye(3), np.zeros(3)
     for key, node in nodes.items():
@@ -332,9 +332,9 @@ def _chained(nodes: Mapping[str, Any], where: str) -> dict[str, CalibratedCamera
 
 
 def _stereo_pair(data: Mapping[str, Any]) -> dict[str, dict[str, Any]] | None:
-    """Lenses of a stereo calibration's two cameras by name: M1 and D1, cameraMatrixL and distCoeffsL; else None."""
+    """Lenses of a stereo calibration's two cameras by name, such as M1 and D1 or cameraMatrixL and distCoeffsL."""
     plain = {_plain(key): value for key, value in data.items()}
-    # EasyMocap's K_1 and K_2 have places R_1 and T_1, R_2 and T_2.
+    # EasyMocap's K_1 and K_2 have poses R_1 and T_1, R_2 and T_2.
     if any(str(key).startswith("K_") for key in data) and not {"r", "t"} <= plain.keys():
         return None
     for pair in _PAIRS:
@@ -364,20 +364,20 @@ def _plain(key: object) -> str:
 
 
 def _find(node: Mapping[str, Any], names: tuple[str, ...]) -> tuple[str, Any] | None:
-    """Key and value of the first of these names that is there."""
+    """Key and value for the first of these names that a node has; None if it has none of them."""
     keys = {_plain(key): key for key in node}
     return next(((keys[name], node[keys[name]]) for name in names if name in keys), None)
 
 
 def _any_camera(node: object, where: str, *, alone: bool) -> CalibratedCamera:
-    """A camera of a list, in the project's own form or with OpenCV's matrix."""
+    """Read a camera of a list, in the project's own form or with OpenCV's matrix."""
     if isinstance(node, Mapping) and "focal" not in node and _find(node, _MATRIX) is not None:
         return _camera(node, where, alone=alone)
     return _own_camera(node, where)
 
 
 def _camera(node: Mapping[str, Any], where: str, *, alone: bool) -> CalibratedCamera:
-    """A camera of OpenCV's matrices; ``alone``, it may stand at the world's origin without saying so."""
+    """Read a camera of OpenCV's matrices. If it is ``alone``, it may lack a pose, and stands at the world's origin."""
     _refuse_fisheye(node, where)
     matrix = _numbers(node, _MATRIX, where, "a camera matrix", (3, 3), (4,))
     if matrix.shape == (4,):  # Kalibr's
@@ -412,7 +412,7 @@ def _pose(node: Mapping[str, Any], where: str, *, alone: bool) -> tuple[np.ndarr
 
 
 def _coefficients(value: object, where: str) -> list[float]:
-    """Numbers of a list that may be empty."""
+    """Numbers of a list, which may be empty or null."""
     if value is None or (isinstance(value, Sequence) and not value):
         return []
     numbers: list[float] = to_matrix(value, where).ravel().tolist()
@@ -454,7 +454,7 @@ def _made(where: str, **values: Any) -> CalibratedCamera:
 def _numbers(
     node: Mapping[str, Any], names: tuple[str, ...], where: str, expected: str, *shapes: tuple[int, ...]
 ) -> np.ndarray:
-    """Numbers under the first of these names that is there, in one of these shapes."""
+    """Numbers under the first of these names that a node has, in one of these shapes."""
     found = _find(node, names)
     if found is None:
         raise InputError(f"{where}: {names[0]}: missing, but {', '.join(map(str, node))}; expected {expected}")
@@ -465,7 +465,7 @@ def _numbers(
 
 
 def _rotation(node: Mapping[str, Any], where: str) -> np.ndarray:
-    """R as a matrix or as Rodrigues' vector."""
+    """Read the rotation R, given as a matrix or as Rodrigues' vector."""
     values = _numbers(node, _ROTATION, where, "a rotation, world to camera", (3, 3), (3,), (3, 1), (1, 3))
     if values.shape == (3, 3):
         return values
@@ -484,14 +484,14 @@ def _vector(node: Mapping[str, Any], where: str) -> np.ndarray:
 
 
 def _distortion(values: list[float], where: str) -> tuple[float, ...]:
-    """OpenCV's coefficients without those of its thin prisms and tilted sensors, which must be 0."""
+    """OpenCV's coefficients, without those for thin prisms and tilted sensors, which must be 0."""
     if any(values[8:]):
         raise InputError(f"{where}: distortion: {len(values)} numbers; expected 0 after k1, k2, p1, p2, k3, k4, k5, k6")
     return tuple(values[:8])
 
 
 def _size(node: Mapping[str, Any], where: str) -> tuple[int, int] | None:
-    """Size (H, W) of the pictures, where it is said: files have width and height."""
+    """Size (H, W) of the pictures from a file's width and height; None if the file states none."""
     found = _find(node, _SIZE)
     if found is not None:
         values = to_matrix(found[1], f"{where}: {found[0]}").ravel().tolist()
@@ -524,5 +524,5 @@ def _refuse_fisheye(node: Mapping[str, Any], where: str) -> None:
 
 
 def _found(node: Mapping[str, Any], names: tuple[str, ...]) -> Iterable[tuple[str, Any]]:
-    """Keys and values of all of these names that are there."""
+    """Keys and values for all of these names that a node has."""
     return [(key, value) for key, value in node.items() if _plain(key) in names]

@@ -17,7 +17,7 @@ _CAMERA_WORDS = frozenset(
     ).split()
 )
 _SHORT_WORDS = frozenset("c k v gp".split())
-_DIGITS_OF_CLIPS = 4  # from which on a number after a short word counts a camera's clips: C0001, GP010045
+_DIGITS_OF_CLIPS = 4  # a number of at least this length after a short word counts a camera's clips: C0001, GP010045
 _SIDES = {"left": "l", "right": "r"}
 _GOPRO = re.compile("gopro", re.IGNORECASE)
 _CASE_CHANGE = re.compile(r"(?<=[a-zß-ÿ])(?=[A-Z])")
@@ -33,10 +33,10 @@ class Assignment:
     """Camera of each film.
 
     Attributes:
-        cameras: Places of the cameras, film by film.
-        by_order: True if the names tell nothing, so that only the order of films and cameras is left.
-        by_number: True if numbers or letters tell it that may also be those of takes or of a date, for they follow no
-            word for a camera.
+        cameras: Indices of the cameras, film by film.
+        by_order: True if films and cameras are paired by their order, because no name says which belong together.
+        by_number: True if they are paired by numbers or letters that follow no word for a camera. These may also be the
+            numbers of takes or a date.
     """
 
     cameras: tuple[int, ...]
@@ -47,11 +47,16 @@ class Assignment:
 def assign_cameras(films: Sequence[str | Path], cameras: Sequence[str]) -> Assignment:
     """Assign films to cameras.
 
-    Names count first: a film's is a camera's, or one is part of the other ("cam10_sync" and "cam10", "cam01" and
-    "int_cam01_img"). Then the number, the letter or the side that a word for a camera says to be a camera's ("view-03"
-    and "camera3", "camB" and "Camera B", "right" and "cam_R"). Where names of files do not tell it, those of their
-    folders may. Then any number or letter that tells the films apart. Only where names have nothing in common, films
-    and cameras are paired in order, films of a shell's ``*`` in natural order (2 before 10).
+    The first rule that fits counts:
+
+    1. A film and a camera have the same name, or one name is part of the other ("cam10_sync" and "cam10", "cam01" and
+       "int_cam01_img").
+    2. They have the same number, letter or side, and a word beside it says that it is a camera's ("view-03" and
+       "camera3", "camB" and "Camera B", "right" and "cam_R").
+    3. The names of the files' folders fit by rule 1 or 2.
+    4. They have the same number or letter, and it differs from film to film.
+    5. The names have nothing in common: films and cameras are paired in order. Films that a shell's ``*`` listed are
+       in natural order (2 before 10).
 
     Raises:
         InputError: If names contradict one another or fit several cameras, or numbers of films and cameras differ.
@@ -78,7 +83,7 @@ def assign_cameras(films: Sequence[str | Path], cameras: Sequence[str]) -> Assig
 
 
 def film_names(films: Sequence[str | Path]) -> list[str]:
-    """Names of films without their endings; with their folders' where several are alike."""
+    """Names of films without their endings; with the names of their folders if several films have one name."""
     names = [Path(film).stem for film in films]
     if len(set(names)) < len(names):
         names = [f"{Path(film).parent.name}/{name}" for film, name in zip(films, names, strict=True)]
@@ -86,22 +91,22 @@ def film_names(films: Sequence[str | Path]) -> list[str]:
 
 
 def _levels(films: Sequence[str | Path]) -> list[list[str]]:
-    """Names of the films' files, and those of folders, nearest first, where each film has another one."""
+    """Names of the films' files, then names of their folders, nearest first, if each film has another folder."""
     levels = [[Path(film).stem for film in films]]
     folders = [Path(film).parent.parts[::-1] for film in films]
-    nearest = 1 if len(films) == 1 else None  # folders farther up tell one film from nothing
+    nearest = 1 if len(films) == 1 else None  # one film is alone in all folders farther up
     for names in zip(*(each[:nearest] for each in folders), strict=False):
         if len(set(names)) == len(films):
             levels.append(list(names))
     return levels
 
 
-def _contradiction(films: Sequence[str], cameras: Sequence[str], how: str) -> InputError:
-    return InputError(f"cameras {', '.join(cameras)}; expected one a film: {', '.join(films)}, {how}")
+def _contradiction(films: Sequence[str], cameras: Sequence[str], expected: str) -> InputError:
+    return InputError(f"cameras {', '.join(cameras)}; expected one a film: {', '.join(films)}, {expected}")
 
 
 def _tokens(name: str) -> tuple[Token, ...]:
-    """Words and numbers of a name: ("cam", 1) of "Cam_01", ("cam", "a") of "camA" and of "cama"."""
+    """Words and numbers of a name: ("cam", 1) for "Cam_01", ("cam", "a") for "camA" and for "cama"."""
     words = _TOKENS.findall(_CASE_CHANGE.sub(" ", _GOPRO.sub("gopro", name)))
     tokens: list[Token] = []
     for word, following in zip(words, [*words[1:], ""], strict=True):
@@ -134,12 +139,12 @@ def _named(films: Sequence[str], cameras: Sequence[str]) -> list[set[int]]:
             continue
         mine = _tokens(film)
         lengths = {
-            place: min(len(mine), len(other))
-            for place, other in enumerate(theirs)
+            index: min(len(mine), len(other))
+            for index, other in enumerate(theirs)
             if mine == other or _holds(mine, other) or _holds(other, mine)
         }
         longest = max(lengths.values(), default=0)
-        found.append({place for place, length in lengths.items() if length == longest})
+        found.append({index for index, length in lengths.items() if length == longest})
     return found
 
 
@@ -149,19 +154,19 @@ def _by_name(films: Sequence[str], cameras: Sequence[str]) -> tuple[int, ...] | 
 
 
 def _by_mark(films: Sequence[str], cameras: Sequence[str], *, of_cameras: bool) -> tuple[int, ...] | None:
-    """Cameras of the films' marks; None if the names hold no mark that tells them apart, or none in common.
+    """Cameras by the films' marks; None if no mark differs from film to film, or films and cameras share none.
 
     Args:
         films: Names of films, or of their folders.
         cameras: Names of cameras.
-        of_cameras: Marks count that the films' names say to be cameras'; else the others.
+        of_cameras: True: only those marks of films count that a word says to be a camera's. False: only the others.
 
     Raises:
         InputError: If marks contradict one another, or fit in several ways.
     """
     mine = [each for each in _marks(films) if each.of_cameras == of_cameras]
     theirs = _marks(cameras)
-    # What is said to be a camera's number counts before other numbers in its name.
+    # A number that a word says to be a camera's counts before other numbers in the name.
     for some in ([each for each in theirs if each.of_cameras], theirs):
         fits = {
             tuple(other.values.index(mark) for mark in one.values)
@@ -183,7 +188,7 @@ def _by_mark(films: Sequence[str], cameras: Sequence[str], *, of_cameras: bool) 
 
 @dataclass(frozen=True)
 class _Marks:
-    """Numbers, letters or sides that tell names apart, and whether the names say that they are cameras'."""
+    """Numbers, letters or sides, different in each name; ``of_cameras`` if words say that they are cameras'."""
 
     values: tuple[Token, ...]
     of_cameras: bool
@@ -194,23 +199,23 @@ class _Marks:
 
 
 def _marks(names: Sequence[str]) -> list[_Marks]:
-    """Marks at each place of names where all have another one, and those said to be cameras'; the latter first."""
+    """Marks that differ from name to name; those that words say to be cameras' come first."""
     tokens = [_tokens(name) for name in names]
-    places: list[list[int]] = []
-    after = [[place for place in range(len(mine)) if _is_camera_s(mine, place)] for mine in tokens]
+    candidates: list[list[int]] = []  # an index among each name's tokens
+    after = [[index for index in range(len(mine)) if _is_camera_s(mine, index)] for mine in tokens]
     if all(len(each) == 1 for each in after):
-        places.append([each[0] for each in after])
+        candidates.append([each[0] for each in after])
     for is_mark in (_is_number, _is_letter):
-        found = [[place for place, token in enumerate(each) if is_mark(token)] for each in tokens]
+        found = [[index for index, token in enumerate(each) if is_mark(token)] for each in tokens]
         if len({len(each) for each in found}) == 1:  # the first, second, ... number of each
-            places += [list(each) for each in zip(*found, strict=True)]
+            candidates += [list(each) for each in zip(*found, strict=True)]
         elif all(found):
-            places.append([each[-1] for each in found])
+            candidates.append([each[-1] for each in found])
     marks: list[_Marks] = []
-    for each in places:
-        values = [_side(mine[place]) for mine, place in zip(tokens, each, strict=True)]
-        of_cameras = all(_is_camera_s(mine, place) for mine, place in zip(tokens, each, strict=True))
-        # A single name's number tells it from nothing, unless it is said to be a camera's.
+    for each in candidates:
+        values = [_side(mine[index]) for mine, index in zip(tokens, each, strict=True)]
+        of_cameras = all(_is_camera_s(mine, index) for mine, index in zip(tokens, each, strict=True))
+        # The number of a single name means nothing, unless a word says that it is a camera's.
         if len(set(values)) == len(names) and (of_cameras or len(names) > 1):
             marks.append(_Marks(tuple(values), of_cameras))
     return marks
@@ -226,27 +231,27 @@ def _is_letter(token: Token) -> bool:
 
 
 def _side(token: Token) -> Token:
-    """A mark as it is compared: the letter of a side."""
+    """Mark in the form in which marks are compared: a side becomes its letter."""
     return _SIDES.get(token, token) if isinstance(token, str) else token
 
 
-def _is_camera_s(tokens: tuple[Token, ...], place: int) -> bool:
-    """True if the mark at this place follows a word for cameras, or is the whole name, or is a letter before a word."""
-    mark = tokens[place]
+def _is_camera_s(tokens: tuple[Token, ...], index: int) -> bool:
+    """True if a token is a mark that follows a word for cameras, or the whole name, or a letter before such a word."""
+    mark = tokens[index]
     if not (_is_number(mark) or _is_letter(mark)):
         return False
     if len(tokens) == 1:
         return True
-    before = tokens[place - 1] if place > 0 else None
+    before = tokens[index - 1] if index > 0 else None
     if isinstance(mark, int):
         return before in _CAMERA_WORDS
     words = _CAMERA_WORDS - _SHORT_WORDS
     # "left_cam", but not the a of "trial_a_cam2".
-    return before in words or (place + 2 == len(tokens) and tokens[-1] in words)
+    return before in words or (index + 2 == len(tokens) and tokens[-1] in words)
 
 
 def _film_order(films: Sequence[str | Path]) -> list[int]:
-    """Places of films in the order that pairs them with cameras: as given, but naturally where a shell sorted them."""
+    """Indices of films in the order that pairs them with cameras: as given, or natural if a shell sorted them."""
     given = list(range(len(films)))
     names = [str(Path(film).parent / Path(film).stem) for film in films]
     if names != sorted(names):
@@ -257,7 +262,7 @@ def _film_order(films: Sequence[str | Path]) -> list[int]:
 def is_camera_s(name: str) -> bool:
     """True if a name has a word for a camera, with a number, a letter or a side: cam_1, camB."""
     tokens = _tokens(name)
-    return len(tokens) > 1 and any(_is_camera_s(tokens, place) for place in range(len(tokens)))
+    return len(tokens) > 1 and any(_is_camera_s(tokens, index) for index in range(len(tokens)))
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:

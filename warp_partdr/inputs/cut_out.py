@@ -1,6 +1,6 @@
-"""People cut out of pictures: their evidence is weighed, and their labels drawn in crops, many at once on a device.
+"""People cut out of pictures: their evidence is weighed, and their labels are drawn in crops, as a batch on a device.
 
-Each is, to the bit, as ``weigh_evidence`` and ``crop_evidence`` cut them out alone.
+Each result is the same, to the bit, as that of ``weigh_evidence`` and ``crop_evidence`` for the person alone.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from .cut_people import CutPerson
 from .evidence import (
     MASK_LABELS,
     PicturePerson,
-    check_places,
+    check_points,
     exchanged_groups,
     exchanged_warning,
     keypoint_warnings,
     weigh_people,
 )
-from .keypoints import LARGEST_PLACE
+from .keypoints import LARGEST_COORDINATE
 from .observation import (
     LABEL_SIZE,
     WeighedPerson,
     boxes_in_picture,
     crop_squares,
-    observe_together,
+    observe_batch,
     with_probabilities,
 )
 from .own_pixels import Mask, Windows, extents, no_label_along_bones
 from .part_labels import PartLabels
 from .person import person_labels
 
-_PIXELS = {"cpu": 2**24, "cuda": 2**26}  # of pictures that are looked at together
+_PIXELS = {"cpu": 2**24, "cuda": 2**26}  # most pixels of the pictures in one batch
 
 Found = dict[int, CutPerson | InputError]
 
@@ -51,64 +51,67 @@ def cut_out_people(
     *,
     probabilities: bool = False,
 ) -> list[CutPerson | InputError]:
-    """Cut people out of pictures, those of part labels and of masks; or tell what is wrong with them.
+    """Cut people out of pictures with part labels, with masks, or with keypoints alone.
 
-    The evidence is without labels of the picture. Where sides of labels and
-    keypoints differ, the keypoints are believed. Somebody of whom a mask shows nothing has keypoints alone.
+    The evidence does not hold the picture's labels. If labels and keypoints disagree on left and right, the keypoints
+    are believed. A person whose mask shows nothing is cut out by keypoints alone.
 
     Args:
-        people: They may share pictures.
+        people: People, who may share pictures.
         device: Device of the observations.
         label_size: Side of the labels' crops [px], of which ``LABEL_SIZE`` is an odd multiple.
-        probabilities: Observations have those of the labels, too.
+        probabilities: True: observations also have the probabilities of the labels, if the picture has them.
 
     Returns:
-        Each person, or the error that ``weigh_evidence`` raises for them.
+        Each person, or the error that ``weigh_evidence`` raises for this person.
     """
     device = torch.empty(0, device=device).device  # with its number, which Warp asks for
     found: Found = dict(_unusable(people))
-    kinds: list[tuple[tuple[str | Skeleton, LabelSet | None], list[int]]] = []  # label sets can't be keys
+    batches: list[tuple[tuple[str | Skeleton, LabelSet | None], list[int]]] = []  # label sets can't be keys
     usable: dict[int, PicturePerson] = {}
-    for place, person in enumerate(people):
-        if place in found:
+    for index, person in enumerate(people):
+        if index in found:
             continue
         try:
-            usable[place] = _of_instances(person)
+            usable[index] = _with_own_labels(person)
         except InputError as error:
-            found[place] = error
+            found[index] = error
             continue
-        kind = person.keypoints.skeleton, _label_set(person)
-        places = next((those for each, those in kinds if each == kind), None)
-        if places is None:
-            kinds.append((kind, places := []))
-        places.append(place)
-    for (_, labels), places in kinds:
+        key = person.keypoints.skeleton, _label_set(person)
+        indices = next((own for each, own in batches if each == key), None)
+        if indices is None:
+            batches.append((key, indices := []))
+        indices.append(index)
+    for (_, labels), indices in batches:
         if labels is None:
-            found |= zip(places, _cut_keypoints([usable[place] for place in places], device), strict=True)
+            found |= zip(indices, _cut_keypoints([usable[index] for index in indices], device), strict=True)
             continue
-        for some in _shares(places, usable, _PIXELS[device.type]):
-            cut = _cut_labels([usable[place] for place in some], device, label_size, probabilities)
+        for some in _shares(indices, usable, _PIXELS[device.type]):
+            cut = _cut_labels([usable[index] for index in some], device, label_size, probabilities)
             found |= zip(some, cut, strict=True)
-    return [found[place] for place in range(len(people))]
+    return [found[index] for index in range(len(people))]
 
 
 def _unusable(people: Sequence[PicturePerson]) -> Found:
-    """Errors of people whose keypoints can't be used: of those whom a look at all of them finds."""
+    """Errors of people whose keypoints can't be used, by index.
+
+    All people are checked at once; ``check_points``, which is slower, only makes the errors.
+    """
     found: Found = {}
     forms: dict[str | Skeleton, list[int]] = {}
-    for place, person in enumerate(people):
-        forms.setdefault(person.keypoints.skeleton, []).append(place)
-    for places in forms.values():
-        points = np.stack([people[place].keypoints.points for place in places])
-        visible = np.stack([people[place].keypoints.confidence for place in places]) > 0
+    for index, person in enumerate(people):
+        forms.setdefault(person.keypoints.skeleton, []).append(index)
+    for indices in forms.values():
+        points = np.stack([people[index].keypoints.points for index in indices])
+        visible = np.stack([people[index].keypoints.confidence for index in indices]) > 0
         first = np.take_along_axis(points, visible.argmax(axis=1)[:, None, None], axis=1)
         differ = (visible & (points != first).any(axis=2)).any(axis=1)
-        known = ((np.abs(points) <= LARGEST_PLACE).all(axis=2) | ~visible).all(axis=1)
+        known = ((np.abs(points) <= LARGEST_COORDINATE).all(axis=2) | ~visible).all(axis=1)
         for row in np.flatnonzero(~(differ & known)).tolist():
             try:
-                check_places(people[places[row]].keypoints)
+                check_points(people[indices[row]].keypoints)
             except InputError as error:
-                found[places[row]] = error
+                found[indices[row]] = error
     return found
 
 
@@ -119,20 +122,20 @@ def _label_set(person: PicturePerson) -> LabelSet | None:
     return MASK_LABELS if isinstance(person.pixels, Mask) else person.pixels.label_set
 
 
-def _of_instances(person: PicturePerson) -> PicturePerson:
-    """A person of labels that are by person, with their own alone."""
+def _with_own_labels(person: PicturePerson) -> PicturePerson:
+    """Person with only the person's own labels, if the picture's labels are given for each person."""
     if person.pixels is None or isinstance(person.pixels, Mask) or person.pixels.instances is None:
         return person
     return person._replace(pixels=person_labels(person.pixels, person.keypoints), others=())
 
 
-def _shares(places: Sequence[int], people: dict[int, PicturePerson], most: int) -> list[list[int]]:
-    """Places of people in parts whose pictures have at most so many pixels, but for one person's."""
+def _shares(indices: Sequence[int], people: dict[int, PicturePerson], most: int) -> list[list[int]]:
+    """Indices of people in parts, whose pictures have at most ``most`` pixels; one person is never split."""
     parts: list[list[int]] = []
     held: set[int] = set()
     size = 0
-    for place in places:
-        pixels = people[place].pixels
+    for index in indices:
+        pixels = people[index].pixels
         assert pixels is not None
         image = pixels.owners if isinstance(pixels, Mask) else pixels.groups
         own = image.shape[0] * image.shape[1]
@@ -140,7 +143,7 @@ def _shares(places: Sequence[int], people: dict[int, PicturePerson], most: int) 
         if not parts or size + more > most:
             parts.append([])
             held, size, more = set(), 0, 2 * own
-        parts[-1].append(place)
+        parts[-1].append(index)
         held.add(id(image))
         size += more
     return parts
@@ -173,13 +176,13 @@ def _cut_keypoints(people: Sequence[PicturePerson], device: torch.device) -> lis
         )
         for n, person in enumerate(people)
     ]
-    return [CutPerson(*each) for each in observe_together(weighed, middles, halves, device)]
+    return [CutPerson(*each) for each in observe_batch(weighed, middles, halves, device)]
 
 
 def _cut_labels(
     people: Sequence[PicturePerson], device: torch.device, label_size: int, probabilities: bool
 ) -> list[CutPerson | InputError]:
-    """Cut out people with one skeleton, of pictures with one label set or with masks, that memory holds."""
+    """Cut out people with one skeleton, from pictures with one label set or with masks, as one batch."""
     labels = _label_set(people[0])
     assert labels is not None
     with on_torch_stream(device):
@@ -205,10 +208,12 @@ def _cut_labels(
         if probabilities and isinstance(person.pixels, PartLabels) and person.pixels.maps is not None:
             every = person.pixels.maps
             maps[n] = every[exchanged_groups(labels, limbs, whole=weighed.whole[n])[: len(every)]] if limbs else every
-    there = np.flatnonzero(along)
+    labelled = np.flatnonzero(along)
     found: list[CutPerson | InputError] = [no_label_along_bones()] * len(people)
-    own = observe_together([cut[n] for n in there], middles[there], halves[there], device) if len(there) else []
-    for n, each in zip(there.tolist(), own, strict=True):
+    own = (
+        observe_batch([cut[n] for n in labelled], middles[labelled], halves[labelled], device) if labelled.size else []
+    )
+    for n, each in zip(labelled.tolist(), own, strict=True):
         evidence, observation, crop = each
         if n in maps:
             box = (*boxes[0][n].tolist(), *boxes[1][n].tolist())

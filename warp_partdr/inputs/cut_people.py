@@ -1,4 +1,4 @@
-"""People as they are cut out of pictures for fits side by side: one, and many as arrays of all."""
+"""People that are cut out of pictures for fits: one person, and a batch of people as arrays."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from .observation import Observation
 from .observations import Observations
 
 
-class Kind(NamedTuple):
-    """Properties in which people must agree to be stacked."""
+class BatchKey(NamedTuple):
+    """Properties in which people must agree to be in one batch."""
 
     skeleton: str | Skeleton
     label_set: LabelSet | None
@@ -27,8 +27,8 @@ class Kind(NamedTuple):
     lens_assumed: bool
 
     @classmethod
-    def of(cls, skeleton: str | Skeleton, observed: Observation | Observations) -> Kind:
-        """Kind of people with keypoints of this format."""
+    def of(cls, skeleton: str | Skeleton, observed: Observation | Observations) -> BatchKey:
+        """Key for people with keypoints of this format."""
         with_lens = observed.lens is not None
         return cls(skeleton, observed.label_set, observed.maps is not None, with_lens, observed.lens_assumed)
 
@@ -38,9 +38,9 @@ class CutPerson:
     """One person as ``crop_evidence`` cuts them out of a picture.
 
     Attributes:
-        evidence: Keypoints and warnings; its labels aren't looked at and may be left out, to save memory.
+        evidence: Keypoints and warnings. Nothing reads its labels, which may be left out to save memory.
         observation: Keypoints and labels in the crop.
-        crop: Place of the crop in the picture.
+        crop: Position of the crop in the picture.
     """
 
     evidence: Evidence
@@ -48,23 +48,23 @@ class CutPerson:
     crop: Crop
 
     @property
-    def kind(self) -> Kind:
-        """Key of the person: people with equal keys are alike, and can be stacked."""
-        return Kind.of(self.evidence.keypoints.skeleton, self.observation)
+    def batch_key(self) -> BatchKey:
+        """Key of the person: people with equal keys can be in one batch."""
+        return BatchKey.of(self.evidence.keypoints.skeleton, self.observation)
 
 
 @dataclass(frozen=True, eq=False)
 class CutPeople(Sequence[CutPerson]):
-    """N people who are alike; a person's own object is made when it is asked for, without labels of the picture.
+    """Batch of N people with one ``batch_key``. An index gives one person, without labels of the picture.
 
     Attributes:
         skeleton: Format of the keypoints.
         points: Keypoints in the picture [px], shape (N, J, 2).
-        confidence: Of these, shape (N, J).
+        confidence: Confidences of the keypoints, 0 where missing, shape (N, J).
         observations: Observations in the crops.
-        crops: Places of the crops.
+        crops: Positions of the crops in the pictures.
         windows: Parts of the pictures where the people's labels may be (``Evidence.window``).
-        warnings: Faults of each person's input, a sentence each.
+        warnings: Sentences about faults of each person's input.
     """
 
     skeleton: str | Skeleton
@@ -77,7 +77,7 @@ class CutPeople(Sequence[CutPerson]):
 
     @classmethod
     def of(cls, people: Sequence[CutPerson]) -> CutPeople:
-        """Stack people who are alike, one at least."""
+        """Build a batch of people, at least one. All must have the same ``batch_key``."""
         keypoints = [person.evidence.keypoints for person in people]
         return cls(
             keypoints[0].skeleton,
@@ -91,7 +91,7 @@ class CutPeople(Sequence[CutPerson]):
 
     @classmethod
     def joined(cls, parts: Sequence[CutPeople]) -> CutPeople:
-        """Join people who are alike, one after the other."""
+        """Join batches, one after the other. All must have the same ``batch_key``."""
         if len(parts) == 1:
             return parts[0]
         return cls(
@@ -99,13 +99,15 @@ class CutPeople(Sequence[CutPerson]):
             np.concatenate([each.points for each in parts]),
             np.concatenate([each.confidence for each in parts]),
             Observations.joined([each.observations for each in parts]),
-            *(tuple(one for each in parts for one in getattr(each, name)) for name in ("crops", "windows", "warnings")),
+            tuple(crop for each in parts for crop in each.crops),
+            tuple(window for each in parts for window in each.windows),
+            tuple(warnings for each in parts for warnings in each.warnings),
         )
 
     @property
-    def kind(self) -> Kind:
-        """Key of the people, as ``CutPerson.kind``: people with equal keys are alike."""
-        return Kind.of(self.skeleton, self.observations)
+    def batch_key(self) -> BatchKey:
+        """Key of the people, equal to ``CutPerson.batch_key`` of each."""
+        return BatchKey.of(self.skeleton, self.observations)
 
     def __len__(self) -> int:
         """Number of people, N."""
@@ -116,18 +118,24 @@ class CutPeople(Sequence[CutPerson]):
     @overload
     def __getitem__(self, index: slice) -> CutPeople: ...
     def __getitem__(self, index: int | slice) -> CutPerson | CutPeople:
-        """One person, or some as arrays."""
+        """Return one person, or a batch of the people in a slice."""
         if isinstance(index, slice):
-            own = (getattr(self, name)[index] for name in ("crops", "windows", "warnings"))
-            observations = self.observations.select(index)
-            return CutPeople(self.skeleton, self.points[index], self.confidence[index], observations, *own)
+            return CutPeople(
+                self.skeleton,
+                self.points[index],
+                self.confidence[index],
+                self.observations.select(index),
+                self.crops[index],
+                self.windows[index],
+                self.warnings[index],
+            )
         row = range(len(self))[index]
         keypoints = Keypoints2D(self.skeleton, self.points[row], self.confidence[row])
         evidence = Evidence(keypoints, None, self.windows[row], None, self.warnings[row])
         return CutPerson(evidence, self.observations[row], self.crops[row])
 
     def select(self, rows: Sequence[int]) -> CutPeople:
-        """Return some of the people, by their rows."""
+        """Return a batch of some of the people, by their rows."""
         return CutPeople.joined([self[row : row + 1] for row in rows])
 
     def to(self, device: str) -> CutPeople:
@@ -135,13 +143,13 @@ class CutPeople(Sequence[CutPerson]):
         return replace(self, observations=self.observations.to(device))
 
 
-def stack_alike(people: Sequence[CutPerson]) -> list[tuple[list[int], CutPeople]]:
-    """Stack people, those who are alike together; and their places."""
-    alike: list[tuple[Kind, list[int]]] = []  # label sets can't be keys
-    for place, person in enumerate(people):
-        kind = person.kind
-        places = next((those for each, those in alike if each == kind), None)
-        if places is None:
-            alike.append((kind, places := []))
-        places.append(place)
-    return [(places, CutPeople.of([people[place] for place in places])) for _, places in alike]
+def batch_people(people: Sequence[CutPerson]) -> list[tuple[list[int], CutPeople]]:
+    """Build a batch for each ``batch_key`` among the people, and return the people's indices beside it."""
+    batches: list[tuple[BatchKey, list[int]]] = []  # label sets can't be keys of a dictionary
+    for index, person in enumerate(people):
+        key = person.batch_key
+        indices = next((own for each, own in batches if each == key), None)
+        if indices is None:
+            batches.append((key, indices := []))
+        indices.append(index)
+    return [(indices, CutPeople.of([people[index] for index in indices])) for _, indices in batches]

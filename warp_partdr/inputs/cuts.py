@@ -1,9 +1,9 @@
 """Cuts of films: frames in which another shot begins, found while a film is read once.
 
-Small pictures of two frames are compared block by block, each block with what lies around it in the other frame, so
-that motion, slow pans and changes of light explain themselves. What is left is compared with what is left of the frames
-just before and after: fast pans, shakes and low rates of frames change every frame, a cut changes one. A
-slideshow changes every frame, too; there, it is seen from the people whether a change is a cut.
+Small pictures of two frames are compared block by block. Each block is compared with its neighbourhood in the other
+frame, so that motion, slow pans and changes of light make no difference. The remaining difference is compared with that
+of the frames just before and after: fast pans, shakes and low frame rates change every frame, but a cut changes one. A
+slideshow changes every frame, too; whether a change in it is a cut is decided by the people in it.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ _SIDE, _BLOCK = 64, 8  # [px], longer side of the small pictures, and side of th
 _REACH = 4  # [px] of the small pictures that a block may move from one frame to the next
 _BLANK = 4.0  # standard deviation of values, of 255, below which a picture shows nothing: black, or a white flash
 _NOISE = 0.1  # standard deviation of a block's values, as a share of the picture's, that means nothing
-_COLOUR = 0.1  # weight of a block's mean colour beside what it shows
+_COLOUR = 0.1  # weight of a block's mean colour beside its pattern
 
-# Unlikeness of two frames, 0 to 1. Of real films: neighbours 0 to 0.43, across cuts to another camera 0.78 to 0.95,
-# across cuts in what one camera recorded 0.07 to 0.4.
-_CUT, _TIMES_CUT = 0.6, 1.5  # from which on another shot begins, also as a multiple of the usual; below
-# that multiple it begins if nobody clearly stayed
-_JUMP, _TIMES_JUMP = 0.06, 3.0  # from which on it begins if nobody can be followed
-_AROUND = 3  # frames before and after a frame, whose medians are the usual
-_LATE = 1.5  # usual steps of time, above which frames are missing
+# Unlikeness of two frames, 0 to 1. In real films, that of neighbours is 0 to 0.43, that across cuts to another camera
+# 0.78 to 0.95, and that across cuts in one camera's recording 0.07 to 0.4.
+_CUT, _TIMES_CUT = 0.6, 1.5  # least unlikeness of a new shot, and its least multiple of the usual unlikeness; below the
+# multiple, a new shot begins if nobody clearly stayed
+_JUMP, _TIMES_JUMP = 0.06, 3.0  # least unlikeness of a new shot, and its multiple, if nobody can be followed
+_AROUND = 3  # frames before and after a frame, whose median is the usual unlikeness
+_LATE = 1.5  # usual time steps, above which frames are missing
 _KEPT = 64  # small pictures that are remembered
-_FLASH = 0.11  # [s], after which a film that goes on as before had a flash, or damaged frames, and no cut
+_FLASH = 0.11  # [s], longest flash or run of damaged frames, after which the film goes on as before, without a cut
 _AHEAD = 8  # frames that are read ahead at most
-_NAMED = 5  # cuts that are told one by one
+_NAMED = 5  # cuts that a sentence lists
 
 
 class Change(Enum):
     """Change from the frame before to a frame.
 
-    ``JUMP`` is a cut if nobody can be followed through it, and where nobody was, people may be seen from here on, as at
-    the end of a blank start. ``NEW`` is one where nearly everything is new, but so it is in the frames around, as in a
-    slideshow, or if a camera turns fast; it is a cut unless somebody clearly stayed. ``FLASH`` is a frame, blank or
+    ``JUMP`` is a cut if nobody can be followed through it. If nobody was visible, people may appear from here on, as at
+    the end of a blank start. ``NEW`` means that nearly everything is new, but the same is true of the frames around, as
+    in a slideshow or if a camera turns fast; it is a cut unless somebody clearly stayed. ``FLASH`` is a frame, blank or
     very different, after which the film goes on as before.
     """
 
@@ -58,7 +58,7 @@ def with_changes(frames: Iterable[Frame]) -> Iterator[tuple[Frame, Change]]:
     """Frames of a film in their order, each with the change that leads to it; a few frames are in memory at a time.
 
     Raises:
-        InputError: As ``frames`` does; frames before that are given.
+        InputError: If ``frames`` raises one. The frames before it are yielded first.
     """
     finder, iterator = _Finder(), iter(frames)
     held: deque[Frame] = deque()
@@ -83,11 +83,11 @@ def with_changes(frames: Iterable[Frame]) -> Iterator[tuple[Frame, Change]]:
 
 
 def cuts_sentence(cuts: Sequence[int], times: Sequence[float] | np.ndarray) -> str:
-    """Cuts of a film, one or more, in words.
+    """Words about the cuts of a film, one or more.
 
     Args:
         cuts: First frames of all shots but the first.
-        times: Of these frames [s].
+        times: Times of these frames [s].
     """
     some = list(zip(cuts, times, strict=True))[:_NAMED]
     frames, seconds = ", ".join(f"{cut}" for cut, _ in some), ", ".join(f"{time:.2f}" for _, time in some)
@@ -98,7 +98,7 @@ def cuts_sentence(cuts: Sequence[int], times: Sequence[float] | np.ndarray) -> s
 
 
 def _enough(held: Sequence[Frame]) -> bool:
-    """True if so many frames are read as the first one needs."""
+    """True if enough frames are read to find the change of the first one."""
     if len(held) <= _AROUND:
         return False
     return len(held) > _AHEAD or held[-1].time - held[0].time > _FLASH
@@ -109,10 +109,11 @@ class _Small:
     """Small picture of a frame.
 
     Attributes:
-        time: Since the first frame [s].
-        picture: Of mean 0, and standard deviation 1 over the picture unless it is blank, shape (h, w, 3), float32.
-        blank: Whether it shows nothing.
-        step: Unlikeness to the last picture before it that shows something; 0 if there is none.
+        time: Time since the first frame [s].
+        picture: Values with mean 0, and with standard deviation 1 unless the picture is blank, shape (h, w, 3),
+            float32.
+        blank: True if it shows nothing.
+        step: Unlikeness to the last picture before it that is not blank; 0 if there is none.
     """
 
     time: float
@@ -141,7 +142,7 @@ class _Finder:
         self._ahead.append(small)
 
     def next_change(self) -> Change:
-        """Change to the first of the frames that have none yet."""
+        """Return the change that leads to the first of the frames that have none yet."""
         small = self._ahead.popleft()
         if self._flash:
             self._flash -= 1
@@ -167,7 +168,7 @@ class _Finder:
         return change
 
     def _usual(self, small: _Small) -> float:
-        """Unlikeness of frames around a frame, which lie as far apart in time as it does from the one before."""
+        """Usual unlikeness around a frame: of frames as far apart in time as this frame and the one before it."""
         before = list(self._before)
         after = [each for each in self._ahead if not each.blank]
         usual = max(self._usual_before(), _middle([each.step for each in after[:_AROUND]]))
@@ -192,7 +193,7 @@ class _Finder:
         return _middle([each.step for each in list(self._before)[1:][-_AROUND:]])
 
     def _return(self, small: _Small) -> int | None:
-        """Number of further frames after which the film goes on as before a frame; None if it does not."""
+        """Number of further frames after which the film goes on as it was before this frame; None if it does not."""
         last = self._before[-1]
         for count, each in enumerate(self._ahead):
             if each.time - small.time > _FLASH and (count or not self._alone(small)):
@@ -204,7 +205,7 @@ class _Finder:
         return None
 
     def _alone(self, small: _Small) -> bool:
-        """True if a frame that the film returns from with the next one is the only one around that is so unlike."""
+        """True if a single frame, after which the film returns, is far more unlike than all frames around it."""
         before = [each.step for each in list(self._before)[1:][-_AROUND:]]
         after = [each.step for each in list(self._ahead)[1:] if not each.blank][:_AROUND]
         usual = [_middle(steps) for steps in (before, after) if steps]
@@ -212,7 +213,7 @@ class _Finder:
 
 
 def _change(step: float, usual: float) -> Change:
-    """Change of frames that are so unlike, where so much is usual."""
+    """Change that belongs to an unlikeness, beside the usual one."""
     if step >= max(_CUT, _TIMES_CUT * usual):
         return Change.CUT
     return Change.JUMP if step >= max(_JUMP, _TIMES_JUMP * usual) else Change.NONE
@@ -229,19 +230,19 @@ def _small(frame: Frame) -> _Small:
     zoom = _SIDE / _BLOCK / max(height, width)
     size = max(round(width * zoom), 1) * _BLOCK, max(round(height * zoom), 1) * _BLOCK
     values = np.asarray(Image.fromarray(frame.picture).resize(size, Image.Resampling.BOX), np.float32)
-    spread = float(np.sqrt(values.var((0, 1)).mean()))
-    return _Small(frame.time, (values - values.mean()) / max(spread, _BLANK), spread < _BLANK)
+    deviation = float(np.sqrt(values.var((0, 1)).mean()))
+    return _Small(frame.time, (values - values.mean()) / max(deviation, _BLANK), deviation < _BLANK)
 
 
 def unlikeness(one: np.ndarray, other: np.ndarray) -> float:
-    """Share of a small picture's blocks that another one shows nowhere near, 0 to 1.
+    """Share of a small picture's blocks that another picture does not show near by, 0 to 1.
 
-    A block's share is the least over the places of ``(var a + var b - 2 cov + 0.1 (mean a - mean b)^2) / (max(var a,
-    var b) + noise)``, at most 1, sums over the colours.
+    A block's share is the least, over all offsets, of ``(var a + var b - 2 cov + 0.1 (mean a - mean b)^2) / (max(var a,
+    var b) + noise)``, at most 1. Variances, covariance and squared means are sums over the colours.
 
     Args:
         one: The picture of one frame, shape (h, w, 3), sides multiples of 8.
-        other: The picture of another one.
+        other: The picture of another frame, of the same shape.
     """
     rows, columns = other.shape[0] // _BLOCK, other.shape[1] // _BLOCK
     blocks = other.reshape(rows, _BLOCK, columns, _BLOCK, 3).transpose(0, 2, 4, 1, 3)
@@ -250,11 +251,11 @@ def unlikeness(one: np.ndarray, other: np.ndarray) -> float:
     wide = np.pad(one, ((_REACH, _REACH), (_REACH, _REACH), (0, 0)), mode="edge")
     box_means = _box_means(wide)
     box_variances = (_box_means(np.square(wide)) - np.square(box_means)).sum(-1)
-    places = (2 * _REACH + 1, 2 * _REACH + 1)
+    offsets = (2 * _REACH + 1, 2 * _REACH + 1)
 
     def around(values: np.ndarray) -> np.ndarray:
-        """Values at the places about each block, shape (rows, columns, ..., places)."""
-        return sliding_window_view(values, places, axis=(0, 1))[::_BLOCK, ::_BLOCK]
+        """Values at all offsets from each block, shape (rows, columns, ..., *offsets)."""
+        return sliding_window_view(values, offsets, axis=(0, 1))[::_BLOCK, ::_BLOCK]
 
     found_means, found_variances = around(box_means), around(box_variances)
     patches = around(sliding_window_view(wide, (_BLOCK, _BLOCK), axis=(0, 1)))

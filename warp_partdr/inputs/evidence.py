@@ -1,8 +1,8 @@
-"""Evidence of one person: keypoints and labels without others' pixels, contradictions mended and reported.
+"""Evidence of one person: keypoints and labels without others' pixels; contradictions are mended and reported.
 
-Networks miss limbs that are dark, blurred or behind something. Background where an arm is would make a fit hide the
-arm: thin, or pointing along the line of sight. Stray labels, a stranger's or a thing's pixels far from the part whose
-label they have, would pull limbs away, and F1 of the foreground hides it.
+Label networks miss limbs that are dark, blurred or behind something. If an arm has the label of background, a fit would
+hide the arm: it would make it thin, or point it along the line of sight. Stray labels are pixels of a stranger or a
+thing, far from the part whose label they have. They would pull limbs away, and F1 of the foreground would not show it.
 """
 
 from __future__ import annotations
@@ -22,29 +22,30 @@ from ..cameras import Crop, Perspective
 from ..errors import InputError, check_each, check_type
 from ..interop.streams import on_torch_stream
 from .body_lines import LIMBS
-from .keypoints import LARGEST_PLACE, Keypoints2D
+from .keypoints import LARGEST_COORDINATE, Keypoints2D
 from .own_pixels import CPU, Mask, Measures, OwnPixels, Windows, no_label_along_bones, person_extents
 from .part_labels import PartLabels
 from .person import Box, person_labels
 
 MASK_LABELS = label_set("full1")
 MOST_DISAGREEMENT = 1.0  # see ``disagreements``
-_FEW = 4  # visible keypoints that are needed to tell more than a place and a size
-_STRAIGHT = 0.02  # spread across a line beside that along it; of 400 random poses from all sides, the least is 0.12
+_FEW = 4  # visible keypoints that are needed to find more than a position and a size
+_STRAIGHT = 0.02  # extent across a line as a share of that along it; the least of 400 random poses seen from all sides
+# is 0.12
 _MANY = 3  # groups with stray pixels, from which on it is likelier that the ids mean something else
-_LEAST = 0.01  # of the person's pixels: less does no harm
+_LEAST = 0.01  # share of the person's pixels; fewer stray ones do no harm
 _CONFIRMED = 0.25  # pixels about a part's bones for each one far away; with fewer, its keypoints are in doubt
-_FEWEST = 24  # samples below which nothing is said
-_SWAPPED = 0.75  # share of the samples on either side's label from which on two limbs are taken for each other
+_FEWEST = 24  # samples that are needed for a decision
+_SWAPPED = 0.75  # least share of the samples on the other side's label for two limbs that are exchanged
 
 
 class PicturePerson(NamedTuple):
-    """A person in a picture."""
+    """Person in a picture."""
 
     keypoints: Keypoints2D
-    pixels: PartLabels | Mask | None = None  # the picture's labels, or whom its pixels show
-    others: Sequence[Keypoints2D] = ()  # in the picture
-    camera: Perspective | None = None  # the picture's
+    pixels: PartLabels | Mask | None = None  # labels of the picture, or the person's mask
+    others: Sequence[Keypoints2D] = ()  # other people in the picture
+    camera: Perspective | None = None  # camera of the picture
 
 
 @dataclass(frozen=True)
@@ -52,11 +53,12 @@ class Evidence:
     """Keypoints and labels of a person that a fit uses.
 
     Attributes:
-        keypoints: The person's, in pixels of the picture; left and right as decided.
-        picture: Labels of the whole picture, left and right likewise; None if there are none.
-        window: The part of the picture where the person's labels may be, made smaller if it is large.
-        groups: Group ids in it, others' and stray ones being 255, ignore, shape of the window, uint8; None without.
-        warnings: Faults that were found, a sentence each.
+        keypoints: The person's keypoints in pixels of the picture, with left and right as decided.
+        picture: Labels of the whole picture, with left and right as decided; None if there are none.
+        window: The part of the picture where the person's labels may be. It is scaled down if it is large.
+        groups: Group ids in the window, shape of the window, uint8. Other people's and stray ones are 255, ignore. None
+            without labels.
+        warnings: Sentences about faults that were found.
     """
 
     keypoints: Keypoints2D
@@ -78,37 +80,38 @@ class Evidence:
 
     @property
     def image_size(self) -> tuple[int, int] | None:
-        """Size (H, W) of the picture [px]; None if neither labels nor keypoints tell it."""
+        """Size (H, W) of the picture [px]; None if neither labels nor keypoints have it."""
         if self.picture is None:
             return self.keypoints.image_size
         height, width = self.picture.groups.shape
         return height, width
 
     def in_window(self) -> Keypoints2D:
-        """Keypoints in pixels of the window."""
+        """Return the keypoints in pixels of the window."""
         return Keypoints2D(self.keypoints.skeleton, self.windows.points[0], self.keypoints.confidence)
 
     @cached_property
     def windows(self) -> Windows:
-        """The window, as of one person."""
+        """The window as a batch of one person."""
         one = self.keypoints.skeleton, self.keypoints.points[None], self.keypoints.confidence[None]
         start = np.array([[self.window.left, self.window.top]])
         return Windows.at(*one, start, np.array([self.window.zoom]), np.array([self.window.size]))
 
     def extents(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest (x, y) in the window [px] of all that is seen of the person, shape (1, 2)."""
+        """Lowest and highest (x, y) in the window [px] of the person's labels and confident keypoints, shape (1, 2)."""
         return person_extents(self.in_window(), self.groups)
 
     def target(
         self, size: tuple[int, int], box: Box | None = None, *, every: int = 1, trust_background: bool = True
     ) -> np.ndarray:
-        """Group ids of the person in a box of the picture (None: all), resampled to (H, W); others' and beyond: 255.
+        """Resample the person's group ids in a box of the picture; other people, and everything beyond it, are 255.
 
         Args:
             size: Height and width [px].
-            box: Left, top, right and bottom in the picture [px].
-            every: So many-th pixel of that alone, the middle one of as many.
-            trust_background: Background where confident keypoints say that a limb is stays background; else 255.
+            box: Left, top, right and bottom in the picture [px]; None: all of the picture.
+            every: Step between the pixels that are returned; each is the middle one of ``every`` x ``every`` pixels.
+            trust_background: True: background stays background where confident keypoints say that a limb is. False: it
+                becomes 255 there.
 
         Raises:
             ValueError: If there are no labels.
@@ -127,21 +130,28 @@ class Evidence:
 def weigh_evidence(
     keypoints: Keypoints2D, parts: PartLabels | None = None, others: Sequence[Keypoints2D] = ()
 ) -> list[Evidence]:
-    """Leave ``others`` out of one person's labels, and find contradictions to the keypoints.
+    """Leave other people out of one person's labels, and find contradictions to the keypoints.
 
-    Gives one reading; two where keypoints and labels disagree on left and right, for either may be wrong: first by the
-    keypoints, then by the labels.
+    Args:
+        keypoints: The person's keypoints, in pixels of the picture.
+        parts: Part labels of the picture; None: keypoints alone.
+        others: Keypoints of the other people in the picture.
+
+    Returns:
+        One piece of evidence. If keypoints and labels disagree on left and right, either may be wrong, and there are
+        two: first with the labels exchanged, then with the keypoints exchanged.
 
     Raises:
+        TypeError: If an argument has another type.
         InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
     """
     check_type("keypoints", keypoints, Keypoints2D, "one person's, of read_keypoints and choose_person")
     check_type("parts", parts, PartLabels | None, "of read_parts")
     check_each("others", others, Keypoints2D, "of read_keypoints")
-    check_places(keypoints)
+    check_points(keypoints)
     if parts is None:
         return [Evidence(keypoints, None, Crop(0.0, 0.0, 1.0, (1, 1)), None, keypoint_warnings(keypoints))]
-    if parts.instances is not None:  # then nobody's bones need tell whose a pixel is
+    if parts.instances is not None:  # then bones are not needed to find whose a pixel is
         parts, others = person_labels(parts, keypoints), ()
     with on_torch_stream(CPU):
         weighed = weigh_people([PicturePerson(keypoints, parts, others)], CPU)
@@ -160,14 +170,16 @@ class WeighedPeople(NamedTuple):
     pixels: OwnPixels
     measures: Measures
     warnings: list[tuple[str, ...]]
-    swapped: list[list[str]]  # those of each person's ``LIMBS`` whose sides differ between labels and keypoints
-    whole: list[bool]  # True if these are all that can be compared
+    swapped: list[
+        list[str]
+    ]  # names in ``LIMBS`` of each person's limbs whose sides differ between labels and keypoints
+    whole: list[bool]  # True if these are all limbs that can be compared
 
 
 def weigh_people(people: Sequence[PicturePerson], device: torch.device) -> WeighedPeople:
-    """Find pixels of people with one skeleton, in pictures with one label set or with masks, and contradictions.
+    """Find the pixels of people with one skeleton, in pictures with one label set or with masks, and contradictions.
 
-    Launches, so it belongs inside ``on_torch_stream``; the device has its number.
+    It launches kernels, so call it inside ``on_torch_stream``. The device must have an index, such as "cuda:0".
     """
     labels, images = MASK_LABELS, list[np.ndarray | Mask]()
     for person in people:
@@ -183,21 +195,21 @@ def weigh_people(people: Sequence[PicturePerson], device: torch.device) -> Weigh
     windows = Windows.of(people[0].keypoints.skeleton, points, confidence, sizes)
     pixels = OwnPixels(images, windows, device, labels=labels)
     measures = pixels.select([person.others for person in people])
-    stray = measures.complete & are_stray(measures.looked.sum(axis=1, keepdims=True), measures.within, measures.stray)
+    stray = measures.complete & are_stray(measures.counts.sum(axis=1, keepdims=True), measures.within, measures.stray)
     if stray.any():
         measures = pixels.ignore_stray(stray)
     sides = pixels.sides()
-    known = np.where(measures.complete, measures.looked, 0).sum(axis=1)
+    known = np.where(measures.complete, measures.counts, 0).sum(axis=1)
     elsewhere = disagreements(sides, known, measures.far.sum(axis=1)) > MOST_DISAGREEMENT
     elsewhere |= np.count_nonzero(stray, axis=1) >= _MANY
     warnings = []
     for n, person in enumerate(people):
-        told = [*keypoint_warnings(person.keypoints)]
+        own = [*keypoint_warnings(person.keypoints)]
         if stray[n].any():
-            told.append(stray_warning(labels.group_names[group - 1] for group in np.flatnonzero(stray[n]).tolist()))
+            own.append(stray_warning(labels.group_names[group - 1] for group in np.flatnonzero(stray[n]).tolist()))
         if elsewhere[n]:
-            told.append(elsewhere_warning(labels))
-        warnings.append(tuple(told))
+            own.append(elsewhere_warning(labels))
+        warnings.append(tuple(own))
     names, swapped = np.array(list(LIMBS)), are_swapped(sides)
     compared = sides.any(axis=2).sum(axis=1)
     return WeighedPeople(
@@ -209,13 +221,19 @@ def weigh_people(people: Sequence[PicturePerson], device: torch.device) -> Weigh
     )
 
 
-def are_stray(looked: np.ndarray, within: np.ndarray, far: np.ndarray) -> np.ndarray:
-    """True where, of so many pixels of a person, so many of a group's lie far from its flesh, and within it."""
-    return (far >= np.maximum(_LEAST * looked, 1.0)) & (within >= _CONFIRMED * far)
+def are_stray(counts: np.ndarray, within: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """True for groups whose pixels far from their flesh are stray labels.
+
+    Args:
+        counts: Number of all pixels of the person.
+        within: Number of the group's pixels within its flesh.
+        far: Number of the group's pixels far from its flesh.
+    """
+    return (far >= np.maximum(_LEAST * counts, 1.0)) & (within >= _CONFIRMED * far)
 
 
 def are_swapped(sides: np.ndarray) -> np.ndarray:
-    """True for limbs whose sides differ between labels and keypoints, by numbers of ``OwnPixels.sides`` (..., 3)."""
+    """True for limbs whose sides differ between labels and keypoints, by counts of ``OwnPixels.sides``, (..., 3)."""
     own, mirrored, _ = np.moveaxis(sides, -1, 0)
     found: np.ndarray = (own + mirrored >= _FEWEST) & (mirrored >= _SWAPPED * (own + mirrored))
     return found
@@ -224,14 +242,14 @@ def are_swapped(sides: np.ndarray) -> np.ndarray:
 def disagreements(sides: np.ndarray, known: np.ndarray, far: np.ndarray) -> np.ndarray:
     """Measure of disagreement between labels and keypoints of N people, regardless of sides, shape (N,).
 
-    The share of the limbs' bones that run over other parts' labels, plus four times the share of labels that lie far
-    from any bone of their part. At most 0.87 for 120 people of PartBench, "realistic" and "hard"; their labels read as
-    Sapiens' or ATR's have at least 1.3.
+    It is the share of the limbs' bones that run over other parts' labels, plus four times the share of labels that lie
+    far from any bone of their part. It is at most 0.87 for 120 people of PartBench, "realistic" and "hard". If their
+    labels are read as Sapiens' or ATR's, it is at least 1.3.
 
     Args:
-        sides: Numbers of places along the limbs' bones, shape (N, limbs, 3), as of ``OwnPixels.sides``.
-        known: Numbers of pixels whose distance from flesh is known, shape (N,).
-        far: Numbers of these that are far, shape (N,).
+        sides: Counts of samples along the limbs' bones, as ``OwnPixels.sides`` returns them, shape (N, limbs, 3).
+        known: Counts of pixels whose distance from flesh is known, shape (N,).
+        far: Counts of those among them that are far, shape (N,).
     """
     totals = sides.sum(axis=-2)
     bones = totals.sum(axis=-1)
@@ -240,83 +258,87 @@ def disagreements(sides: np.ndarray, known: np.ndarray, far: np.ndarray) -> np.n
 
 
 def stray_warning(names: Iterable[str]) -> str:
-    """Sentence about groups that ``ignore_stray_labels`` names."""
+    """Warning about groups with stray labels, by their names."""
     return f"labels: {_join(sorted(names))} also far from any such bone; ignored there"
 
 
 def elsewhere_warning(labels: LabelSet) -> str:
-    """Sentence about labels in ``disagreement`` with the keypoints."""
+    """Warning about labels that disagree with the keypoints (``disagreements``)."""
     return f"labels: parts lie elsewhere than their bones; are these ids of {labels.name}?"
 
 
 def keypoint_warnings(keypoints: Keypoints2D) -> tuple[str, ...]:
-    """Sentences about keypoints: those of their file, and one if they are too few, or lie too straight, for a pose."""
+    """Warnings about keypoints: those from their file, and one if they are too few, or too much in line, for a pose."""
     points = keypoints.points[keypoints.visible].astype(np.float64)
     if len(points) < _FEW:
         are = "1 is" if len(points) == 1 else f"{len(points)} are"
         return (*keypoints.warnings, f"keypoints: only {are} visible; most of the body is a guess")
-    if _spread_across(points) < _STRAIGHT:
+    if _relative_width(points) < _STRAIGHT:
         return (*keypoints.warnings, "keypoints: all lie in a line; most of the body is a guess")
     return keypoints.warnings
 
 
-def _spread_across(points: np.ndarray) -> float:
-    """Spread of points (N, 2) across the line that fits them best, as a share of that along it."""
+def _relative_width(points: np.ndarray) -> float:
+    """Deviation of points (N, 2) across the line that fits them best, as a share of the deviation along it."""
     x, y = (points - points.mean(axis=0)).T
     xx, xy, yy = float(x @ x), float(x @ y), float(y @ y)
     middle, apart = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)  # of the eigenvalues of their covariance
     return math.sqrt(max(middle - apart, 0.0) / (middle + apart)) if middle > 0 else 0.0
 
 
-def check_places(keypoints: Keypoints2D) -> None:
-    """Raise InputError unless keypoints are visible, in places that a picture may have, and in different ones."""
+def check_points(keypoints: Keypoints2D) -> None:
+    """Raise InputError unless keypoints are visible, at points that a picture may have, and not all at one point."""
     visible = keypoints.visible
     if not visible.any():
         raise InputError("keypoints: none is visible; expected at least one with a confidence above 0")
-    if not (np.abs(keypoints.points[visible]) <= LARGEST_PLACE).all():
-        raise InputError(f"keypoints: hold NaN, or numbers beyond {LARGEST_PLACE:g}; expected pixels")
+    if not (np.abs(keypoints.points[visible]) <= LARGEST_COORDINATE).all():
+        raise InputError(f"keypoints: hold NaN, or numbers beyond {LARGEST_COORDINATE:g}; expected pixels")
     points = keypoints.points[visible]
     if (points == points[0]).all():
         raise InputError("keypoints: all lie in one point; expected different places")
 
 
-def _either_side(seen: Evidence, swapped: list[str], *, whole: bool) -> Iterator[Evidence]:
-    """Labels with left and right exchanged; then, instead, keypoints: arguments as of ``WeighedPeople``."""
-    assert seen.groups is not None
-    picture = seen.labels
+def _either_side(evidence: Evidence, swapped: list[str], *, whole: bool) -> Iterator[Evidence]:
+    """Evidence with left and right of the labels exchanged, then with those of the keypoints.
+
+    ``swapped`` and ``whole`` are one person's from ``WeighedPeople``.
+    """
+    assert evidence.groups is not None
+    picture = evidence.labels
     table = exchanged_groups(picture.label_set, swapped, whole=whole)
     maps = None if picture.maps is None else picture.maps[table[: len(picture.maps)]]
     exchanged = replace(picture, groups=table[picture.groups], maps=maps)
-    told = exchanged_warning(swapped, whole=whole)
-    yield replace(seen, picture=exchanged, groups=table[seen.groups], warnings=(*seen.warnings, told))
-    told = f"keypoints: left and right{_where(swapped, whole=whole)} exchanged, say the labels; taken so"
-    mine = seen.keypoints
+    warning = exchanged_warning(swapped, whole=whole)
+    yield replace(evidence, picture=exchanged, groups=table[evidence.groups], warnings=(*evidence.warnings, warning))
+    warning = f"keypoints: left and right{_of_limbs(swapped, whole=whole)} exchanged, say the labels; taken so"
+    mine = evidence.keypoints
     joints = None if whole else {joint for limb in swapped for joint in _LIMB_JOINTS[limb]}
     mirror = mirror_order(mine.format.landmarks, joints)
     keypoints = replace(mine, points=mine.points[mirror], confidence=mine.confidence[mirror])
-    yield replace(seen, keypoints=keypoints, warnings=(*seen.warnings, told))
+    yield replace(evidence, keypoints=keypoints, warnings=(*evidence.warnings, warning))
 
 
 def exchanged_warning(swapped: list[str], *, whole: bool) -> str:
-    """Sentence about labels whose sides are exchanged; arguments as of ``WeighedPeople``."""
-    return f"labels: left and right{_where(swapped, whole=whole)} exchanged, say the keypoints; taken so"
+    """Warning about labels whose sides are exchanged. The arguments are one person's from ``WeighedPeople``."""
+    return f"labels: left and right{_of_limbs(swapped, whole=whole)} exchanged, say the keypoints; taken so"
 
 
-def _where(swapped: list[str], *, whole: bool) -> str:
+def _of_limbs(swapped: list[str], *, whole: bool) -> str:
     return "" if whole else f" of {_join(swapped)}"
 
 
 def exchanged_groups(labels: LabelSet, swapped: list[str], *, whole: bool) -> np.ndarray:
-    """Group ids with left and right exchanged, of limbs or, if ``whole``, of head and trunk as well, (256,), uint8.
+    """Table of group ids with left and right of some limbs exchanged, (256,), uint8.
 
-    Whole: nothing that can be compared is right. A group changes whose parts are all of the limbs.
+    A group changes if all its parts belong to these limbs. If ``whole``, groups of head and trunk change as well: then
+    no limb that can be compared is on the right side.
     """
-    kinds = {kind for limb in swapped for kind in LIMBS[limb]}
+    exchanged = {part for limb in swapped for part in LIMBS[limb]}
     table = np.arange(256, dtype=np.uint8)
     names = labels.group_names
     for name, parts in labels.groups.items():
-        of_kind = whole or set(map(without_side, parts)) <= kinds
-        if of_kind and mirror_name(name) in names:
+        changes = whole or set(map(without_side, parts)) <= exchanged
+        if changes and mirror_name(name) in names:
             table[names.index(name) + 1] = names.index(mirror_name(name)) + 1
     return table
 

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 FILM_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".mts", ".wmv")
-_NEAR = 32  # frames ahead to which a film is read on rather than opened anew, and that are kept for other threads
-_FASTEST = 480.0  # frames a second; what states more often means the unit of its times
-_FIRST = 256  # packets that tell the rate of such a film
+_NEAR = 32  # frames ahead that a film is read on to instead of being opened anew, and frames kept for other threads
+_FASTEST = 480.0  # frames a second; a file that states more often means the unit of its times
+_FIRST = 256  # packets from which the rate of such a film is found
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class Frame:
     """One frame of a film.
 
     Attributes:
-        index: 0 for the first.
-        time: Since the first frame [s]; it rises from frame to frame.
-        picture: RGB, shape (H, W, 3), uint8, upright, with square pixels; all frames have one size.
-        guessed: Whether the file states no such time.
+        index: Index of the frame, 0 for the first.
+        time: Time since the first frame [s]; it rises from frame to frame.
+        picture: Picture, RGB, shape (H, W, 3), uint8, upright, with square pixels; all frames have one size.
+        guessed: True if the file does not state the time.
     """
 
     index: int
@@ -53,13 +53,13 @@ class Frame:
 
 @dataclass(frozen=True)
 class FilmPicture:
-    """Picture of a film, by its number, 0 for the first."""
+    """Picture of a film, by its index, 0 for the first."""
 
     film: Path
     index: int
 
     def read(self) -> np.ndarray:
-        """RGB, shape (H, W, 3), uint8; InputError if it can't be read."""
+        """Return the picture, RGB, shape (H, W, 3), uint8; raise InputError if it can't be read."""
         return FilmFrames(self.film).read(self.index)
 
 
@@ -69,7 +69,7 @@ class FilmFacts:
 
     Attributes:
         rate: Frames a second on average; 0 if unknown.
-        frames: Their number, which may be off by a few; 0 if unknown.
+        frames: Number of frames, which may be off by a few; 0 if unknown.
     """
 
     rate: float
@@ -88,7 +88,7 @@ def check_pyav(path: str | Path) -> None:
 
 
 def film_facts(path: str | Path) -> FilmFacts:
-    """Rate and number of a film's frames, without decoding them.
+    """Find the rate and number of a film's frames, without decoding them.
 
     Raises:
         InputError: If PyAV is not installed, or the file can't be read as a film.
@@ -107,12 +107,12 @@ def read_frames(path: str | Path, *, size: tuple[int, int] | None = None) -> Ite
     """Frames of a film in their order, of which one at a time is in memory.
 
     Args:
-        path: The film, or a photo.
-        size: (H, W) of the pictures [px], to which libav scales while it converts colours; None: the film's.
+        path: File of the film, or of a photo.
+        size: Size (H, W) of the pictures [px], to which libav scales while it converts colours; None: the film's size.
 
     Raises:
-        InputError: If PyAV is not installed, the file can't be read as a film, it has no frame, or fewer than it says,
-            or one is damaged; frames before that are given.
+        InputError: If PyAV is not installed, the file can't be read as a film, it has no frame, it has fewer frames
+            than it states, or one is damaged. Frames before the fault are yielded first.
     """
     if is_photo(path):
         photo = read_photo(path)
@@ -129,7 +129,7 @@ def read_frames(path: str | Path, *, size: tuple[int, int] | None = None) -> Ite
                 square = _square_size(path, stream, frame)
                 if size is not None:
                     square = size if _quarters(frame) % 2 else (size[1], size[0])
-            # Films of several sizes exist; what follows people wants one.
+            # Some films change their size, but tracking needs pictures of one size.
             yield Frame(index, time, _upright(frame, square), guessed)
     if not square[0]:
         raise InputError(f"{path}: no frames; expected a film")
@@ -138,19 +138,20 @@ def read_frames(path: str | Path, *, size: tuple[int, int] | None = None) -> Ite
 
 
 class _Packets:
-    """Packets of a film in the order of the file; after the last one ``fault`` says whether the film is cut off."""
+    """Packets of a film in the order of the file. After the last one, ``fault`` says if the film is cut off."""
 
     def __init__(self, path: str | Path, container: InputContainer, stream: VideoStream) -> None:
         self.fault = ""
         self._path, self._container, self._stream = path, container, stream
         self._count, self._listed = 0, len(stream.index_entries)
-        # AVI states when frames are decoded. From that libav guesses when they are shown, wrongly if the order differs.
+        # AVI states when frames are decoded. From these times, libav guesses when frames are shown. It guesses wrong if
+        # the two orders differ.
         self.guesses = container.format.name == "avi" and stream.codec_context.has_b_frames
         self._decoded: deque[int] = deque()  # times of the packets whose frames are not shown yet, where it guesses
 
     def __iter__(self) -> Iterator[Packet]:
         for packet in self._container.demux(self._stream):
-            if packet.size or packet.dts is not None:  # else it only asks for the last frames
+            if packet.size or packet.dts is not None:  # an empty packet only asks for the last frames
                 self._count += 1
                 if self.guesses and packet.dts is not None:
                     self._decoded.append(packet.dts)
@@ -158,21 +159,21 @@ class _Packets:
         self.fault = self._cut_off()
 
     def time(self, frame: VideoFrame) -> float | None:
-        """Time at which a frame is shown, as the file states it [s]; None if it does not.
+        """Time at which a frame is shown, as the file states it [s]; None if it states none.
 
-        It must be asked for once for each frame, in order.
+        Call it once for each frame, in order.
         """
         ticks = frame.pts
-        if self.guesses:  # the first one that is shown has the time of the first one that is decoded, and so on
+        if self.guesses:  # the n-th frame that is shown has the time of the n-th frame that is decoded
             ticks = self._decoded.popleft() if self._decoded else None
         return None if ticks is None or frame.time_base is None else float(ticks * frame.time_base)
 
     def _cut_off(self) -> str:
-        """Describe what is missing from a film whose last packet was read; empty if nothing is."""
+        """Describe what is missing from a film whose last packet was read; empty if it is whole."""
         size, stated = os.stat(self._path).st_size, stated_bytes(self._path)
         frames, listed = self._stream.frames, self._listed
         if self._container.format.name == "avi":
-            # Frames that a whole one does not list were dropped by whoever recorded it.
+            # A whole file may list fewer frames than its header counts: the recorder dropped the others.
             frames = listed if size + 1 >= stated > 0 else frames
         elif stated > size:
             return f"{self._path}: {size} of {stated} bytes in it; expected a whole film"
@@ -184,11 +185,11 @@ class _Packets:
 
 
 class FilmFrames:
-    """Frames of a film by their number, in any thread. Asked for in about their order, each is decoded once.
+    """Frames of a film by their index, in any thread. If they are read in about their order, each is decoded once.
 
     Attributes:
-        path: The film's.
-        fault: Why there are fewer frames than the file says; None if nothing is missing.
+        path: File of the film.
+        fault: Reason why there are fewer frames than the file states; None if none is missing.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -210,23 +211,23 @@ class FilmFrames:
         self.fault = packets.fault or (None if times else f"{path}: no frames; expected a film")
         known = [time for time in times if time is not None]
         self._count = len(times)
-        # Without times, or with one twice, frames can only be counted from the first on.
+        # If times are missing or not unique, frames can only be counted from the first one on.
         trusted = rises and not packets.guesses and len(set(known)) == len(times)
         self._times = sorted(known) if trusted else None
         self._lock = threading.Lock()
         self._ahead: OrderedDict[int, np.ndarray] = OrderedDict()
         self._decoded: Iterator[tuple[int, np.ndarray]] = iter(())
-        self._next = math.inf  # number of the next of ``_decoded``
+        self._next = math.inf  # index of the next frame of ``_decoded``
 
     def __len__(self) -> int:
         """Number of frames."""
         return self._count
 
     def read(self, index: int) -> np.ndarray:
-        """The frame of a number, 0 for the first: RGB, shape (H, W, 3), uint8, upright, with square pixels.
+        """Read a frame by its index, 0 for the first: RGB, shape (H, W, 3), uint8, upright, with square pixels.
 
         Raises:
-            InputError: If it is damaged, or not there.
+            InputError: If there is no such frame, or it is damaged.
         """
         if not 0 <= index < self._count:
             raise InputError(f"{self.path}: frame {index}; expected 0 to {self._count - 1}")
@@ -249,23 +250,23 @@ class FilmFrames:
             raise InputError(f"{self.path}: frame {index}: damaged; expected a whole film")
 
     def _decode(self, first: int) -> Iterator[tuple[int, np.ndarray]]:
-        """Numbers and pictures of frames from the first one on."""
+        """Indices and pictures of frames, from index ``first`` on."""
         if is_photo(self.path):
             yield 0, read_photo(self.path)
             return
-        places = None if self._times is None else {time: place for place, time in enumerate(self._times)}
+        indices = None if self._times is None else {time: index for index, time in enumerate(self._times)}
         with _opened(self.path) as (container, stream):
             stream.thread_type = "AUTO"
             if first and self._times is not None:
                 container.seek(self._times[first], stream=stream)  # to the last key frame before
             for count, frame in enumerate(container.decode(stream)):
-                number = count if places is None or frame.pts is None else places.get(frame.pts)
+                number = count if indices is None or frame.pts is None else indices.get(frame.pts)
                 if number is not None and number >= first:
                     yield number, _upright(frame, _square_size(self.path, stream, frame))
 
 
 def scaled(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """A picture, RGB, uint8, at a size, (H, W) [px]; itself if it has that already."""
+    """Scale a picture, RGB, uint8, to a size (H, W) [px]; return it unchanged if it has that size already."""
     if picture.shape[:2] == size:
         return picture
     from PIL import Image
@@ -274,13 +275,13 @@ def scaled(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def is_photo(path: str | Path) -> bool:
-    """True for a photo, which libav would read, too, but not turn as its EXIF data say where they mirror it."""
+    """True for a photo's file. Libav could read it, too, but does not mirror it if its EXIF data say so."""
     return ending_of(str(path)) in PHOTO_SUFFIXES
 
 
 @contextmanager
 def _opened(path: str | Path) -> Iterator[tuple[InputContainer, VideoStream]]:
-    """The file and its first film; whatever is wrong with it becomes an InputError."""
+    """Open a file and its first film stream; any fault becomes an InputError."""
     check_pyav(path)
     import av
 
@@ -298,7 +299,7 @@ def _opened(path: str | Path) -> Iterator[tuple[InputContainer, VideoStream]]:
 
 
 def _stated_rate(stream: VideoStream) -> float:
-    """Frames a second on average, as the file states it; 0 if it does not."""
+    """Frames a second on average, as the file states them; 0 if it does not."""
     return float(stream.average_rate or stream.guessed_rate or 0)
 
 
@@ -311,7 +312,7 @@ def _square_size(path: str | Path, stream: VideoStream, frame: VideoFrame) -> tu
 
 
 def _upright(frame: VideoFrame, size: tuple[int, int]) -> np.ndarray:
-    """Pixels of a frame, of a width and height before it is turned."""
+    """Pixels of a frame, turned upright; ``size`` is the width and height before that."""
     pixels = frame.to_ndarray(format="rgb24", width=size[0], height=size[1])
     return np.ascontiguousarray(np.rot90(pixels, _quarters(frame)))
 

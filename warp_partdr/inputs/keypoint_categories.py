@@ -1,4 +1,4 @@
-"""Categories of COCO's annotations: whose keypoints they name, and in which order."""
+"""Categories of COCO's annotations. They say whose keypoints are annotated, and in which order."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ _ANIMALS = set(
 
 @dataclass(frozen=True)
 class KeypointCategory:
-    """One of a file's categories.
+    """Category of a file.
 
     Attributes:
-        name: Its name in the file.
+        name: Name in the file.
         skeleton: Skeleton of its keypoint names; None if the file gives it none, or only numbers.
         warning: Sentence about names that are no landmarks and were left out; None if there are none.
-        refusal: Sentence about why its annotations can't be read as people's; None if they can.
-        animals: True if it shows animals, whose annotations no ``--format`` makes people of.
+        refusal: Sentence about why its annotations can't be read as those of people; None if they can.
+        animals: True for animals; their annotations can't be read as people, not even with ``--format``.
     """
 
     name: str
@@ -53,12 +53,12 @@ class KeypointCategory:
 def read_categories(given: Any, where: str) -> dict[int | str, KeypointCategory]:
     """Read COCO's list ``categories``.
 
-    Annotations of a category with a ``refusal`` are to be left out, and the sentence is to be told; those of one with a
-    ``skeleton`` are to be read with it, whatever their number of points.
+    The caller leaves out annotations of a category with a ``refusal``, and warns with that sentence. Annotations of a
+    category with a ``skeleton`` are read with it, whatever their number of points.
 
     Args:
-        given: The list, such as ``[{"id": 1, "name": "person", "keypoints": ["nose", ...]}]``; None if there is none.
-        where: Begins the messages, such as the file's name.
+        given: List such as ``[{"id": 1, "name": "person", "keypoints": ["nose", ...]}]``; None if there is none.
+        where: Beginning of messages, such as the file's name.
 
     Returns:
         The categories by their ``id``.
@@ -84,7 +84,7 @@ def read_categories(given: Any, where: str) -> dict[int | str, KeypointCategory]
 
 
 def number_of(given: Any) -> int | str | None:
-    """An id as ids are compared: 17, 17.0, "17" and "000017" are one; None if this is none."""
+    """Id in the form in which ids are compared: 17, 17.0, "17" and "000017" are the same; None if it is no id."""
     if isinstance(given, str):
         text = given.strip()
         return int(text) if text.isdecimal() and len(text) < 20 else text
@@ -94,9 +94,10 @@ def number_of(given: Any) -> int | str | None:
 
 
 def common_category(categories: Collection[KeypointCategory]) -> KeypointCategory | None:
-    """Category of annotations that name none of a file's: the only one, or any where those of people name the same.
+    """Category for annotations that name none; None if the file has no category that could be meant.
 
-    Where they name their keypoints in different orders, it is a category without a skeleton, whose warning says so.
+    It is the file's only category, or any category of people if all have the same skeleton. If their skeletons differ,
+    it is a category without a skeleton, with a warning.
     """
     if len(categories) == 1:
         return next(iter(categories))
@@ -105,15 +106,19 @@ def common_category(categories: Collection[KeypointCategory]) -> KeypointCategor
         return None
     if all(each.skeleton == named[0].skeleton for each in named):
         return named[0]
-    told = ", ".join(shown(each.name) for each in named)
+    listed = ", ".join(shown(each.name) for each in named)
     return KeypointCategory(
         "unknown",
-        warning=f"keypoints: of none of the categories {told}, whose orders differ; their number tells the order",
+        warning=f"keypoints: of none of the categories {listed}, whose orders differ; their number tells the order",
     )
 
 
 def listed_names(names: Any, where: str) -> tuple[Any, ...]:
-    """Names in the order of the rows, from a list, also of objects with a name, or from tables by number or of numbers.
+    """Names of keypoints in the order of their rows.
+
+    Args:
+        names: List of names, list of objects with a "name", or table from numbers to names or from names to numbers.
+        where: Beginning of messages.
 
     Raises:
         InputError: If it is none of these.
@@ -129,18 +134,18 @@ def listed_names(names: Any, where: str) -> tuple[Any, ...]:
 
 def _category(entry: Mapping[str, Any], where: str) -> KeypointCategory:
     name = str(entry.get("name", entry["id"]))
-    told = f"{where}: category {shown(name)}"
-    kinds = name, str(entry.get("supercategory", ""))
-    if any(words and words[-1] in _ANIMALS for words in map(_words, kinds)) and not _is_people(name):
-        return KeypointCategory(name, refusal=f"{told}; expected keypoints of people, not of animals", animals=True)
+    subject = f"{where}: category {shown(name)}"
+    both = name, str(entry.get("supercategory", ""))
+    if any(words and words[-1] in _ANIMALS for words in map(_words, both)) and not _is_people(name):
+        return KeypointCategory(name, refusal=f"{subject}; expected keypoints of people, not of animals", animals=True)
     given = next((entry[key] for key in ("keypoints", *NAME_KEYS) if entry.get(key)), None)
     if given is None:
         return KeypointCategory(name)
     if not isinstance(given, list | Mapping):
-        raise InputError(f"{told}: keypoints: {type(given).__name__}; expected a list of names")
-    names = listed_names(given, told)
+        raise InputError(f"{subject}: keypoints: {type(given).__name__}; expected a list of names")
+    names = listed_names(given, subject)
     try:
-        form = skeleton_of_names(names, told)
+        form = skeleton_of_names(names, subject)
     except InputError as error:
         return KeypointCategory(name, refusal=str(error), animals=animal_name(names) is not None)
     return KeypointCategory(name, form, None if form is None else left_out_warning(names, form))

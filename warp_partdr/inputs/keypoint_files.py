@@ -6,22 +6,22 @@
 * COCO's annotations or results: objects with flat ``keypoints``, alone, in a list, or under ``annotations``; their
   visibilities 1 and 2 become the confidences 0.5 and 1;
 * MMPose's predictions: objects with ``keypoints`` and ``keypoint_scores``, in a list, under ``instances`` or under
-  ``instance_info``, or, of a film, one frame with its ``instances``;
-* Ultralytics' results (``to_json``): objects whose ``keypoints`` hold the lists ``x``, ``y`` and ``visible``, their
-  confidences; it writes (0, 0) for points that are less than half sure, which are missing;
-* AlphaPose's results of many pictures, with ``image_id``; its ``--format open`` and ``cmu`` have an entry a picture;
+  ``instance_info``, or, for a film, one frame with its ``instances``;
+* Ultralytics' results (``to_json``): objects whose ``keypoints`` hold the lists ``x``, ``y`` and ``visible``, which
+  holds their confidences; (0, 0), which it writes for confidences below 0.5, is missing;
+* AlphaPose's results for many pictures, with ``image_id``; its ``--format open`` and ``cmu`` have an entry a picture;
 * points that are named one by one: LabelMe's ``shapes``, Label Studio's ``keypointlabels``, an object
   ``{"left_hip": [x, y, confidence], ...}``, TensorFlow.js' ``[{"name": "left_hip", "x": ..., "y": ..., ...}, ...]``;
 * the bare list of one person's keypoints, or a list of such lists.
 
-Names of the points that stand in the file tell which is which: COCO's ``categories``, MMPose's ``meta_info``,
-``keypoint_names`` and the like. Without names and without the name of a format, the number of keypoints tells the
-format; 17 is COCO. Points that are no landmark are left out. Missing are keypoints of confidence 0, with null or NaN
-for all their numbers, and, where no confidences are given, those at exactly (0, 0).
+The order of the points comes from their names in the file: COCO's ``categories``, MMPose's ``meta_info``,
+``keypoint_names`` and the like. Without names and without the name of a format, the number of keypoints decides the
+format; 17 is COCO. Points that are no landmark are left out. A keypoint is missing if its confidence is 0, if all its
+numbers are null or NaN, or, in files without confidences, if it lies at exactly (0, 0).
 
-Of a file of many pictures, the people of one photo are read: those whose picture has the photo's name.
+If a file holds many pictures, only people of the picture with the photo's name are read.
 
-What is odd but can be read is told in ``Keypoints2D.warnings``.
+Odd things that can still be read are reported in ``Keypoints2D.warnings``.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from ..files.json_files import read_json
 from .annotated_sizes import StatedSize, match_sizes, outside_warning
 from .keypoint_order import mirror_warning, order_warning
 from .keypoint_shapes import PersonEntry, file_people, has_further, matching_names
-from .keypoints import LARGEST_PLACE, Keypoints2D
+from .keypoints import LARGEST_COORDINATE, Keypoints2D
 from .part_labels import read_orientation, scan_photo
 
 # Spellings of a format, without case, blanks and punctuation.
@@ -78,25 +78,25 @@ _ALIASES: dict[str, str] = {
     "posetrack18": "posetrack17",
 }
 _PLAIN_BODY = "coco17"
-# Formats with as many points as another, which the number alone is taken for, and one that few files have.
+# Formats that the number of points does not decide: another format has as many, or, for the last, few files have it.
 _NAMED_ALONE = (*TWINS, "h36m17", "posetrack17", "crowdpose14", "aic14", "body25b", "panoptic19")
 _BY_COUNT: dict[int, Skeleton] = {form.count: form for name, form in SKELETONS.items() if name not in _NAMED_ALONE}
 _NUMBERS = {int, float}
 _MAX_CONFIDENCE = 1.5  # Heat maps peak a little above 1 now and then; those are taken as 1.
-# Scores of models that classify coordinates (SimCC, RTMPose), and percents; the share of the largest that the upper
-# quartile of a person's must reach, or one number alone is wrong.
+# Largest score of models that classify coordinates (SimCC, RTMPose), and of percentages. A person's upper quartile must
+# reach this share of the largest score, or that one number alone is wrong.
 _MAX_SCORE = 100.0
 _LEAST_OF_MAX = 0.15
-_MAX_NORMALISED = 1.5  # MediaPipe's coordinates in shares of the picture's size go a little beyond it.
+_MAX_NORMALISED = 1.5  # MediaPipe's coordinates, as shares of the picture's size, go a little beyond it.
 _POINT_SCORES = ("score", "confidence", "visibility", "likelihood", "probability", "prob", "conf", "v")
 _MIN_EXTENT = 1.0  # [px]; keypoints closer together than a pixel are one point.
 
 
 def keypoint_file(path: Path, photo: Path | None) -> Path:
-    """The file itself, or a photo's file in a folder such as OpenPose writes, ``NAME_keypoints.json``.
+    """Return the file itself, or the photo's file ``NAME_keypoints.json`` in a folder, as OpenPose writes them.
 
     Raises:
-        InputError: If a folder has none for the photo, or, without a photo, not exactly one.
+        InputError: If the folder has no file for the photo, or, without a photo, not exactly one file.
     """
     if not path.is_dir():
         return path
@@ -119,20 +119,25 @@ def read_keypoints(
     photo: str | Path | None = None,
     size: tuple[int, int] | None = None,
 ) -> list[Keypoints2D]:
-    """Read everybody's 2D keypoints from a JSON file, in its order, but for people without visible keypoints.
+    """Read all people's 2D keypoints from a JSON file, in its order. People without visible keypoints are left out.
 
     Args:
-        path: The file.
-        keypoint_format: Name of the format, if the file's is missing or wrong, or a JSON file of one's own. It goes
-            before names in the file, with a warning where they tell another order.
-        photo: The picture's file. Of a file of many pictures, its people are read.
-        size: (H, W) of the picture [px]; None: of the photo, if there is one. Where the file states another size of the
-            picture, keypoints are scaled, or turned as the photo's EXIF data say, with a warning; and there is one if
-            EXIF data turn the photo and the file states no size.
+        path: File of keypoints.
+        keypoint_format: Name of the format, if the file's is missing or wrong, or a JSON file with a format of one's
+            own. It counts more than names in the file; if these give another order, there is a warning.
+        photo: File of the picture. If the keypoints' file holds many pictures, this one's people are read.
+        size: Size (H, W) of the picture [px]; None: the photo's size, if there is a photo. If the file states another
+            size, keypoints are scaled, or turned as the photo's EXIF data say, with a warning. There is also a warning
+            if EXIF data turn the photo and the file states no size.
 
     Raises:
-        InputError: If the file can't be read or understood, nobody in it has usable keypoints, it has several pictures
-            and none is the photo, or states a size that does not fit the picture's.
+        InputError: If the file can't be read or understood, if nobody in it has usable keypoints, if it has several
+            pictures and none is the photo, or if it states a size that does not fit the picture's.
+
+    Example::
+
+        people = read_keypoints("photo.keypoints.json", photo="photo.jpg")
+        keypoints = choose_person(people)
     """
     data, picture = read_json(path, "keypoints in JSON"), None if photo is None else Path(photo)
     return parse_keypoints(data, keypoint_format, name=str(path), photo=picture, size=size)
@@ -147,9 +152,15 @@ def parse_keypoints(
     size: tuple[int, int] | None = None,
     orientation: int | None = None,
 ) -> list[Keypoints2D]:
-    """Read everybody's 2D keypoints from a file's content, as ``read_keypoints`` does; errors call it ``name``.
+    """Read all people's 2D keypoints from a file's content, as ``read_keypoints`` does.
 
-    ``orientation`` is EXIF's of a photo whose file is not at ``photo``, 1 to 8; None: the photo's file tells.
+    Args:
+        data: Content of the JSON file.
+        keypoint_format: Format, as for ``read_keypoints``.
+        name: Name of the file in messages.
+        photo: Path of the photo; its file need not exist.
+        size: Size (H, W) of the picture [px], as for ``read_keypoints``.
+        orientation: EXIF's orientation of the photo, 1 to 8; None: it is read from the photo's file.
 
     Raises:
         InputError: If it can't be understood, or nobody in it has usable keypoints.
@@ -157,46 +168,47 @@ def parse_keypoints(
     given = None if keypoint_format is None else given_format(keypoint_format)
     entries, picture = file_people(data, name).of_photo(photo, name)
     sizes = list(dict.fromkeys(entry.size for entry in entries if entry.size is not None))
-    entries, told = _of_people(entries, given)
+    entries, common_warnings = _of_people(entries, given)
     entries = [_whole_body(entry, given) for entry in entries]
     if picture.name is not None and photo is not None and not _is_called(picture.name, photo):
-        told.append(f"keypoints: of {shown(picture.name)[1:-1]}, the file's only picture; taken for {photo.name}")
+        only = shown(picture.name)[1:-1]
+        common_warnings.append(f"keypoints: of {only}, the file's only picture; taken for {photo.name}")
     if not entries:
         where = name if photo is None or picture.name is None else f"{name}: {photo.name}"
         raise InputError(f"{where}: nobody in it; expected keypoints of at least one person")
-    places = [name] if len(entries) == 1 else [f"{name}: person {index}" for index in range(len(entries))]
-    alike: dict[tuple[Skeleton, int], list[int]] = {}  # whose keypoints make one array: format and numbers a keypoint
+    subjects = [name] if len(entries) == 1 else [f"{name}: person {index}" for index in range(len(entries))]
+    batches: dict[tuple[Skeleton, int], list[int]] = {}  # people by format and numbers a keypoint, each as one array
     numbers: list[list[float]] = []
     reasons: dict[int, str] = {}
     order = _Order(given)
-    told_of: list[tuple[str, ...]] = []
-    for index, (entry, where) in enumerate(zip(entries, places, strict=True)):
-        if entry.keypoints is None or entry.keypoints == []:  # OpenPose writes so of nobody
+    own_warnings: list[tuple[str, ...]] = []
+    for index, (entry, where) in enumerate(zip(entries, subjects, strict=True)):
+        if entry.keypoints is None or entry.keypoints == []:  # as OpenPose writes it if it finds nobody
             reasons[index] = f"{where}: no visible keypoint; expected some with confidence above 0"
             numbers.append([])
-            told_of.append(())
+            own_warnings.append(())
             continue
         form, warnings = order.of(entry, where)
         form, width, values = _person(entry, form, where)
-        alike.setdefault((form, width), []).append(index)
+        batches.setdefault((form, width), []).append(index)
         numbers.append(values)
-        told_of.append(warnings)
+        own_warnings.append(warnings)
     people: dict[int, Keypoints2D] = {}
-    for (form, width), group in alike.items():
+    for (form, width), group in batches.items():
         table = np.array([numbers[index] for index in group]).reshape(len(group), -1, width)
-        points, confidence, scaled = _checked(table, form, [places[index] for index in group])
+        points, confidence, scaled = _checked(table, form, [subjects[index] for index in group])
         known = form.name if _is_known(form) else form
         for row, (index, reason) in enumerate(zip(group, _why_unusable(points, confidence), strict=True)):
             if reason is None:
                 warnings = (
-                    *told,
-                    *told_of[index],
+                    *common_warnings,
+                    *own_warnings[index],
                     *scaled,
                     *_doubts(entries[index], form, points[row], confidence[row]),
                 )
                 people[index] = Keypoints2D(known, points[row], confidence[row], warnings)
             else:
-                reasons[index] = f"{places[index]}: {reason}"
+                reasons[index] = f"{subjects[index]}: {reason}"
     if not people:
         raise InputError(reasons[min(reasons)])
     found = [people[index] for index in sorted(people)]
@@ -211,14 +223,14 @@ def parse_keypoints(
 
 
 def is_whole_body(annotation: Mapping[str, Any], form: Skeleton | None) -> bool:
-    """True if COCO's annotation has COCO-WholeBody's feet, face or hands, and its keypoints are COCO's by ``form``."""
+    """True if an annotation has COCO-WholeBody's feet, face or hands, and by ``form`` its keypoints are COCO's 17."""
     keypoints, body = annotation.get("keypoints"), SKELETONS[_PLAIN_BODY]
     plain = isinstance(keypoints, list) and len(keypoints) == 3 * body.count
     return plain and (form is None or _same_rows(form, body)) and has_further(annotation)
 
 
 def _whole_body(entry: PersonEntry, given: Skeleton | None) -> PersonEntry:
-    """A person of COCO-WholeBody, whose feet, face and hands stand apart, as one of 133 points."""
+    """Entry of 133 points for a person of COCO-WholeBody, whose feet, face and hands are stored apart."""
     form, body = SKELETONS["wholebody133"], SKELETONS[_PLAIN_BODY]
     named = None if entry.category is None else entry.category.skeleton
     alone = entry.names is None and (named is None or _same_rows(named, body))
@@ -227,7 +239,7 @@ def _whole_body(entry: PersonEntry, given: Skeleton | None) -> PersonEntry:
         return entry
     if len(entry.keypoints) != 3 * body.count:
         return entry
-    # COCO's visibilities of the body are a scale of its own, as those of the other parts.
+    # The body's visibilities in COCO have a scale of their own, like those of the other parts.
     rows = [entry.keypoints[k : k + 3] for k in range(0, 3 * body.count, 3)]
     labels = [row[2] for row in rows]
     if 2 in labels and all(label in (0, 1, 2) for label in labels):
@@ -236,7 +248,7 @@ def _whole_body(entry: PersonEntry, given: Skeleton | None) -> PersonEntry:
 
 
 def _doubts(entry: PersonEntry, form: Skeleton, points: np.ndarray, confidence: np.ndarray) -> list[str]:
-    """Sentences about one person's keypoints whose order, or whose sides, seem wrong."""
+    """Warnings about one person's keypoints if their order, or their sides, seem wrong."""
     named = entry.names is not None or (entry.category is not None and entry.category.skeleton is not None)
     order = None if named else order_warning(form, points, confidence)
     doubts = [order if order is not None else mirror_warning(form, points, confidence)]
@@ -244,10 +256,10 @@ def _doubts(entry: PersonEntry, form: Skeleton, points: np.ndarray, confidence: 
 
 
 def _of_people(entries: Sequence[PersonEntry], given: Skeleton | None) -> tuple[list[PersonEntry], list[str]]:
-    """Entries of people, and sentences about those that were left out: of animals, or of unknown keypoints.
+    """Entries of people, and warnings about those that were left out: animals, or unknown keypoints.
 
     Raises:
-        InputError: If none is of people.
+        InputError: If there is no entry of people.
     """
     refused: dict[str, list[str]] = {}
     kept: list[PersonEntry] = []
@@ -266,7 +278,7 @@ def _of_people(entries: Sequence[PersonEntry], given: Skeleton | None) -> tuple[
 
 
 def _is_called(name: str, photo: Path) -> bool:
-    """True if a picture's name in a file may mean a photo; numbers and addresses without a name may."""
+    """True if a picture's name in a file may mean a photo; a number, or an address without a file name, may."""
     return "." not in name or bool(matching_names(photo, [name]))
 
 
@@ -278,25 +290,24 @@ def _in_picture(
     orientation: int | None,
     where: str,
 ) -> list[Keypoints2D]:
-    """Keypoints in pixels of the picture, whose size the file may state otherwise."""
-    there = photo is not None and (stated is not None or photo.is_file())  # of a photo, the name alone may be known
+    """Convert keypoints to pixels of the picture, if the file states another size of it."""
+    has_photo = photo is not None and (stated is not None or photo.is_file())  # maybe only the photo's name is known
     if orientation is None:
-        orientation = read_orientation(photo) if there and photo is not None else 1
-    if size is None and there and photo is not None:
+        orientation = read_orientation(photo) if has_photo and photo is not None else 1
+    if size is None and has_photo and photo is not None:
         size = scan_photo(photo)
     if size is None:
         known = None if stated is None or stated.either else stated.size
         return [replace(person, image_size=known) for person in people]
     change = match_sizes(None if stated is None else stated.of(size, orientation), size, orientation, where)
-    moved = [change.keypoints(person) for person in people]
-    told = None if change.warning is None else f"keypoints: {change.warning}"
+    warning = None if change.warning is None else f"keypoints: {change.warning}"
     return [
         replace(
             person,
-            warnings=(*person.warnings, *filter(None, (told, outside_warning(person, size)))),
+            warnings=(*person.warnings, *filter(None, (warning, outside_warning(person, size)))),
             image_size=size,
         )
-        for person in moved
+        for person in map(change.keypoints, people)
     ]
 
 
@@ -304,14 +315,16 @@ def _in_picture(
 class _Order:
     """Order of the points of a file's people: by a given format, by names, by the name of a format, or by their number.
 
-    ``known`` keeps what lists of names mean, for people share them.
+    Attributes:
+        given: Format that the user gave; None without.
+        known: Skeleton and warning for each list of names that was read, because people share such lists.
     """
 
     given: Skeleton | None
     known: dict[tuple[Any, ...], tuple[Skeleton | None, str | None]] = field(default_factory=dict)
 
     def of(self, entry: PersonEntry, where: str) -> tuple[Skeleton | None, tuple[str, ...]]:
-        """The skeleton of one person's rows, None where their number tells it; and warnings."""
+        """Find the skeleton of one person's rows, None if their number decides it; and warnings."""
         form, left_out = self._named(entry, where)
         if self.given is not None:
             if form is None or _same_rows(form, self.given):
@@ -324,7 +337,7 @@ class _Order:
         return form, () if left_out is None else (left_out,)
 
     def _named(self, entry: PersonEntry, where: str) -> tuple[Skeleton | None, str | None]:
-        """The skeleton that names tell, and a sentence about names that are no landmarks."""
+        """Find the skeleton by names, and a warning about names that are no landmarks."""
         if entry.names is None:
             return (None, None) if entry.category is None else (entry.category.skeleton, entry.category.warning)
         if entry.names not in self.known:
@@ -341,19 +354,19 @@ class _Order:
 
 
 def _same_rows(one: Skeleton, other: Skeleton) -> bool:
-    """True if the same rows are the same landmarks in both, where both have any."""
+    """True if each row that has a landmark in both formats has the same one in both."""
     rows = [dict(zip(form.places, form.landmarks, strict=True)) for form in (one, other)]
     return all(rows[0][row] == rows[1][row] for row in rows[0].keys() & rows[1].keys() - {-1})
 
 
 def _is_known(form: Skeleton) -> bool:
-    """True if a skeleton has the joints of the format of its name, whatever the order of a file."""
+    """True if a skeleton has the joints of the format with its name, in whatever order a file lists them."""
     known = SKELETONS.get(form.name)
     return known is not None and (form.landmarks, form.marks) == (known.landmarks, known.marks)
 
 
 def given_format(given: str | Path | Skeleton) -> Skeleton:
-    """Skeleton that a user names, or describes in a JSON file.
+    """Return the skeleton that a user names, or describes in a JSON file.
 
     Raises:
         InputError: If there is no such format or file.
@@ -364,10 +377,10 @@ def given_format(given: str | Path | Skeleton) -> Skeleton:
 
 
 def format_of(count: int, given: Skeleton | None, where: str) -> Skeleton:
-    """Format of so many keypoints a person: the given one, or else the one that the number tells.
+    """Format for a number of keypoints a person: the given one, or else the one with this number.
 
     Raises:
-        InputError: If the number tells none, or is not the given format's; ``where`` begins it.
+        InputError: If no format has this number, or the given one has another number. ``where`` begins the message.
     """
     if given is None and count not in _BY_COUNT:
         counts = ", ".join(f"{known} ({form.name})" for known, form in sorted(_BY_COUNT.items()))
@@ -379,7 +392,7 @@ def format_of(count: int, given: Skeleton | None, where: str) -> Skeleton:
 
 
 def _named_format(text: Any, where: str, also: str = "") -> Skeleton:
-    """Skeleton by a user's or file's spelling: "BlazePose33 x,y,visibility px" is blazepose33."""
+    """Skeleton for a user's or a file's spelling: "BlazePose33 x,y,visibility px" is blazepose33."""
     words = str(text).lower().split()
     for candidate in ("".join(words), words[0] if words else ""):
         key = re.sub(r"[^a-z0-9]", "", candidate)
@@ -389,7 +402,7 @@ def _named_format(text: Any, where: str, also: str = "") -> Skeleton:
 
 
 def _person(entry: PersonEntry, form: Skeleton | None, where: str) -> tuple[Skeleton, int, list[float]]:
-    """Format, numbers a keypoint, and these numbers, one landmark's after the other's; null is NaN."""
+    """Format, count of numbers a keypoint, and the numbers, one landmark's after another's; null becomes NaN."""
     values = entry.keypoints
     if isinstance(values, Mapping):
         values = _columns(values, where)
@@ -403,7 +416,7 @@ def _person(entry: PersonEntry, form: Skeleton | None, where: str) -> tuple[Skel
         rows = _numbered(rows, entry.numbers, form, where)
     form = format_of(len(rows), form, where)
     missing = [None] * len(rows[0]) if rows else []
-    rows = [missing if place < 0 else rows[place] for place in form.places]
+    rows = [missing if row < 0 else rows[row] for row in form.places]
     width, values = len(rows[0]), list(chain.from_iterable(rows))
     if set(map(type, values)) <= _NUMBERS:
         with suppress(OverflowError):
@@ -413,7 +426,7 @@ def _person(entry: PersonEntry, form: Skeleton | None, where: str) -> tuple[Skel
 
 
 def _scored(rows: list[list[Any]], scores: Any, where: str) -> list[list[Any]]:
-    """Rows [x, y, score], with scores of a list of their own; a row of zeros alone stays missing."""
+    """Rows [x, y, score] with scores from a separate list; a row of zeros stays missing."""
     if isinstance(scores, list) and len(scores) == 1 and isinstance(scores[0], list) and len(rows) > 1:
         scores = scores[0]
     if not isinstance(scores, list) or len(scores) != len(rows):
@@ -428,7 +441,7 @@ def _scored(rows: list[list[Any]], scores: Any, where: str) -> list[list[Any]]:
 
 
 def _numbered(rows: list[list[Any]], numbers: Sequence[int], form: Skeleton | None, where: str) -> list[list[Any]]:
-    """All rows of a format, of some that are numbered in it from 0 or from 1 on; missing ones are null."""
+    """All rows of a format, from some rows with their numbers in it, which count from 0 or 1; missing ones are null."""
     most = max(numbers)
     if form is None and most >= max(_BY_COUNT):  # numbers of something else
         return rows
@@ -445,13 +458,13 @@ def _numbered(rows: list[list[Any]], numbers: Sequence[int], form: Skeleton | No
     else:
         body = SKELETONS[_PLAIN_BODY].count
         count = min(known for known in _BY_COUNT if known >= max(body, most + 1 - first))
-    placed = dict(zip(numbers, rows, strict=True))
+    by_number = dict(zip(numbers, rows, strict=True))
     missing = [None] * len(rows[0])
-    return [placed.get(number, missing) for number in range(first, first + count)]
+    return [by_number.get(number, missing) for number in range(first, first + count)]
 
 
 def _named(form: Skeleton, joint: int) -> str:
-    """A joint in a message: its row in the file, and its landmark."""
+    """Name of a joint in messages: its row in the file, and its landmark."""
     return f"keypoint {form.places[joint]} ({form.landmarks[joint]})"
 
 
@@ -465,11 +478,11 @@ def _columns(lists: Mapping[str, Any], where: str) -> list[list[Any]]:
 
 
 def _point_row(point: Mapping[str, Any]) -> list[Any]:
-    """Row of an object {"x": ..., "y": ..., "score": ...}, whose place may stand under "position"."""
-    place = point.get("position")
-    place = place if isinstance(place, Mapping) else point
+    """Row for an object {"x": ..., "y": ..., "score": ...}; x and y may be inside of "position"."""
+    position = point.get("position")
+    position = position if isinstance(position, Mapping) else point
     score = next((point[key] for key in _POINT_SCORES if key in point), None)
-    row = [place.get("x"), place.get("y")]
+    row = [position.get("x"), position.get("y")]
     return row if score is None else [*row, score]
 
 
@@ -495,7 +508,7 @@ def _listed(numbers: set[int]) -> str:
 
 
 def _number(value: Any, name: str) -> float:
-    """A float; null is NaN."""
+    """Convert a number to float; null becomes NaN."""
     if value is None:
         return math.nan
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -507,14 +520,17 @@ def _number(value: Any, name: str) -> float:
 
 
 def _checked(
-    table: np.ndarray, form: Skeleton, places: Sequence[str]
+    table: np.ndarray, form: Skeleton, subjects: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Points (N, J, 2) and confidences (N, J), float32, from N people's numbers (N, J, 2 or 3), and warnings."""
+    """Points (N, J, 2) and confidences (N, J), float32, from N people's numbers (N, J, 2 or 3), and warnings.
+
+    ``subjects`` name the people in messages.
+    """
 
     def refuse(wrong: np.ndarray, found: Callable[[np.ndarray], str]) -> None:
         if wrong.any():
             person, joint = np.argwhere(wrong)[0].tolist()
-            raise InputError(f"{places[person]}: {_named(form, joint)}: {found(table[person, joint])}")
+            raise InputError(f"{subjects[person]}: {_named(form, joint)}: {found(table[person, joint])}")
 
     def listed(row: np.ndarray) -> str:
         return f"[{', '.join(f'{value:g}' for value in row)}]"
@@ -522,38 +538,38 @@ def _checked(
     points, unknown = table[..., :2], np.isnan(table).all(axis=-1)
     confidence = table[..., 2] if table.shape[-1] == 3 else np.ones(table.shape[:2])
     missing = unknown | ((confidence == 0) if table.shape[-1] == 3 else (points == 0).all(axis=-1))
-    minus = (points == -1).all(axis=-1)  # as many programs write points that are not there
+    minus = (points == -1).all(axis=-1)  # as many programs write missing points
     missing |= minus & ((confidence <= 0) if table.shape[-1] == 3 else True)
     refuse(~missing & ~np.isfinite(table).all(axis=-1), lambda row: f"{listed(row)}; expected finite numbers")
     points = np.where(missing[..., None], 0.0, points)
     confidence = np.where(missing, 0.0, confidence)
     if (confidence == 3).any() and np.isin(confidence, (0, 1, 2, 3)).all():
-        # OCHuman's: 1 = seen, 2 = hidden by the person, 3 = hidden by others. Without a 1, 2 is seen, as COCO's is.
-        seen = np.where((confidence == 1).any(), 1, 2)
-        confidence = np.where(confidence == 0, 0.0, np.where(confidence == seen, 1.0, 0.5))
+        # OCHuman: 1 = visible, 2 = hidden by the person, 3 = hidden by others. Without a 1, 2 is visible, as in COCO.
+        fully_visible = np.where((confidence == 1).any(), 1, 2)
+        confidence = np.where(confidence == 0, 0.0, np.where(confidence == fully_visible, 1.0, 0.5))
     if (confidence == 2).any():
         visibility = np.isin(confidence, (0, 1, 2)).all(axis=1) & (confidence == 2).any(axis=1)
-        confidence[visibility] /= 2  # COCO's: 1 = labelled, but hidden.
+        confidence[visibility] /= 2  # COCO: 1 = labelled, but hidden
     refuse(confidence < 0, lambda row: f"confidence {row[2]:g}; expected 0 to 1")
     largest = _largest_score(confidence)
-    told = () if largest is None else (f"keypoints: scores up to {largest:g}, not 1; divided by that",)
+    warnings = () if largest is None else (f"keypoints: scores up to {largest:g}, not 1; divided by that",)
     confidence = confidence if largest is None else confidence / largest
     refuse(
         (confidence > _MAX_CONFIDENCE) & (confidence == confidence.max(initial=0.0)),
         lambda row: f"confidence {row[2]:g}; expected 0 to 1",
     )
     refuse(
-        (np.abs(points) > LARGEST_PLACE).any(axis=-1),
-        lambda row: f"{listed(row[:2])}; expected pixels, up to {LARGEST_PLACE:g}",
+        (np.abs(points) > LARGEST_COORDINATE).any(axis=-1),
+        lambda row: f"{listed(row[:2])}; expected pixels, up to {LARGEST_COORDINATE:g}",
     )
-    return points.astype(np.float32), np.minimum(confidence, 1.0).astype(np.float32), told
+    return points.astype(np.float32), np.minimum(confidence, 1.0).astype(np.float32), warnings
 
 
 def _largest_score(confidence: np.ndarray) -> float | None:
-    """Largest of people's confidences (N, J) if they are scores of another scale than 0 to 1, else None.
+    """Largest of people's confidences (N, J) if they have another scale than 0 to 1, else None.
 
-    Models that classify coordinates (SimCC, such as RTMPose) give 0 to about 10. One large number among small ones is
-    no such scale.
+    Models that classify coordinates (SimCC, such as RTMPose) give 0 to about 10. A single large number among small ones
+    is an error, not such a scale.
     """
     largest = float(confidence.max(initial=0.0))
     if not _MAX_CONFIDENCE < largest <= _MAX_SCORE:
@@ -563,7 +579,7 @@ def _largest_score(confidence: np.ndarray) -> float | None:
 
 
 def _why_unusable(points: np.ndarray, confidence: np.ndarray) -> list[str | None]:
-    """Reason why each of N people's keypoints can't be used, None where they can."""
+    """Reason why each of N people's keypoints can't be used; None for those that can."""
     visible = confidence[..., None] > 0
     lowest = np.where(visible, points, np.inf).min(axis=1)
     highest = np.where(visible, points, -np.inf).max(axis=1)

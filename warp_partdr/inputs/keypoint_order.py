@@ -1,8 +1,8 @@
-"""Doubts about the order of keypoints that no names tell: their number may be another format's, too.
+"""Doubts about the order of keypoints without names: another format may have the same number of them.
 
-A body's bones have about the same proportions in every picture; seen at an angle they only get shorter. In a wrong
-order, "bones" lead across the body, and many are far too long beside the others. Nothing is changed here: where another
-format of as many points fits far better, a warning names it.
+A body's bones have about the same proportions in every picture; if they are seen at an angle, they only get shorter. In
+a wrong order, "bones" lead across the body, and many are far too long beside the others. Nothing is changed here: if
+another format with as many points fits far better, a warning names it.
 """
 
 from __future__ import annotations
@@ -42,42 +42,43 @@ _SHARES = {
     "neck-spine": 0.131,
     "shoulder-shoulder": 0.199,
 }
-_FEWEST_BONES = 6  # that tell proportions
-# Of 400 random poses, seen from all sides with an error of 4 px of 415, 99 % have an excess below 0.16 in their own
-# order. In a wrong one, 95 % have 0.19 or more, where body25, coco17 or lsp14 were taken for others of their number.
+_FEWEST_BONES = 6  # least number from which proportions are judged
+# 400 random poses were seen from all sides, with an error of 4 px in 415. In their own order, 99 % have an excess below
+# 0.16. In a wrong order, for body25, coco17 and lsp14 taken for formats with as many points, 95 % have 0.19 or more.
 _MOST_EXCESS = 0.17
-_FAR_BETTER = 0.5  # times the excess
+_FAR_BETTER = 0.5  # share of the excess
 _FACE = ("nose", "left_eye", "right_eye")
-_SURELY_SEEN = 0.8  # confidence of a face that the camera looks at
-_LEAST_EYES, _LEAST_SHOULDERS = 0.1, 0.4  # of the distance from eyes to shoulders, between those of the two sides
+_FACE_CONFIDENCE = 0.8  # least confidence of a face that is turned to the camera
+_LEAST_EYES, _LEAST_SHOULDERS = 0.1, 0.4  # least distances of the two eyes, and of the two shoulders, as shares of the
+# distance from eyes to shoulders
 
 
 def alternatives(form: Skeleton) -> list[Skeleton]:
     """Other formats with as many points, in another order."""
-    alike = [other for other in SKELETONS.values() if other.count == form.count]
-    return [other for other in alike if other.landmarks != form.landmarks]
+    same_count = [other for other in SKELETONS.values() if other.count == form.count]
+    return [other for other in same_count if other.landmarks != form.landmarks]
 
 
 def order_question(form: Skeleton) -> str | None:
-    """Question about the format of keypoints that no body fits; None if no other format has as many points."""
+    """Question to the user if no body fits the keypoints; None if no other format has as many points."""
     others = [other.name for other in alternatives(form)]
     return f"are these keypoints of {form.name}, not of {' or '.join(others)}?" if others else None
 
 
 def order_warning(form: Skeleton, points: np.ndarray, confidence: np.ndarray) -> str | None:
-    """Sentence about one person's keypoints that fit another format of their number far better; None if none does.
+    """Warning if one person's keypoints fit another format with as many points far better; None if none does.
 
     Args:
-        form: A format of ``SKELETONS``, which was told by its name or by the number of points.
-        points: The person's [px], shape (J, 2).
-        confidence: Of these, 0 where missing, shape (J,).
+        form: Format in ``SKELETONS``, chosen by its name or by the number of points.
+        points: Keypoints of the person [px], shape (J, 2).
+        confidence: Confidences of the keypoints, 0 where missing, shape (J,).
     """
     if SKELETONS.get(form.name) is not form:
         return None
     mine = bone_excess(form, points, confidence)
     if not _MOST_EXCESS < mine < np.inf:
         return None
-    # Of formats of which parts alone are landmarks, the rows differ.
+    # If not all points of a format are landmarks, the numbers of rows may differ.
     others = [other for other in alternatives(form) if len(other) == len(form)]
     excesses = sorted((bone_excess(other, points, confidence), other.name) for other in others)
     better = [name for excess, name in excesses if excess < _FAR_BETTER * mine]
@@ -89,12 +90,12 @@ def order_warning(form: Skeleton, points: np.ndarray, confidence: np.ndarray) ->
 
 
 def bone_excess(form: Skeleton, points: np.ndarray, confidence: np.ndarray) -> float:
-    """Mean of how much too long bones are beside the median one [natural logarithm]; infinite of too few bones."""
+    """Mean excess of the bones' lengths over the median bone [natural logarithm]; infinite if there are too few."""
     edges, shares = _bones(form)
-    there = (confidence[edges] > 0).all(axis=1)
-    if there.sum() < _FEWEST_BONES:
+    known = (confidence[edges] > 0).all(axis=1)
+    if known.sum() < _FEWEST_BONES:
         return np.inf
-    lengths = np.linalg.norm(points[edges[there, 0]] - points[edges[there, 1]], axis=1) / shares[there]
+    lengths = np.linalg.norm(points[edges[known, 0]] - points[edges[known, 1]], axis=1) / shares[known]
     middle = float(np.median(lengths))
     if middle <= 0:
         return np.inf
@@ -103,7 +104,7 @@ def bone_excess(form: Skeleton, points: np.ndarray, confidence: np.ndarray) -> f
 
 @lru_cache
 def _bones(form: Skeleton) -> tuple[np.ndarray, np.ndarray]:
-    """Edges (N, 2) of a format whose length is known, and their shares of the stature (N,)."""
+    """Edges of a format whose length is known, shape (N, 2), and their shares of the stature, shape (N,)."""
     found = []
     for edge in form.edges:
         name = "-".join(sorted(without_side(form.landmarks[joint]) for joint in edge))
@@ -113,24 +114,25 @@ def _bones(form: Skeleton) -> tuple[np.ndarray, np.ndarray]:
 
 
 def mirror_warning(form: Skeleton, points: np.ndarray, confidence: np.ndarray) -> str | None:
-    """Sentence about a face that the camera surely sees, but whose left eye lies where a mirrored person's does.
+    """Warning if a face is turned to the camera, but its left eye lies where a mirrored person's does; else None.
 
-    Eyes and shoulders must agree, and confidences differ: if all are equal, they do not say what the camera sees.
-    Arguments as of ``order_warning``, of any skeleton.
+    There is a warning only if eyes and shoulders agree, and if confidences differ: equal ones do not say what is
+    visible. Arguments are those of ``order_warning``, but of any skeleton.
     """
     names = (*_FACE, "left_shoulder", "right_shoulder")
     if not set(names) <= set(form.landmarks) or confidence.min() == confidence.max():
         return None
     joints = [form.landmarks.index(name) for name in names]
-    if confidence[joints].min() < _SURELY_SEEN:
+    if confidence[joints].min() < _FACE_CONFIDENCE:
         return None
     _, left_eye, right_eye, left, right = points[joints].astype(np.float64)
     down = (left + right - left_eye - right_eye) / 2
     height = float(np.linalg.norm(down))
-    # Seen from in front, with the head up, a person's left is to the right in the picture.
-    eyes, shoulders = (
-        float(down[0] * across[1] - down[1] * across[0]) for across in (left_eye - right_eye, left - right)
-    )
+    # If a person faces the camera, head up, the person's left is to the right in the picture.
+    between_eyes = left_eye - right_eye
+    between_shoulders = left - right
+    eyes = float(down[0] * between_eyes[1] - down[1] * between_eyes[0])
+    shoulders = float(down[0] * between_shoulders[1] - down[1] * between_shoulders[0])
     if eyes <= _LEAST_EYES * height**2 or shoulders <= _LEAST_SHOULDERS * height**2:
         return None
     return "keypoints: the face is seen, but lies as in a mirror; are left and right exchanged?"

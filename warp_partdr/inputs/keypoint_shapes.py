@@ -1,7 +1,7 @@
 """Shapes of keypoint files: whatever program wrote a file, its people become a list of ``PersonEntry``.
 
-``keypoint_files`` lists the shapes. Here it is found where in a file the people are, what it says of their keypoints'
-names, format and picture, and which of them are in a photo. Numbers are looked at there.
+``keypoint_files`` lists the shapes, and reads and checks the numbers. This module finds the people in a file; names,
+format and picture of their keypoints; and the people of one photo.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _LISTS = (
     *("images", "frames", "results"),
 )
 KEYPOINTS = (
-    *("keypoints", "pose_keypoints_2d", "pose_keypoints", "keypoints_2d"),  # the third: OpenPose's before version 1.2
+    *("keypoints", "pose_keypoints_2d", "pose_keypoints", "keypoints_2d"),  # the third is OpenPose's before version 1.2
     *("joints", "kpts"),  # AlphaPose's ``--format cmu``
 )
 _SCORES = (
@@ -43,7 +43,7 @@ _SCORES = (
 )
 # Keys of lists of scores that may also hold one number about the whole person.
 _SCORES_OR_SCORE = ("scores", "confidence", "visibility", "visible", "conf", "vis", "score", "likelihood")
-_LOOSE_NAMES = 2  # names of landmarks in a list of names that stands under any key
+_LOOSE_NAMES = 2  # least number of landmarks in a list of names under an unknown key
 _ROW_NAMES = (
     *("name", "part", "label", "class", "class_name", "keypoint", "keypoint_name", "joint", "joint_name", "body_part"),
     *("bodypart", "type", "landmark"),
@@ -66,24 +66,24 @@ _PICTURES = (
     *("image", "image_id", "img_id", "picture", "photo"),
 )
 _NAME_TABLES = (*NAME_KEYS, "keypoint_name2id", "keypoint_info")  # within MMPose's data about a data set
-_MOST_LISTED = 6  # pictures that a message names
+_MOST_LISTED = 6  # most pictures that a message names
 
 
 @dataclass(frozen=True)
 class PersonEntry:
-    """One person's keypoints as a file holds them, and what it says about them.
+    """One person's keypoints as a file holds them, with the file's data about them.
 
     Attributes:
         keypoints: Rows, a flat list, or lists by column; None or empty: nobody.
-        scores: Confidences, one a keypoint, where they stand apart.
+        scores: Confidences, one a keypoint, if the file has them in a separate list.
         format: The file's spelling of the format.
         names: Names of the points, one a row.
-        by_name: True if each point was named by itself, so that the rows' order is made here.
-        category: COCO's.
+        by_name: True if each point has its name beside it, so that the order of the rows means nothing.
+        category: COCO's category of the person.
         picture: Index of the picture in ``FilePeople.pictures``.
-        size: Of the picture, where it is stated beside the keypoints.
-        numbers: The points' numbers in their format, one a row, from 0 or 1 on, where not all points are there.
-        loose: Lists of texts in the file, any of which may name the points if it has as many.
+        size: Size of the picture, if it is stated beside the keypoints.
+        numbers: Numbers of the points in their format, one a row, counted from 0 or 1, if not all points are given.
+        loose: Lists of texts in the file; each may hold the points' names if it is as long.
         further: COCO-WholeBody's points of feet, face and hands, which continue ``keypoints``: rows of numbers.
     """
 
@@ -102,7 +102,7 @@ class PersonEntry:
 
 @dataclass(frozen=True)
 class FilePicture:
-    """One picture of a file: its name, and the (H, W) that the file states; None where the file does not say."""
+    """Picture of a file: its name, and the size (H, W) that the file states [px]; None if the file does not say."""
 
     name: str | None = None
     size: tuple[int, int] | None = None
@@ -110,13 +110,13 @@ class FilePicture:
 
 @dataclass
 class FilePeople:
-    """People in a file, and all its pictures, also those in which nobody is."""
+    """People in a file, and all its pictures, also those without people."""
 
     people: list[PersonEntry] = field(default_factory=list)
     pictures: list[FilePicture] = field(default_factory=list)
 
     def picture(self, name: str | None = None, size: tuple[int, int] | None = None) -> int:
-        """Index of the picture of this name, which is added if it is new; without a name, always a new one."""
+        """Index of the picture with this name, which is added if it is new; without a name, always a new picture."""
         if name is not None:
             for index, known in enumerate(self.pictures):
                 if known.name == name:
@@ -125,12 +125,12 @@ class FilePeople:
         return len(self.pictures) - 1
 
     def of_photo(self, photo: Path | None, where: str) -> tuple[list[PersonEntry], FilePicture]:
-        """People in a photo, and the photo's own entry among the pictures.
+        """Find the people in a photo, and the photo's own entry among the pictures.
 
-        A file of one picture is taken to be of the photo, whatever its name.
+        If the file has a single picture, it is taken for the photo, whatever its name.
 
         Raises:
-            InputError: If the file has several pictures, and none or several of them are called like the photo.
+            InputError: If the file has several pictures, and none or several of them have the photo's name.
         """
         if len(self.pictures) == 1:
             return self.people, self.pictures[0]
@@ -138,8 +138,8 @@ class FilePeople:
         if not names:
             raise InputError(f"{where}: people of {len(self.pictures)} pictures; expected those of one")
         if photo is None:
-            told = f"people of {len(self.pictures)} pictures ({_some(names)})"
-            raise InputError(f"{where}: {told}; expected those of one, or a photo that tells which")
+            several = f"people of {len(self.pictures)} pictures ({_some(names)})"
+            raise InputError(f"{where}: {several}; expected those of one, or a photo that tells which")
         found = matching_names(photo, names)
         if len(found) > 1:
             raise InputError(f"{where}: {len(found)} pictures called {photo.name} ({_some(found)}); expected one")
@@ -152,10 +152,10 @@ class FilePeople:
 
 
 def file_people(data: Any, where: str) -> FilePeople:
-    """Find everybody in a file's content.
+    """Find all people in a file's content.
 
     Raises:
-        InputError: If it has another shape than those known; ``where`` begins it.
+        InputError: If it has none of the known shapes. ``where`` begins the message.
     """
     if not isinstance(data, Mapping | list):
         raise InputError(f"{where}: {type(data).__name__}; expected an object or a list of keypoints")
@@ -171,7 +171,7 @@ def file_people(data: Any, where: str) -> FilePeople:
 
 
 def _with_loose_names(person: PersonEntry) -> PersonEntry:
-    """A person with a list of names that stands somewhere in the file, if it has as many as there are points."""
+    """Entry with the first of its loose lists that has as many names as there are points, if it has no names yet."""
     categorised = person.category is not None and person.category.skeleton is not None
     if person.names is not None or categorised or not isinstance(person.keypoints, list):
         return person
@@ -182,13 +182,13 @@ def _with_loose_names(person: PersonEntry) -> PersonEntry:
 
 
 def file_names(data: Mapping[str, Any], keypoints: Any, where: str) -> tuple[Any, ...] | None:
-    """Names of the points that stand at a file's top, for people with such keypoints; None if there are none.
+    """Names of points at the top level of a file, for people with such keypoints; None if there are none.
 
     Raises:
         InputError: If they are no list of names.
     """
-    said, _ = _said(data, PersonEntry(), None, where)
-    return _with_loose_names(replace(said, keypoints=keypoints)).names
+    entry, _ = _with_statements(data, PersonEntry(), None, where)
+    return _with_loose_names(replace(entry, keypoints=keypoints)).names
 
 
 def _add_everybody(found: FilePeople, data: Any, where: str) -> None:
@@ -203,16 +203,16 @@ def _add_everybody(found: FilePeople, data: Any, where: str) -> None:
 
 
 def matching_names(photo: Path, names: Sequence[str]) -> list[str]:
-    """Names of pictures that mean a photo: one, or several that mean it equally well, or none.
+    """Names of pictures that fit a photo: one, or several that fit equally well, or none.
 
-    The base name counts first, and where several have it, the folders before it; then the name without its ending; then
-    a number, which COCO's pictures have for a name.
+    The base name counts first and, if several pictures have it, the folders before it. Then the name without its ending
+    counts, and last a number, because COCO's pictures have numbers as names.
     """
     wanted = _parts(str(photo))
-    alike = [(_common_tail(_parts(name), wanted), name) for name in names]
-    most = max((count for count, _ in alike), default=0)
+    counted = [(_common_tail(_parts(name), wanted), name) for name in names]
+    most = max((count for count, _ in counted), default=0)
     if most:
-        return [name for count, name in alike if count == most]
+        return [name for count, name in counted if count == most]
     uploaded = [name for name in names if _parts(name)[-1].endswith(f"-{wanted[-1]}")]  # Label Studio's
     if uploaded:
         return uploaded
@@ -225,7 +225,7 @@ def matching_names(photo: Path, names: Sequence[str]) -> list[str]:
 
 
 def _parts(name: str) -> list[str]:
-    """Folders and base name of a path of any system."""
+    """Folders and base name of a path, written on any operating system."""
     return [part for part in name.casefold().replace("\\", "/").split("/") if part not in ("", ".")] or [""]
 
 
@@ -239,13 +239,13 @@ def _common_tail(one: Sequence[str], other: Sequence[str]) -> int:
 
 
 def _some(names: Sequence[str]) -> str:
-    """A few names for a message."""
+    """List a few names for a message."""
     few = ", ".join(shown(name)[1:-1] for name in names[:_MOST_LISTED])
     return few if len(names) <= _MOST_LISTED else f"{few} and {len(names) - _MOST_LISTED} more"
 
 
 def _add_labelled(found: FilePeople, task: Mapping[str, Any], where: str) -> None:
-    """Add the people of a picture whose points an annotation tool labelled one by one: LabelMe, Label Studio."""
+    """Add the people of a picture whose points were named one by one, in LabelMe or Label Studio."""
     labelled = labelled_people(task, where)
     picture = found.picture(labelled.picture, labelled.size)
     for rows in labelled.people:
@@ -253,9 +253,9 @@ def _add_labelled(found: FilePeople, task: Mapping[str, Any], where: str) -> Non
 
 
 def _add_coco(found: FilePeople, data: Mapping[str, Any], where: str) -> None:
-    """Add the people of COCO's annotations, whose pictures and categories may be missing."""
+    """Add the people of COCO's annotations. Lists of pictures and categories may be missing."""
     images: dict[int | str | None, int] = {}
-    sizes: dict[int, StatedSize] = {}  # by pictures, where they are stated under other keys than COCO's
+    sizes: dict[int, StatedSize] = {}  # by picture, if the size is stated under other keys than COCO's
     for image in data.get("images") or ():
         if isinstance(image, Mapping) and isinstance(image.get("file_name"), str):
             size = stated_size(image, f"{where}: {shown(image['file_name'])[1:-1]}")
@@ -266,7 +266,7 @@ def _add_coco(found: FilePeople, data: Mapping[str, Any], where: str) -> None:
                 sizes[index] = stated
     categories = {number_of(key): value for key, value in read_categories(data.get("categories"), where).items()}
     only = common_category(categories.values())
-    common, _ = _said(data, PersonEntry(), None, where)
+    common, _ = _with_statements(data, PersonEntry(), None, where)
     for index, entry in enumerate(data["annotations"]):
         if not isinstance(entry, Mapping | list):
             raise InputError(f"{where}: person {index}: {type(entry).__name__}; expected an object or a list")
@@ -276,21 +276,21 @@ def _add_coco(found: FilePeople, data: Mapping[str, Any], where: str) -> None:
         image_id = number_of(entry["image_id"])
         picture = images[image_id] if image_id in images else found.picture(str(entry["image_id"]))
         category = categories.get(number_of(entry.get("category_id")), only)
-        if any(key in entry for key in KEYPOINTS):  # others have a box alone
+        if any(key in entry for key in KEYPOINTS):  # other annotations have only a box
             known = replace(common, category=category, size=sizes.get(picture, common.size))
-            person, _ = _said(entry, known, None, where)
+            person, _ = _with_statements(entry, known, None, where)
             found.people.append(_with_keypoints(entry, replace(person, picture=picture)))
 
 
 def _add(found: FilePeople, data: Any, common: PersonEntry, picture: str | None, where: str) -> None:
-    """Add the people of an object or a list, of which ``common`` is known, with the name of their picture."""
+    """Add the people of an object or a list. ``common`` is known of all of them, and ``picture`` is its name."""
     if isinstance(data, list):
         if data and not _holds_people(data):
-            found.people.append(replace(common, keypoints=data, picture=_place(found, picture)))
+            found.people.append(replace(common, keypoints=data, picture=_picture_index(found, picture)))
         else:
             _add_all(found, data, common, picture, where)
         return
-    common, picture = _said(data, common, picture, where)
+    common, picture = _with_statements(data, common, picture, where)
     people = next((data[key] for key in _LISTS if isinstance(data.get(key), list)), None)
     rows = next((data[key] for key in KEYPOINTS if key in data), None)
     if people is None and isinstance(rows, list) and _holds_people(rows):
@@ -298,7 +298,7 @@ def _add(found: FilePeople, data: Any, common: PersonEntry, picture: str | None,
     elif people is not None:
         _add_all(found, people, common, picture, where)
     elif any(key in data for key in KEYPOINTS):
-        found.people.append(_with_keypoints(data, replace(common, picture=_place(found, picture))))
+        found.people.append(_with_keypoints(data, replace(common, picture=_picture_index(found, picture))))
     elif _is_by_picture(data):
         for name, value in data.items():
             if isinstance(value, Mapping | list):
@@ -312,28 +312,28 @@ def _add(found: FilePeople, data: Any, common: PersonEntry, picture: str | None,
 
 
 def _add_all(found: FilePeople, entries: list[Any], common: PersonEntry, picture: str | None, where: str) -> None:
-    """Add the people of a list: of people, or of pictures with people."""
+    """Add the people of a list, which holds people, or pictures with people."""
     frames = any(_is_frame(entry) for entry in entries)
     if not entries:
-        _place(found, picture)
+        _picture_index(found, picture)
     for index, entry in enumerate(entries):
-        place = f"{where}: person {index}"
+        subject = f"{where}: person {index}"
         if not isinstance(entry, Mapping | list):
-            raise InputError(f"{place}: {type(entry).__name__}; expected an object or a list")
+            raise InputError(f"{subject}: {type(entry).__name__}; expected an object or a list")
         if frames:
             _add_frame(found, entry, common, picture, where)
         elif isinstance(entry, list):
-            found.people.append(replace(common, keypoints=entry, picture=_place(found, picture)))
+            found.people.append(replace(common, keypoints=entry, picture=_picture_index(found, picture)))
         else:
-            _add(found, entry, common, picture, place)
+            _add(found, entry, common, picture, subject)
 
 
 def _add_with_scores(
     found: FilePeople, people: list[Any], scores: Any, common: PersonEntry, picture: str | None, where: str
 ) -> None:
-    """Add the people of a list whose scores stand in another, one list a person, as torchvision writes them.
+    """Add the people of a list whose scores are in another list, one list a person, as torchvision writes them.
 
-    Its scores are logits: those below 0 are of points that are not there.
+    Its scores are logits: a point with a score below 0 is missing.
     """
     before = len(found.people)
     _add_all(found, people, common, picture, where)
@@ -355,7 +355,7 @@ def _without_negative(scores: Any) -> Any:
 
 
 def _scores(entry: Mapping[str, Any], keypoints: Any) -> Any:
-    """An object's scores of its keypoints, one each, or a list of them for each of several people; None without."""
+    """Scores of an object's keypoints, one each, or a list of them for each of several people; None without."""
     for key in _SCORES:
         if entry.get(key) is not None and entry[key] != []:
             return entry[key]
@@ -370,9 +370,9 @@ def _scores(entry: Mapping[str, Any], keypoints: Any) -> Any:
 
 
 def _add_frame(found: FilePeople, entry: Any, common: PersonEntry, picture: str | None, where: str) -> None:
-    """Add the people of one picture of a list of pictures, of films above all, whose pictures have no names."""
+    """Add the people of one picture in a list of pictures. These are mostly a film's, which have no names."""
     if isinstance(entry, Mapping):
-        common, picture = _said(entry, common, None, where)
+        common, picture = _with_statements(entry, common, None, where)
         if isinstance(entry.get("instances"), Mapping | str | int | float):
             raise InputError(f"{where}: instances: {type(entry['instances']).__name__}; expected a list of people")
         people = next((entry[key] for key in _LISTS if isinstance(entry.get(key), list)), entry)
@@ -385,8 +385,8 @@ def _add_frame(found: FilePeople, entry: Any, common: PersonEntry, picture: str 
     found.people.extend(replace(person, picture=index) for person in inner.people)
 
 
-def _place(found: FilePeople, picture: str | None) -> int:
-    """Index of a picture by its name; without a name, of the one that all without a name share."""
+def _picture_index(found: FilePeople, picture: str | None) -> int:
+    """Index of a picture by its name. All people whose picture has no name share one picture."""
     if picture is not None:
         return found.picture(picture)
     for index, known in enumerate(found.pictures):
@@ -395,13 +395,16 @@ def _place(found: FilePeople, picture: str | None) -> int:
     return found.picture()
 
 
-def _said(
+def _with_statements(
     entry: Mapping[str, Any], common: PersonEntry, picture: str | None, where: str
 ) -> tuple[PersonEntry, str | None]:
-    """Format and names of the keypoints, and name of the picture, as an object says or, if it does not, as known."""
+    """Copy of ``common`` with the format, names and size that an object states, and the name of the picture.
+
+    Anything that the object does not state stays as it is in ``common`` and ``picture``.
+    """
     meta = entry.get("meta_info")  # MMPose's
     meta = meta if isinstance(meta, Mapping) else {}
-    said = entry.get("format", meta.get("dataset_name"))
+    form = entry.get("format", meta.get("dataset_name"))
     names = next((entry[key] for key in NAME_KEYS if entry.get(key)), None)
     for key in ("meta_info", "dataset_meta", "dataset_info", "metainfo", "info"):
         inner = entry.get(key)
@@ -418,8 +421,8 @@ def _said(
         common = replace(common, loose=(*loose, *common.loose))
     if size is not None:
         common = replace(common, size=size)
-    if said is not None:
-        common = replace(common, format=said)
+    if form is not None:
+        common = replace(common, format=form)
     for key in _PICTURES:
         value = entry.get(key)
         value = number_of(value) if type(value) is float else value
@@ -429,7 +432,7 @@ def _said(
 
 
 def _loose_names(entry: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """An object's lists of texts most of which are names of landmarks, under whatever keys."""
+    """Lists of texts in an object, under any key, if at least half of each list are names of landmarks."""
     found: list[tuple[str, ...]] = []
     for value in entry.values():
         if isinstance(value, list) and value and all(isinstance(name, str) for name in value):
@@ -440,7 +443,7 @@ def _loose_names(entry: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def _with_keypoints(entry: Mapping[str, Any], common: PersonEntry) -> PersonEntry:
-    """An object's keypoints and scores; those that it names one by one become rows with names."""
+    """Copy of ``common`` with an object's keypoints and scores; points that are named one by one become named rows."""
     values = next(entry[key] for key in KEYPOINTS if key in entry)
     scores = _scores(entry, values)
     if isinstance(values, Mapping) and values and not {"x", "y"} & set(values):
@@ -450,15 +453,15 @@ def _with_keypoints(entry: Mapping[str, Any], common: PersonEntry) -> PersonEntr
         if names is not None:
             return replace(common, keypoints=values, scores=scores, names=names, by_name=True)
         return replace(common, keypoints=values, scores=scores, numbers=_row_numbers(values))
-    numbers = entry.get("labels")  # of transformers' ViTPose
-    places = None
-    if isinstance(numbers, list) and isinstance(values, list) and len(numbers) == len(values):
-        places = _distinct(numbers)
-    return replace(common, keypoints=values, scores=scores, numbers=places, further=_further(entry))
+    labels = entry.get("labels")  # of transformers' ViTPose
+    numbers = None
+    if isinstance(labels, list) and isinstance(values, list) and len(labels) == len(values):
+        numbers = _distinct(labels)
+    return replace(common, keypoints=values, scores=scores, numbers=numbers, further=_further(entry))
 
 
 def _row_names(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...] | None:
-    """Names of points that are objects each, by the key that holds most names of landmarks; None if they have none."""
+    """Names of points that are each an object, under the key with most names of landmarks; None if they have none."""
     best: tuple[int, tuple[str, ...]] | None = None
     for key in dict.fromkeys((*_ROW_NAMES, *(key for row in rows for key in row))):
         texts = [row.get(key) for row in rows]
@@ -471,13 +474,13 @@ def _row_names(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...] | None:
 
 
 def _row_numbers(rows: Sequence[Mapping[str, Any]]) -> tuple[int, ...] | None:
-    """Numbers of points that are objects each; None if they have none, or the same twice."""
+    """Numbers of points that are each an object; None if they have none, or one number twice."""
     found = (_distinct([row.get(key) for row in rows]) for key in _ROW_NUMBERS)
     return next((numbers for numbers in found if numbers is not None), None)
 
 
 def _distinct(numbers: list[Any]) -> tuple[int, ...] | None:
-    """Numbers from 0 on, all different, that are not just 0, 1, 2 and so on; None if these are none."""
+    """Numbers as ints, if all are whole, not negative and different; else None."""
     whole = [number_of(number) for number in numbers]
     if not all(isinstance(number, int) and number >= 0 for number in whole) or len({*whole}) < len(whole):
         return None

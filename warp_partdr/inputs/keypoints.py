@@ -1,4 +1,4 @@
-"""2D keypoints of one person, the person's height by them, and the choice of one among several people."""
+"""2D keypoints of one person, the person's height in the picture, and the choice of one person among several."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 from ..body.skeletons import Skeleton, skeleton
 from ..errors import InputError, check_each, check_type, check_whole, shown
 
-LARGEST_PLACE = 1e6  # [px] of a keypoint that is there
+LARGEST_COORDINATE = 1e6  # [px], of a keypoint that is visible
 MIN_CONFIDENCE = 0.3  # Below it, a keypoint's position is unreliable.
 
-# Straight chains of rigid bones, whose length in the picture tells the scale, with their length as a share of the
-# stature (mean adult of body/mean_body.json). The short ones serve only where no long one is to be seen.
+# Straight chains of rigid bones, whose length in the picture gives the scale, with their length as a share of the
+# stature (mean adult of body/mean_body.json). The short ones are used only if no long one is visible.
 _LONG_BONES: dict[str, float] = {"shoulder-hip": 0.27, "hip-knee": 0.24, "knee-ankle": 0.247}
 _SHORT_BONES: dict[str, float] = {"shoulder-elbow": 0.155, "elbow-wrist": 0.14}
 
@@ -26,15 +26,15 @@ class Keypoints2D:
     """2D keypoints of one person.
 
     Attributes:
-        skeleton: Their format: its name, such as "coco17", or a skeleton of one's own.
+        skeleton: Format of the keypoints: its name, such as "coco17", or a skeleton of one's own.
         points: Positions [px], origin at the picture's top left corner, 0 where missing, shape (J, 2), float32.
-        confidence: 0 (missing) to 1, shape (J,), float32.
-        warnings: Sentences about what was odd in the file that they are from; fits pass them on.
-        image_size: (H, W) of their picture [px]; where it is known and no camera is given, fits assume a usual lens.
-            None: it is not known, or part labels tell it.
+        confidence: Confidences, 0 (missing) to 1, shape (J,), float32.
+        warnings: Sentences about odd things in the file that the keypoints come from; fits pass them on.
+        image_size: Size (H, W) of the picture [px]. If it is known and no camera is given, fits assume a usual lens.
+            None: it is not known, or part labels have it.
 
     Raises:
-        InputError: If a shape is wrong, a confidence is none, or no picture has this size.
+        InputError: If a shape is wrong, a confidence is not from 0 to 1, or no picture has this size.
     """
 
     skeleton: str | Skeleton
@@ -70,69 +70,73 @@ class Keypoints2D:
 
     @cached_property
     def confident(self) -> np.ndarray:
-        """Mask of the keypoints of confidence 0.3 and more, or of all visible ones if none has that, shape (J,)."""
+        """Mask of the keypoints with confidence 0.3 or more, or of all visible ones if none has that, shape (J,)."""
         return confident(self.confidence[None])[0]
 
 
 def _check_size(size: Sequence[SupportsIndex]) -> tuple[int, int]:
-    """Size (H, W) of a picture as two ints; InputError if these are none."""
+    """Return the size (H, W) of a picture as two ints; raise InputError if it is no size."""
     try:
-        height, width = (check_whole("image_size", side, 1, LARGEST_PLACE) for side in size)
+        height, width = size
+        return (
+            check_whole("image_size", height, 1, LARGEST_COORDINATE),
+            check_whole("image_size", width, 1, LARGEST_COORDINATE),
+        )
     except (TypeError, ValueError):  # also if they are not two
         raise InputError(
-            f"image_size: {shown(size)}; expected (H, W) in whole pixels, up to {LARGEST_PLACE:g}"
+            f"image_size: {shown(size)}; expected (H, W) in whole pixels, up to {LARGEST_COORDINATE:g}"
         ) from None
-    return height, width
 
 
 def confident(confidence: np.ndarray) -> np.ndarray:
-    """``Keypoints2D.confident`` of several people: confidences (N, J) to flags (N, J)."""
-    sure = confidence >= MIN_CONFIDENCE
-    return np.where(sure.any(axis=1, keepdims=True), sure, confidence > 0)
+    """``Keypoints2D.confident`` for N people, from confidences (N, J), as a mask (N, J)."""
+    high = confidence >= MIN_CONFIDENCE
+    return np.where(high.any(axis=1, keepdims=True), high, confidence > 0)
 
 
 def person_height(keypoints: Keypoints2D) -> float:
     """Height of the person standing upright in the picture [px], from the lengths of trunk, thighs and shins.
 
-    A bone seen at an angle looks shorter than it is, so the upper quartile of the bones' estimates counts, and a bent
-    or cut-off person is not taken for a small one. Without two keypoints of any bone: the extent of the keypoints.
+    A bone that is seen at an angle looks shorter than it is. So the upper quartile of the bones' estimates counts, and
+    a person who is bent or cut off is not taken for a small one. If no bone has both its keypoints, the extent of all
+    keypoints is returned.
     """
     return keypoints._height
 
 
 def person_heights(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray) -> np.ndarray:
-    """``person_height`` of N people with one skeleton: points (N, J, 2) and confidence (N, J), shape (N,)."""
-    sure = confident(confidence)
-    low, high = (np.where(sure[..., None], points, end) for end in (np.inf, -np.inf))
-    heights = np.where(sure.any(axis=1), (high.max(axis=1) - low.min(axis=1)).max(axis=1), 0.0).astype(np.float64)
+    """``person_height`` for N people with one skeleton, shape (N,), from points (N, J, 2) and confidence (N, J)."""
+    usable = confident(confidence)
+    low = np.where(usable[..., None], points, np.inf)
+    high = np.where(usable[..., None], points, -np.inf)
+    heights = np.where(usable.any(axis=1), (high.max(axis=1) - low.min(axis=1)).max(axis=1), 0.0).astype(np.float64)
     for bones in (_SHORT_BONES, _LONG_BONES):  # the long ones have the last word
         pairs, shares = _bones(form, tuple(bones.items()))
         if not len(pairs):
             continue
         found = np.linalg.norm(points[:, pairs[:, 0]] - points[:, pairs[:, 1]], axis=-1) / shares
-        found = np.where(sure[:, pairs].all(axis=-1), found, -np.inf)
-        told = found.max(axis=1) > 0
-        heights[told] = _upper_quartile(found[told])
+        found = np.where(usable[:, pairs].all(axis=-1), found, -np.inf)
+        measured = found.max(axis=1) > 0
+        heights[measured] = _upper_quartile(found[measured])
     return heights
 
 
 def _upper_quartile(values: np.ndarray) -> np.ndarray:
-    """Upper quartile of each row (N, K), -inf left out, by the interpolation of ``numpy.quantile``."""
+    """Upper quartile of each row (N, K) without -inf, with the interpolation of ``numpy.quantile``."""
     values = np.sort(values, axis=1)
     count = (values > -np.inf).sum(axis=1)
-    place = 0.75 * (count - 1)
-    first = values.shape[1] - count + np.floor(place).astype(int)
-    low, high = (
-        np.take_along_axis(values, np.minimum(index, values.shape[1] - 1)[:, None], axis=1)[:, 0]
-        for index in (first, first + 1)
-    )
-    share = place - np.floor(place)
+    rank = 0.75 * (count - 1)
+    first = values.shape[1] - count + np.floor(rank).astype(int)
+    last = values.shape[1] - 1
+    low = np.take_along_axis(values, np.minimum(first, last)[:, None], axis=1)[:, 0]
+    high = np.take_along_axis(values, np.minimum(first + 1, last)[:, None], axis=1)[:, 0]
+    share = rank - np.floor(rank)
     return np.where(share < 0.5, low + (high - low) * share, high - (high - low) * (1 - share))
 
 
 @lru_cache
 def _bones(form: str | Skeleton, bones: tuple[tuple[str, float], ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Joint pairs (N, 2) of the bones on both sides that the skeleton has, and their shares of the stature (N,)."""
+    """Joint pairs of the bones that the skeleton has, on both sides, (N, 2), and their shares of the stature, (N,)."""
     landmarks = skeleton(form).landmarks
     found = [
         ((landmarks.index(start), landmarks.index(end)), share)
@@ -149,13 +153,13 @@ def choose_person(
     """Choose the one person to fit.
 
     Args:
-        people: Everybody whose keypoints there are.
-        groups: Group ids of the picture's part labels, shape (H, W); without labels under them, keypoints count less.
-        index: Index of the person, 0 = first; by default the largest and most confident.
+        people: Keypoints of all people in the picture.
+        groups: Group ids of the picture's part labels, shape (H, W). Keypoints on background count less.
+        index: Index of the person, 0 = first. None: the person who is largest and has the highest confidences.
 
     Raises:
         InputError: If there is nobody, or ``index`` is out of range.
-        TypeError: If ``people`` are no keypoints, or ``groups`` no array.
+        TypeError: If ``people`` are no keypoints, or ``groups`` is no array.
     """
     check_each("people", people, Keypoints2D, "of read_keypoints")
     check_type("groups", groups, np.ndarray | None, "of PartLabels")
@@ -178,7 +182,7 @@ def choose_person(
 
 
 def _weights(points: np.ndarray, confidence: np.ndarray, groups: np.ndarray | None) -> np.ndarray:
-    """Weight of each keypoint in the choice of its person, shape (N, J)."""
+    """Weight of each keypoint when a person is chosen, shape (N, J)."""
     if groups is None:
         return confidence
     height, width = groups.shape

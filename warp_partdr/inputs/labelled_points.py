@@ -1,8 +1,9 @@
-"""Points that people set and named one by one in an annotation tool: LabelMe's and Label Studio's files.
+"""Points that were set and named one by one in an annotation tool: files of LabelMe and Label Studio.
 
-LabelMe writes one file a picture: ``shapes`` of the type "point", each with a ``label``, and ``group_id`` tells people
-apart. Label Studio writes a list of tasks, each a picture with ``annotations``, whose ``result`` holds ``value``s with
-``keypointlabels`` and places in percent of the picture; there, ``parentID`` is the region that a point belongs to.
+LabelMe writes one file a picture. It has ``shapes`` of the type "point", each with a ``label``, and ``group_id`` tells
+people apart. Label Studio writes a list of tasks. Each is a picture with ``annotations``, whose ``result`` holds
+``value``s with ``keypointlabels`` and positions in percent of the picture; ``parentID`` is the region that a point
+belongs to.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ _LABELS = "keypointlabels"  # Label Studio's
 
 @dataclass(frozen=True)
 class LabelledPoints:
-    """The people of one picture.
+    """People of one picture.
 
     Attributes:
-        picture: Name of the picture; None if the file does not say.
-        size: (H, W) [px] that the file states; None likewise.
-        names: Names of all points, N.
+        picture: Name of the picture; None if the file states none.
+        size: Size (H, W) of the picture [px]; None if the file states none.
+        names: Names of all N points.
         people: Each person's N rows [x, y] in pixels, None where the person has no such point.
     """
 
@@ -36,7 +37,7 @@ class LabelledPoints:
 
 
 def labelled_tasks(data: Any) -> list[Mapping[str, Any]] | None:
-    """Pictures of a file by LabelMe or Label Studio; None if it is by neither."""
+    """Pictures of a file that LabelMe or Label Studio wrote; None if neither did."""
     entries = data if isinstance(data, list) else [data]
     if not entries or not all(
         isinstance(entry, Mapping) and (_is_labelme(entry) or _is_task(entry)) for entry in entries
@@ -49,7 +50,7 @@ def labelled_people(task: Mapping[str, Any], where: str) -> LabelledPoints:
     """Read one picture's points.
 
     Raises:
-        InputError: If points are faulty, or nothing tells apart the people that they belong to.
+        InputError: If points are faulty, or nothing says which people they belong to.
     """
     if _is_labelme(task):
         picture = task.get("imagePath")
@@ -64,12 +65,12 @@ def labelled_people(task: Mapping[str, Any], where: str) -> LabelledPoints:
 @dataclass(frozen=True)
 class _Point:
     label: str
-    place: list[float]
-    person: Any  # what the points of one person share
+    position: list[float]  # [x, y] [px]
+    person: Any  # key that the points of one person share
 
 
 def _grouped(points: list[_Point], picture: str | None, size: tuple[int, int] | None, where: str) -> LabelledPoints:
-    """Points by person; spellings of one name that differ in case and punctuation alone are one."""
+    """Group points by person. Spellings of a name that differ only in case and punctuation mean the same point."""
     names: dict[str, str] = {}
     people: dict[Any, dict[str, list[float]]] = {}
     for point in points:
@@ -81,7 +82,7 @@ def _grouped(points: list[_Point], picture: str | None, size: tuple[int, int] | 
                 f"{where}: {shown(point.label)} twice in one person; expected a group_id (LabelMe) or a region "
                 "(Label Studio) for each person"
             )
-        person[key] = point.place
+        person[key] = point.position
     rows = [[person.get(key) for key in names] for person in people.values()]
     return LabelledPoints(picture, size, tuple(names.values()), rows)
 
@@ -91,24 +92,24 @@ def _is_labelme(entry: Mapping[str, Any]) -> bool:
 
 
 def _labelme_points(task: Mapping[str, Any], where: str) -> Iterator[_Point]:
-    kinds: list[str] = []
+    types: list[str] = []
     for index, shape in enumerate(task["shapes"]):
-        place = f"{where}: shapes: {index}"
+        subject = f"{where}: shapes: {index}"
         points = shape.get("points") if isinstance(shape, Mapping) else None
         if not isinstance(shape, Mapping) or not isinstance(points, list):
-            raise InputError(f"{place}: {shown(shape)}; expected a shape with its points")
-        kind = shape.get("shape_type") or ("point" if len(points) == 1 else "polygon")
-        kinds.append(str(kind))
-        if kind != "point":
+            raise InputError(f"{subject}: {shown(shape)}; expected a shape with its points")
+        shape_type = shape.get("shape_type") or ("point" if len(points) == 1 else "polygon")
+        types.append(str(shape_type))
+        if shape_type != "point":
             continue
         label, group = shape.get("label"), shape.get("group_id")
         if not isinstance(label, str) or len(points) != 1 or not isinstance(group, int | str | None):
-            raise InputError(f"{place}: {shown(shape)}; expected a label, one point [x, y] and a group_id or null")
-        yield _Point(label, _pair(points[0], f"{place} ({label})"), group)
-    if kinds and "point" not in kinds:
-        told = ", ".join(dict.fromkeys(kinds))
+            raise InputError(f"{subject}: {shown(shape)}; expected a label, one point [x, y] and a group_id or null")
+        yield _Point(label, _pair(points[0], f"{subject} ({label})"), group)
+    if types and "point" not in types:
+        listed = ", ".join(dict.fromkeys(types))
         raise InputError(
-            f"{where}: shapes: {told}; expected points, each labelled as a keypoint, such as left_shoulder"
+            f"{where}: shapes: {listed}; expected points, each labelled as a keypoint, such as left_shoulder"
         )
 
 
@@ -123,7 +124,7 @@ def _is_task(entry: Mapping[str, Any]) -> bool:
 
 
 def _annotations(task: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Label Studio's annotations of a task, or the predictions if there are none."""
+    """Label Studio's annotations of a task, or its predictions if it has no annotations."""
     for key in ("annotations", "completions", "predictions"):
         given = task.get(key)
         if isinstance(given, list):
@@ -134,13 +135,13 @@ def _annotations(task: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def _short_results(task: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Results in the short form of export, JSON-MIN, in which each control has a list of its own."""
+    """Results in the short export format, JSON-MIN, in which each control of the tool has its own list."""
     lists = [value for value in task.values() if isinstance(value, list)]
     return [entry for each in lists for entry in each if isinstance(entry, Mapping) and _LABELS in entry]
 
 
 def _results(task: Mapping[str, Any], where: str) -> list[Mapping[str, Any]]:
-    """Results with keypoints, whose values stand at the top as in the short form."""
+    """Results with keypoints; their values are moved to the top level, as in the short format."""
     known: list[list[Mapping[str, Any]]] = []
     for annotation in _annotations(task):
         results: list[Mapping[str, Any]] = [
@@ -174,7 +175,7 @@ def _original_size(result: Mapping[str, Any], where: str) -> tuple[int, int] | N
 
 
 def _studio_picture(task: Mapping[str, Any]) -> str | None:
-    """Name of a task's picture, out of the address under which it was stored."""
+    """Name of a task's picture, from the address at which it was stored."""
     data = task.get("data")
     given = list(data.values()) if isinstance(data, Mapping) else [task.get("image")]
     address = next((value for value in given if isinstance(value, str) and value), task.get("file_upload"))

@@ -1,4 +1,4 @@
-"""Observation of one person: a square crop with keypoints and labels, from which everybody else is left out."""
+"""Observation of one person: a square crop with keypoints and labels, without all other people."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from .part_labels import PartLabels
 from .person import Box, crop_boxes, crop_nearest
 
 REFERENCE_SIZE = 256  # [px], the paper's image size; losses are stated for it
-CROP_MARGIN = 0.1  # of the person's extent, on each side
-# [px] side of the crop that labels are kept at: twice what is drawn, and an odd multiple of the label network's 128, so
-# that there each pixel is the one at its centre.
+CROP_MARGIN = 0.1  # share of the person's extent, on each side
+# Side of the crop of labels [px]: more than twice the side at which bodies are drawn, and an odd multiple of the label
+# network's 128, so that a pixel of the network's input lies at the centre of a pixel here.
 LABEL_SIZE = 640
 
 
@@ -33,20 +33,20 @@ class Observation(Movable):
     """Keypoints and labels of one person in a square crop of side 2 (coordinates -1 to 1).
 
     Attributes:
-        landmarks: Names of the L keypoints that are there.
-        points: Their positions, shape (L, 2).
-        confidence: Their weights, 0 to 1, shape (L,).
+        landmarks: Names of the L visible keypoints.
+        points: Positions of the keypoints, shape (L, 2).
+        confidence: Weights of the keypoints, 0 to 1, shape (L,).
         labels: Group ids in the crop, 0 = background, 255 = ignore, shape (N, N), uint8; None without labels.
-        label_set: What the group ids mean.
+        label_set: Meaning of the group ids.
         maps: Probability of each group, shape (G, N, N), instead of ``labels``; None without probabilities.
-        known: Weight of each pixel of ``maps``, shape (N, N); the rest to 1 is the share to be ignored.
+        known: Weight of each pixel of ``maps``, shape (N, N); the rest to 1 is the share that is ignored.
         lengths: Expected ``LENGTH_NAMES`` of the person [m], shape (12,); None: the mean adult's.
         thicknesses: Expected ``THICKNESS_NAMES`` [m], shape (15,); None: the mean adult's.
         depths: Expected depths of the parts' centres, pelvis at 0 [m], shape (20,); None: unknown.
-        depth_spreads: How sure these are: half widths of intervals of 68 % [m], shape (20,); None: 1 mm.
+        depth_uncertainties: Uncertainty of these depths: half widths of intervals of 68 % [m], shape (20,); None: 1 mm.
         marks: Point of the body that each keypoint marks (``Skeleton.marks``); None: ``landmarks`` themselves.
-        lens: Focal length and principal point of the picture's camera, in the crop's coordinates, shape (3,); None:
-            unknown, and weak perspective serves.
+        lens: Focal length and principal point of the picture's camera, in the crop's coordinates, shape (3,). None: it
+            is not known, and weak perspective is assumed.
         lens_assumed: True if the lens is a usual one, because the picture's own is not known.
         stature: The person's height [m], if it is known.
     """
@@ -61,7 +61,7 @@ class Observation(Movable):
     lengths: torch.Tensor | None = None
     thicknesses: torch.Tensor | None = None
     depths: torch.Tensor | None = None
-    depth_spreads: torch.Tensor | None = None
+    depth_uncertainties: torch.Tensor | None = None
     marks: tuple[str, ...] | None = None
     lens: torch.Tensor | None = None
     lens_assumed: bool = False
@@ -69,11 +69,11 @@ class Observation(Movable):
 
     @property
     def body_points(self) -> tuple[str, ...]:
-        """Landmark of the body that is to be seen at each keypoint."""
+        """Landmark of the body that each keypoint shows."""
         return self.landmarks if self.marks is None else self.marks
 
 
-CutOut = tuple[Evidence, Observation, Crop]  # of a person
+CutOut = tuple[Evidence, Observation, Crop]  # one person, cut out of a picture
 
 
 def observe(
@@ -87,22 +87,23 @@ def observe(
 ) -> tuple[Observation, Crop]:
     """Cut one person out of a picture, as ``fit_body`` does before it fits.
 
-    Other people's labels and missing limbs are ignored. Where labels and keypoints disagree on left and right, the
+    Other people's labels and missing limbs are ignored. If labels and keypoints disagree on left and right, the
     keypoints are believed, while ``fit_body`` tries both.
 
     Args:
         keypoints: The person's keypoints, in pixels of the picture.
         parts: Part labels of the picture; None: keypoints alone.
         others: Keypoints of the other people in the picture.
-        trust_background: Believe background where confident keypoints say that a limb is; else it is ignored there.
+        trust_background: True: background is believed where confident keypoints say that a limb is. False: it is
+            ignored there.
         device: Device of the observation.
-        camera: Camera of the picture; None: a usual lens is assumed where the picture's size is known.
+        camera: Camera of the picture; None: a usual lens is assumed if the picture's size is known.
 
     Returns:
-        The observation in a square crop, whose keypoints are from -1 to 1; and the crop's place in the picture.
+        The observation in a square crop, whose keypoints are from -1 to 1, and the crop's position in the picture.
 
     Raises:
-        TypeError: If keypoints or labels are of another type.
+        TypeError: If keypoints or labels have another type.
         InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
     """
     evidence = weigh_evidence(keypoints, parts, others)[0]
@@ -111,7 +112,7 @@ def observe(
 
 
 def usual_lens(evidence: Evidence) -> UsualLens | None:
-    """Camera to assume for a picture of which none is known; None if its size is not known either."""
+    """Camera to assume for a picture whose own is not known; None if the picture's size is not known either."""
     return None if evidence.image_size is None else UsualLens.of_size(evidence.image_size)
 
 
@@ -123,10 +124,15 @@ def crop_evidence(
     camera: Perspective | None = None,
     label_size: int = LABEL_SIZE,
 ) -> tuple[Observation, Crop]:
-    """Cut out a person whose evidence was weighed (``weigh_evidence``); the picture's ``camera`` may be known.
+    """Cut out a person whose evidence was weighed (``weigh_evidence``).
 
-    Labels are kept at ``label_size`` pixels a side, of which ``LABEL_SIZE`` is an odd multiple: what ``resize_nearest``
-    would make of those at ``LABEL_SIZE``, to the bit.
+    Args:
+        evidence: The person's evidence.
+        trust_background: True: background is believed where confident keypoints say that a limb is.
+        device: Device of the observation.
+        camera: Camera of the picture; None: weak perspective.
+        label_size: Side of the labels' crop [px], of which ``LABEL_SIZE`` is an odd multiple. The labels are the same,
+            to the bit, as those at ``LABEL_SIZE`` after ``resize_nearest``.
     """
     middles, halves = crop_squares(*evidence.extents())
     low, high = boxes_in_picture(evidence.windows, middles, halves)
@@ -145,34 +151,34 @@ def crop_evidence(
         warnings=evidence.warnings,
         camera=camera,
     )
-    ((_, observation, crop),) = observe_together([weighed], middles, halves, device)
+    ((_, observation, crop),) = observe_batch([weighed], middles, halves, device)
     if evidence.picture is not None and evidence.picture.maps is not None:
         observation = with_probabilities(observation, evidence.picture.maps, (*low[0].tolist(), *high[0].tolist()))
     return observation, crop
 
 
 def with_probabilities(observation: Observation, maps: np.ndarray, box: Box) -> Observation:
-    """Returns a copy with the probabilities of its groups, of a picture's (G + 1, H, W), in a box of the picture."""
+    """Return a copy with the groups' probabilities from a picture's maps (G + 1, H, W), in a box of the picture."""
     assert observation.labels is not None
     step = LABEL_SIZE // observation.labels.shape[-1]
-    seen = crop_nearest(maps, box, (LABEL_SIZE, LABEL_SIZE), step=step, fill=0.0)
+    cropped = crop_nearest(maps, box, (LABEL_SIZE, LABEL_SIZE), step=step, fill=0.0)
     target, device = observation.labels.cpu().numpy(), observation.labels.device
-    known = np.where(target == IGNORE, 0.0, seen.sum(0)).astype(np.float32)
+    known = np.where(target == IGNORE, 0.0, cropped.sum(0)).astype(np.float32)
     return replace(
         observation,
-        maps=torch.from_numpy(np.ascontiguousarray(seen[1:])).to(device),
+        maps=torch.from_numpy(np.ascontiguousarray(cropped[1:])).to(device),
         known=torch.from_numpy(known).to(device),
     )
 
 
 def boxes_in_picture(windows: Windows, middles: np.ndarray, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Left and top, right and bottom in the pictures of squares in windows (``crop_squares``), shape (N, 2)."""
+    """Convert squares in windows (``crop_squares``) to left and top, right and bottom in the pictures, (N, 2) each."""
     low = windows.starts + (middles - halves[:, None]) / windows.zooms[:, None]
     return low, low + (2 * halves / windows.zooms)[:, None]
 
 
 def _square_crop(window: Crop, middle: tuple[float, float], half: float) -> Crop:
-    """Crop of the picture about a middle (x, y) in the window, of which half a side is so long there."""
+    """Square crop of the picture around a middle (x, y); ``half`` is half its side; both in pixels of the window."""
     return Crop(
         left=window.left + (middle[0] - half) / window.zoom,
         top=window.top + (middle[1] - half) / window.zoom,
@@ -182,19 +188,24 @@ def _square_crop(window: Crop, middle: tuple[float, float], half: float) -> Crop
 
 
 def crop_squares(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Middles and half sides of N people's square crops about all that is seen of them.
+    """Middles and half sides of N people's square crops.
 
-    Lowest and highest (x, y) [px] of that, shape (N, 2).
+    Args:
+        low: Lowest (x, y) of the people's keypoints and labels [px], shape (N, 2).
+        high: Highest (x, y) of the same, shape (N, 2).
+
+    Returns:
+        Middles, shape (N, 2), and half sides, shape (N,), with a margin around the people.
     """
     low, high = crop_boxes(low, high, CROP_MARGIN)
     return (low + high) / 2, (high - low).max(axis=1) / 2
 
 
 class WeighedPerson(NamedTuple):
-    """A person to be cut out, whose evidence was weighed."""
+    """Person whose evidence was weighed, and who can now be cut out."""
 
     keypoints: Keypoints2D
-    points: np.ndarray  # the visible ones in pixels of the window, shape (L, 2)
+    points: np.ndarray  # visible keypoints in pixels of the window, shape (L, 2)
     window: Crop
     labels: torch.Tensor | None  # in the crop, shape (N, N), uint8
     label_set: LabelSet | None
@@ -202,15 +213,17 @@ class WeighedPerson(NamedTuple):
     camera: Perspective | None
 
 
-def observe_together(
+def observe_batch(
     people: Sequence[WeighedPerson], middles: np.ndarray, halves: np.ndarray, device: torch.device | str
 ) -> list[CutOut]:
-    """Cut out people by the squares about them (``crop_squares``); their evidence has no labels."""
+    """Cut out people by their squares (``crop_squares``). The evidence that is returned has no labels."""
     counts = [len(person.points) for person in people]
-    middle, half = (np.repeat(each, counts, axis=0) for each in (middles, halves[:, None]))
-    seen = (np.concatenate([person.points for person in people]) - middle) / half
-    votes = np.concatenate([person.keypoints.confidence[person.keypoints.visible] for person in people])
-    points, confidence = (torch.from_numpy(each.astype(np.float32)).to(device).split(counts) for each in (seen, votes))
+    middle = np.repeat(middles, counts, axis=0)
+    half = np.repeat(halves[:, None], counts, axis=0)
+    in_crops = (np.concatenate([person.points for person in people]) - middle) / half
+    visible = np.concatenate([person.keypoints.confidence[person.keypoints.visible] for person in people])
+    points = torch.from_numpy(in_crops.astype(np.float32)).to(device).split(counts)
+    confidence = torch.from_numpy(visible.astype(np.float32)).to(device).split(counts)
     found: list[CutOut] = []
     for n, person in enumerate(people):
         crop = _square_crop(person.window, middles[n].tolist(), float(halves[n]))
@@ -233,9 +246,10 @@ def observe_together(
 
 @lru_cache(maxsize=1024)
 def visible_names(form: str | Skeleton, visible: bytes) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Landmarks and marks of the keypoints that are there."""
-    there, known = np.frombuffer(visible, dtype=bool).tolist(), skeleton(form)
-    return tuple(compress(known.landmarks, there)), tuple(compress(known.marks, there))
+    """Landmarks and marks of the visible keypoints; ``visible`` is their mask as bytes, which can be a cache's key."""
+    mask = np.frombuffer(visible, dtype=bool).tolist()
+    known = skeleton(form)
+    return tuple(compress(known.landmarks, mask)), tuple(compress(known.marks, mask))
 
 
 def crop_lens(camera: Perspective, crop: Crop) -> torch.Tensor:
@@ -246,7 +260,7 @@ def crop_lens(camera: Perspective, crop: Crop) -> torch.Tensor:
 
 
 def resize_nearest(labels: torch.Tensor, size: int) -> torch.Tensor:
-    """Square images (..., N, N) at ``size`` pixels a side: what lies under each new pixel's centre."""
+    """Resample square images (..., N, N) to ``size`` pixels a side: each takes the pixel under its centre."""
     old = labels.shape[-1]
     index = ((torch.arange(size, device=labels.device) + 0.5) * old / size).long().clamp_max(old - 1)
     return labels[..., index[:, None], index].contiguous()

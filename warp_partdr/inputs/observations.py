@@ -1,4 +1,4 @@
-"""Observations of N people as arrays, as networks and fits read them; one person is a batch of one."""
+"""Observations of N people as arrays, which networks and fits read; one person is a batch of one."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ..body.skeletons import Skeleton
 from ..interop.movable import Movable
 from .observation import Observation, resize_nearest
 
-# Tensors of an ``Observation`` that all people of a batch have, or none of them, beside keypoints and pictures.
-_EXPECTED = ("lens", "lengths", "thicknesses", "depths", "depth_spreads")
+# Tensors of an ``Observation`` that all people of a batch have or all lack, apart from keypoints and pictures.
+_EXPECTED = ("lens", "lengths", "thicknesses", "depths", "depth_uncertainties")
 _PICTURES = ("labels", "maps", "known")
 _KEYPOINTS = ("points", "confidence")
 
@@ -25,14 +25,14 @@ _KEYPOINTS = ("points", "confidence")
 class Observations(Movable):
     """Observations of N people with keypoints of one format, and labels of one set, or none.
 
-    What may be missing is there for all people or for none.
+    Every optional field is given for all people or for none.
 
     Attributes:
         landmarks: Names of the format's J keypoints.
-        marks: Point of the body that each marks.
-        visible: True for the keypoints that are there, shape (N, J), bool; on the host.
-        points: Their positions in crops of side 2, 0 where missing, shape (N, J, 2).
-        confidence: Their weights, 0 where missing, shape (N, J).
+        marks: Point of the body that each keypoint marks.
+        visible: True for visible keypoints, shape (N, J), bool; on the host.
+        points: Positions of keypoints in crops of side 2, 0 where missing, shape (N, J, 2).
+        confidence: Weights of keypoints, 0 where missing, shape (N, J).
         labels: Group ids in the crops, shape (N, size, size), uint8; None without labels.
         label_set: Meaning of the group ids.
         maps: Probability of each group, shape (N, G, size, size); None without probabilities.
@@ -42,7 +42,7 @@ class Observations(Movable):
         lengths: Expected lengths [m], shape (N, 12); None: the mean adult's.
         thicknesses: Expected thicknesses [m], shape (N, 15); None: the mean adult's.
         depths: Expected depths of the parts' centres, pelvis at 0 [m], shape (N, 20); None: unknown.
-        depth_spreads: Uncertainty of these depths [m], shape (N, 20); None: 1 mm.
+        depth_uncertainties: Uncertainty of these depths [m], shape (N, 20); None: 1 mm.
         statures: Heights of the people [m], 0 where one is not known, shape (N,); None if none is known.
     """
 
@@ -60,22 +60,21 @@ class Observations(Movable):
     lengths: torch.Tensor | None = None
     thicknesses: torch.Tensor | None = None
     depths: torch.Tensor | None = None
-    depth_spreads: torch.Tensor | None = None
+    depth_uncertainties: torch.Tensor | None = None
     statures: torch.Tensor | None = None
 
     @classmethod
     def of(cls, observations: Sequence[Observation], form: Skeleton | None = None) -> Observations:
-        """Stack observations of people who are alike.
+        """Build a batch. All observations must have the same optional fields.
 
         Args:
-            observations: N observations.
-            form: Format of the keypoints that these observations show. None: the landmarks are those that anybody
-                shows.
+            observations: List of N observations.
+            form: Format of the keypoints. None: the landmarks are all those that occur in these observations.
 
         Raises:
-            ValueError: If the observations differ in their label set, or in what is missing.
+            ValueError: If the observations differ in their label set, or in which optional fields they have.
         """
-        _check_alike(observations)
+        _check_same_fields(observations)
         first, device = observations[0], observations[0].points.device
         marks = _marks_of(observations) if form is None else dict(zip(form.landmarks, form.marks, strict=True))
         landmarks = tuple(marks)
@@ -84,11 +83,11 @@ class Observations(Movable):
         for row, own in enumerate(columns):
             visible[row, own] = True
         people = torch.from_numpy(np.repeat(np.arange(len(observations)), [len(own) for own in columns])).to(device)
-        places = torch.from_numpy(np.concatenate(columns)).to(device)
+        joints = torch.from_numpy(np.concatenate(columns)).to(device)
         points = torch.zeros(*visible.shape, 2, device=device)
-        points[people, places] = torch.cat([each.points for each in observations])
+        points[people, joints] = torch.cat([each.points for each in observations])
         confidence = torch.zeros(visible.shape, device=device)
-        confidence[people, places] = torch.cat([each.confidence for each in observations])
+        confidence[people, joints] = torch.cat([each.confidence for each in observations])
         return cls(
             landmarks,
             tuple(marks.values()),
@@ -104,7 +103,7 @@ class Observations(Movable):
 
     @classmethod
     def joined(cls, parts: Sequence[Observations]) -> Observations:
-        """Join observations that are alike, one after the other."""
+        """Join batches, one after the other. All must have the same optional fields."""
         if len(parts) == 1:
             return parts[0]
         statures = None
@@ -125,13 +124,13 @@ class Observations(Movable):
 
     def __getitem__(self, row: int) -> Observation:
         """Return one person's observation."""
-        there = self.visible[row].nonzero()[0]
-        columns: slice | torch.Tensor = slice(None)  # no copy, and nothing goes to the device, where all are there
-        if len(there) < len(self.landmarks):
-            columns = torch.from_numpy(there).to(self.points.device)
+        visible = self.visible[row].nonzero()[0]
+        columns: slice | torch.Tensor = slice(None)  # if all are visible: no copy, and no transfer to the device
+        if len(visible) < len(self.landmarks):
+            columns = torch.from_numpy(visible).to(self.points.device)
         return Observation(
-            landmarks=tuple(self.landmarks[column] for column in there),
-            marks=tuple(self.marks[column] for column in there),
+            landmarks=tuple(self.landmarks[column] for column in visible),
+            marks=tuple(self.marks[column] for column in visible),
             points=self.points[row, columns],
             confidence=self.confidence[row, columns],
             label_set=self.label_set,
@@ -141,7 +140,7 @@ class Observations(Movable):
         )
 
     def select(self, rows: slice | torch.Tensor) -> Observations:
-        """Return the observations of some of the people; one person may come several times."""
+        """Return the observations of some of the people; a person may be chosen several times."""
         visible = self.visible[rows.cpu().numpy() if torch.is_tensor(rows) else rows]
         return replace(self, visible=visible, **self._each_at(rows, _ROWS))
 
@@ -150,7 +149,7 @@ class Observations(Movable):
         return replace(self, labels=None, maps=None, known=None)
 
     def _each_at(self, rows: int | slice | torch.Tensor, names: Sequence[str]) -> dict[str, Any]:
-        """Rows of the tensors of some names; None where there is no such tensor."""
+        """Rows of the tensors with these names; None for a tensor that the batch lacks."""
         return {name: None if (each := getattr(self, name)) is None else each[rows] for name in names}
 
     def _all_statures(self) -> torch.Tensor:
@@ -179,24 +178,24 @@ def _joined(parts: Sequence[torch.Tensor | None]) -> Any:
 
 
 def _at_one_side(pictures: Sequence[torch.Tensor | None]) -> list[torch.Tensor | None]:
-    """Pictures (..., size, size) as large as the largest."""
+    """Pictures (..., size, size), all resized to the largest one's side."""
     side = max((each.shape[-1] for each in pictures if each is not None), default=0)
     return [each if each is None or each.shape[-1] == side else resize_nearest(each, side) for each in pictures]
 
 
 def _marks_of(observations: Sequence[Observation]) -> dict[str, str]:
-    """Landmarks that anybody shows, with their marks."""
+    """All landmarks that occur in the observations, with their marks."""
     return {name: mark for each in observations for name, mark in zip(each.landmarks, each.body_points, strict=True)}
 
 
 @lru_cache(maxsize=1024)
 def _indices(names: tuple[str, ...], landmarks: tuple[str, ...]) -> np.ndarray:
-    """Columns of names among landmarks, shape (L,)."""
+    """Indices of names among landmarks, shape (L,)."""
     return np.array([landmarks.index(name) for name in names], dtype=np.int64)
 
 
-def _check_alike(observations: Sequence[Observation]) -> None:
-    """Raise ValueError unless observations can be stacked."""
+def _check_same_fields(observations: Sequence[Observation]) -> None:
+    """Raise ValueError unless observations can be in one batch."""
     first = observations[0]
     for each in observations[1:]:
         for name in (*_PICTURES, *_EXPECTED):
@@ -208,15 +207,15 @@ def _check_alike(observations: Sequence[Observation]) -> None:
             raise ValueError("observations: some lenses are assumed, others known; expected the same of all")
 
 
-def group_alike(observations: Sequence[Observation]) -> list[tuple[list[int], Observations]]:
-    """Group observations that can be stacked, and return each group's indices beside it.
+def batch_observations(observations: Sequence[Observation]) -> list[tuple[list[int], Observations]]:
+    """Build batches of observations that can be in one batch, and return the indices of each beside it.
 
-    Observations are alike whose landmarks have the same marks, which have labels of one set and one size, and which
-    lack the same things.
+    In a batch, landmarks have the same marks, labels have one set and one size, and all observations have the same
+    optional fields.
     """
     groups: list[list[int]] = []
     for index, each in enumerate(observations):
-        own = next((rows for rows in groups if _alike(observations[rows[0]], each)), None)
+        own = next((rows for rows in groups if _fit_in_batch(observations[rows[0]], each)), None)
         if own is None:
             groups.append([index])
         else:
@@ -229,7 +228,7 @@ def _shapes(observations: Observation) -> list[torch.Size | None]:
     return [None if each is None else each.shape for each in tensors]
 
 
-def _alike(one: Observation, other: Observation) -> bool:
+def _fit_in_batch(one: Observation, other: Observation) -> bool:
     marks, others = _marks_of([one]), _marks_of([other])
     return (
         _shapes(one) == _shapes(other)

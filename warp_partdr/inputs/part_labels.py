@@ -4,8 +4,8 @@ Labels come as an image of ids, 8- or 16-bit, one channel, grayscale or palette 
 
 * ids (H, W), whole numbers of any type;
 * a network's probability maps (K, H, W) or (H, W, K), floats, with one channel per id of the label set;
-* each person's ids alone (N, H, W), integers or booleans: in a set of one group, masks by instance. The type tells them
-  from probabilities, for both may hold nothing but 0 and 1.
+* each person's ids alone (N, H, W), integers or booleans; in a set of one group, these are masks by instance. The type
+  tells them from probabilities, because both may hold only 0 and 1.
 """
 
 from __future__ import annotations
@@ -33,31 +33,32 @@ from .photo_files import RAW_SUFFIXES, ending_of, foreign_format, is_heif
 if TYPE_CHECKING:
     from PIL import Image
 
-PhotoFile = str | Path | BytesIO  # of a picture; one in memory is called ``str`` of it in messages
+PhotoFile = str | Path | BytesIO  # file of a picture; messages call one in memory by its ``str``
 
-# [px], of a photo or label image: 134 megapixels, which fit in memory with all that is made of them.
+# Largest photo or label image [px]: 134 megapixels, which fit in memory with all arrays that are made from them.
 LARGEST_PICTURE = 2**27
 
-# Of files that may hold several pictures of equal rank. Those beside a phone's or camera's own, in JPEG, are smaller
-# copies and depth maps.
+# Endings of files that may hold several pictures of equal rank. In JPEG files, the pictures beside a phone's or a
+# camera's own are smaller copies and depth maps.
 _OF_SEVERAL = (".gif", ".png", ".apng", ".webp", ".tif", ".tiff", ".avif", ".avifs", ".heic", ".heif", ".hif")
-_HEAD = 256  # bytes of a file that tell its format
-_DNG_VERSION = 50706  # tag of TIFF that a raw photo has
+_HEAD = 256  # bytes of a file that show its format
+_DNG_VERSION = 50706  # TIFF tag of raw photos
 _DEVELOPED = "it developed, such as to JPEG"
 
 _FILM_DIAGONAL = math.hypot(36.0, 24.0)  # [mm]
-_SHORTEST, _LONGEST = 4, 3000  # [mm], focal lengths of photos on 35 mm film; others are none that lenses have
-_CUT = 0.01  # change of the sides' ratio that says a photo was cut
+_SHORTEST, _LONGEST = 4, 3000  # [mm], focal lengths of photos on 35 mm film; no lens has others
+_CUT = 0.01  # change of the sides' ratio, above which a photo was cropped
 
 _JPEG_END = b"\xff\xd9"  # not among the bytes of pixels
 
-_MOST_MASKS = 16  # of the largest pictures; of smaller ones more
+_MOST_MASKS = 16  # most masks of the largest pictures; smaller ones may have more
 
 # 16-bit softmax outputs are off by 1e-3 in their sum.
 _SUM_TOLERANCE = 1e-2
 
-# Probability that is none. Where 3 % were spread over all classes, PA-MPJPE rose from 38.9 to 46.5 mm, and without the
-# small ones it was 38.3 mm; the likeliest labels alone gave 40.1 mm (people 200 to 215 of PartBench, "realistic").
+# A smaller probability is taken as 0. If 3 % were distributed over all classes, PA-MPJPE rose from 38.9 to 46.5 mm.
+# Without the small probabilities it was 38.3 mm, and with only the likeliest labels 40.1 mm (people 200 to 215 of
+# PartBench, "realistic").
 _HAZE = 0.05
 
 
@@ -66,12 +67,15 @@ class PartLabels:
     """Part labels of a picture.
 
     Attributes:
-        label_set: What the groups are.
+        label_set: Meaning of the group ids.
         groups: Group ids: 0 = background, 1 to G, 255 = ignore, shape (H, W), uint8.
-        maps: Probabilities of background and groups, shape (G + 1, H, W), float32, where the file had such; what is
-            missing to a sum of 1 is the probability of something to be ignored.
-        instances: Group ids of each of N people alone, shape (N, H, W), uint8, where the file had such; ``groups`` are
-            then anybody's, and ``person_labels`` picks one person's.
+        maps: Probabilities of background and groups, shape (G + 1, H, W), float32; None if the file had none. The rest
+            to a sum of 1 is the probability of something that is ignored.
+        instances: Group ids of each of N people alone, shape (N, H, W), uint8; None if the file had none. ``groups``
+            are then those of all people, and ``person_labels`` returns one person's.
+
+    Raises:
+        InputError: If a shape or dtype is wrong, or a group id is not in the label set.
     """
 
     label_set: LabelSet
@@ -84,7 +88,7 @@ class PartLabels:
         if not isinstance(groups, np.ndarray) or groups.ndim != 2 or groups.dtype != np.uint8 or not groups.size:
             found = f"{groups.dtype} {groups.shape}" if isinstance(groups, np.ndarray) else type(groups).__name__
             raise InputError(f"groups: {found}; expected a picture of uint8 group ids (H, W)")
-        # In bytes 255 + 1 is 0: one look tells that no id is strange.
+        # In bytes, 255 + 1 is 0, so one comparison checks all ids.
         if (groups + np.uint8(1)).max() > count + 1:
             strange = groups[(groups > count) & (groups != IGNORE)]
             raise InputError(f"groups: id {strange[0]}; expected 0 to {count} of {self.label_set.name}, or {IGNORE}")
@@ -100,12 +104,14 @@ _ON_ITS_SIDE = (5, 6, 7, 8)  # EXIF's orientations in which width and height cha
 
 
 def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | None:
-    """Read the part labels of the options --parts and --labels; None without.
+    """Read the part labels that the options --parts and --labels give; None without --parts.
 
-    Without ``labels``, the name or JSON file of a set, ``labels.json`` beside the file describes the ids.
+    Args:
+        parts: File of the labels.
+        labels: Name or JSON file of the label set; None: ``labels.json`` beside the file describes the ids.
 
     Raises:
-        InputError: If there is no label set, a label set of no file, or one of them is wrong.
+        InputError: If there is a file without a label set, a label set without a file, or if one of them is wrong.
     """
     if parts is None:
         if labels is not None:
@@ -122,9 +128,9 @@ def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | 
 
 
 def read_photo(path: PhotoFile) -> np.ndarray:
-    """Read a picture, turned upright by its EXIF data, shape (H, W, 3), uint8; of several in a file, the first.
+    """Read a picture, RGB, turned upright by its EXIF data, shape (H, W, 3), uint8; the first one of several in a file.
 
-    Pillow reads it, HEIC with pillow-heif (the extra "heic"), whatever the file's ending is.
+    Pillow reads it, and for HEIC pillow-heif (the extra "heic"), whatever the file's ending is.
 
     Raises:
         InputError: If the file can't be read, or the picture is larger than 2**27 pixels.
@@ -134,33 +140,36 @@ def read_photo(path: PhotoFile) -> np.ndarray:
     with _opened(path, "a picture") as image:
         ImageOps.exif_transpose(image, in_place=True)
         upright = image
-        if upright.mode.startswith("I"):  # 16-bit gray, of which PIL would make all but the darkest white
+        if upright.mode.startswith("I"):  # 16-bit gray, which PIL would turn to white, except for the darkest
             upright = Image.fromarray((np.asarray(upright) >> 8).clip(0, 255).astype(np.uint8))
         return np.array(upright if upright.mode == "RGB" else upright.convert("RGB"))
 
 
 def photo_warnings(path: PhotoFile) -> tuple[str, ...]:
-    """A sentence if there are several pictures in a photo's file, such as in an animated GIF; else none."""
+    """Warning if a photo's file holds several pictures, as an animated GIF does; else none."""
     if ending_of(str(path)) not in _OF_SEVERAL:
         return ()
     try:
         with _opened(path, "a picture") as image:
             count = int(getattr(image, "n_frames", 1))
-    except InputError:  # which reading it tells
+    except InputError:  # reading the photo raises it, too
         return ()
     return (f"{count} pictures in the file; the first is taken",) if count > 1 else ()
 
 
 def scan_photo(path: PhotoFile) -> tuple[int, int]:
-    """Look through a picture to its end, and give the (H, W) that ``read_photo`` would, or its error if it is cut off.
+    """Check that a picture's file is complete, and return the size (H, W) [px] that ``read_photo`` would give it.
 
-    JPEG with a mark of its end is not decoded, which takes a twentieth of the time or less.
+    A JPEG with an end marker is not decoded, which takes a twentieth of the time or less.
+
+    Raises:
+        InputError: If the file can't be read, or is cut off.
     """
     from PIL import ExifTags
 
     with _opened(path, "a picture") as image:
         width, height = image.size
-        # Before its pixels, where PIL has stopped, there may be the end of a small picture.
+        # The search begins where PIL has stopped, at the pixels: an embedded small picture before them has an end, too.
         if image.format != "JPEG" or _JPEG_END not in image.fp.read():  # type: ignore[attr-defined]  # of all files
             image.draft("L", (1, 1))
             image.load()
@@ -169,31 +178,32 @@ def scan_photo(path: PhotoFile) -> tuple[int, int]:
 
 
 def read_focal(path: PhotoFile) -> float:
-    """Focal length [px] from a photo's EXIF data, which say what it would be on 35 mm film; by the diagonal.
+    """Read the focal length [px] from a photo's EXIF data, which state it for 35 mm film; the diagonals are compared.
 
     Raises:
-        InputError: If the file can't be read, does not say it, or was cut since.
+        InputError: If the file can't be read, does not state a focal length, or was cropped afterwards.
     """
     from PIL import ExifTags
 
     with _opened(path, "a picture") as image:
-        said = image.getexif().get_ifd(ExifTags.IFD.Exif)
-        tags = ExifTags.Base.FocalLengthIn35mmFilm, ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight
-        focal, *was = (_number(said.get(tag)) for tag in tags)
+        exif = image.getexif().get_ifd(ExifTags.IFD.Exif)
+        focal = _number(exif.get(ExifTags.Base.FocalLengthIn35mmFilm))
+        taken = _number(exif.get(ExifTags.Base.ExifImageWidth)), _number(exif.get(ExifTags.Base.ExifImageHeight))
         size = image.size
     if not focal > 0:
         raise InputError(f"{path}: no focal length in its EXIF data; expected the one on 35 mm film")
     if not _SHORTEST <= focal <= _LONGEST:
-        told = f"{focal:g} mm on 35 mm film in its EXIF data"
-        raise InputError(f"{path}: {told}; expected {_SHORTEST} to {_LONGEST}")
-    if all(was) and abs(min(size) / max(size) - min(was) / max(was)) > _CUT:
-        now, then = (f"{width:g}x{height:g}" for width, height in (size, was))
-        raise InputError(f"{path}: {now}, but {then} in its EXIF data; expected a photo that was not cut")
+        raise InputError(f"{path}: {focal:g} mm on 35 mm film in its EXIF data; expected {_SHORTEST} to {_LONGEST}")
+    if all(taken) and abs(min(size) / max(size) - min(taken) / max(taken)) > _CUT:
+        raise InputError(
+            f"{path}: {size[0]:g}x{size[1]:g}, but {taken[0]:g}x{taken[1]:g} in its EXIF data; expected a photo that "
+            "was not cut"
+        )
     return focal / _FILM_DIAGONAL * math.hypot(*size)
 
 
-def told_focal(path: PhotoFile) -> float | None:
-    """Focal length [px] as of ``read_focal``; None where EXIF data do not tell it."""
+def exif_focal_length(path: PhotoFile) -> float | None:
+    """Focal length [px] as ``read_focal`` finds it; None if EXIF data do not state it."""
     try:
         return read_focal(path)
     except InputError:
@@ -201,7 +211,7 @@ def told_focal(path: PhotoFile) -> float | None:
 
 
 def read_orientation(path: PhotoFile) -> int:
-    """Orientation in a picture's EXIF data, 1 to 8, by which ``read_photo`` turns it; 1: it is stored upright.
+    """Read the orientation in a picture's EXIF data, 1 to 8, by which ``read_photo`` turns it; 1: it is stored upright.
 
     Raises:
         InputError: If the file can't be read.
@@ -209,13 +219,13 @@ def read_orientation(path: PhotoFile) -> int:
     from PIL import ExifTags, Image
 
     with _opened(path, "a picture") as image:
-        # PNG's own getexif would decode all pixels, for these data may stand behind them, where nobody puts them.
-        told = Image.Image.getexif(image).get(ExifTags.Base.Orientation)
-    return told if isinstance(told, int) and 1 <= told <= 8 else 1
+        # PNG's own getexif would decode all pixels, because EXIF data may follow them, although no program does that.
+        orientation = Image.Image.getexif(image).get(ExifTags.Base.Orientation)
+    return orientation if isinstance(orientation, int) and 1 <= orientation <= 8 else 1
 
 
 def _number(value: Any) -> float:
-    """A number of EXIF data, which may be anything; 0 if it is none."""
+    """Number in EXIF data, which may hold anything; 0 if it is no number."""
     try:
         return float(value)
     except (TypeError, ValueError, ArithmeticError):
@@ -224,7 +234,7 @@ def _number(value: Any) -> float:
 
 @contextmanager
 def _opened(path: PhotoFile, expected: str) -> Iterator[Image.Image]:
-    """Open a picture of which only the header is read yet; whatever goes wrong with it becomes an InputError."""
+    """Open a picture, whose pixels are read later; any fault until then becomes an InputError."""
     from PIL import Image
 
     try:
@@ -238,21 +248,21 @@ def _opened(path: PhotoFile, expected: str) -> Iterator[Image.Image]:
     except Image.DecompressionBombError as error:
         _check_pixels(path, 2 * (Image.MAX_IMAGE_PIXELS or 0) + 1)
         raise InputError(f"{path}: {cause(error)}; expected {expected}") from error
-    except Exception as error:  # of many kinds: each of Pillow's formats has its own for a damaged file
+    except Exception as error:  # each of Pillow's formats raises its own kind of error for a damaged file
         raise InputError(f"{path}: {cause(error)}; expected {expected}") from error
 
 
 def _open_image(path: PhotoFile) -> Image.Image:
-    """Open a picture by Pillow, which learns HEIF when the first one comes.
+    """Open a picture with Pillow, which gets its HEIF plugin at the first HEIF picture.
 
     Raises:
-        InputError: If it is of a format that is known, but can't be read here.
+        InputError: If its format is known, but can't be read here.
     """
     from PIL import Image, UnidentifiedImageError
 
     if not isinstance(path, BytesIO):
         check_regular(path)
-    if ending_of(str(path)) in RAW_SUFFIXES:  # in which Pillow finds a thumbnail
+    if ending_of(str(path)) in RAW_SUFFIXES:  # Pillow would read the thumbnail in it
         raise InputError(f"{path}: a raw photo; expected {_DEVELOPED}")
     try:
         image: Image.Image = Image.open(path)
@@ -265,10 +275,10 @@ def _open_image(path: PhotoFile) -> Image.Image:
             return Image.open(path)
         if (known := foreign_format(head)) is None:
             raise
-        told = f"{path}: {known.name}; expected {known.expected}"
+        message = f"{path}: {known.name}; expected {known.expected}"
         if not head and not isinstance(path, BytesIO):  # maybe it is still being copied
-            raise InputError(told) from OSError(errno.ENODATA, "an empty file")
-        raise InputError(told) from (ModuleNotFoundError(known.library) if known.library else error)
+            raise InputError(message) from OSError(errno.ENODATA, "an empty file")
+        raise InputError(message) from (ModuleNotFoundError(known.library) if known.library else error)
     if image.format == "TIFF" and _DNG_VERSION in image.tag_v2:  # type: ignore[attr-defined]  # of TIFF
         image.close()
         raise InputError(f"{path}: a raw photo; expected {_DEVELOPED}")
@@ -288,10 +298,14 @@ def _check_pixels(path: PhotoFile, pixels: int) -> None:
 
 
 def check_sizes(**sizes: tuple[int, int] | None) -> None:
-    """Raise unless all (H, W) are one: ``check_sizes(photo=photo.shape[:2], parts=groups.shape)``; None is skipped.
+    """Check that all sizes (H, W) are equal; None is skipped.
 
     Raises:
-        InputError: ``photo: 640x480; parts: 320x240; expected one size`` (width x height).
+        InputError: If they are not: ``photo: 640x480; parts: 320x240; expected one size`` (width x height).
+
+    Example::
+
+        check_sizes(photo=photo.shape[:2], parts=groups.shape)
     """
     known = {name: size for name, size in sizes.items() if size is not None}
     if len(set(known.values())) > 1:
@@ -300,15 +314,17 @@ def check_sizes(**sizes: tuple[int, int] | None) -> None:
 
 
 def read_parts(path: PhotoFile, labels: LabelSet | str | Path) -> PartLabels:
-    """Read part labels, ids of a label set, each person's or their probabilities, from a ``.png`` or ``.npy`` file.
+    """Read part labels from a ``.png`` or ``.npy`` file: ids of a label set, each person's ids, or probabilities.
+
+    The module's docstring lists the shapes and types of arrays.
 
     Args:
-        path: The file.
-        labels: What the ids mean, or what ``label_set`` takes.
+        path: File of the labels.
+        labels: Label set of the ids, its name, or its JSON file.
 
     Raises:
-        InputError: If the label set or the file can't be read, or this is no label image, has more than 2**27 pixels or
-            ids outside the set, shows nobody, or, in a set of several groups, a single part.
+        InputError: If the label set or the file can't be read, or if the file is no label image, has more than 2**27
+            pixels or ids outside the set, shows nobody, or shows a single part although the set has several groups.
     """
     labels = label_set(labels)
     suffix = ".png" if isinstance(path, BytesIO) else Path(path).suffix.lower()
@@ -354,7 +370,7 @@ def _read_npy(path: str | Path, channels: int) -> np.ndarray:
 
 
 def _groups(ids: np.ndarray, labels: LabelSet, where: str) -> np.ndarray:
-    """Group ids of an array of ids, which many save as floats."""
+    """Convert an array of ids, which some programs save as floats, to group ids."""
     if ids.dtype.kind == "f":
         strange = ids[~np.isfinite(ids) | (ids != np.rint(ids))]
         if strange.size:
@@ -399,9 +415,9 @@ def _from_probabilities(array: np.ndarray, labels: LabelSet, where: str) -> Part
 
 
 def without_haze(maps: np.ndarray) -> np.ndarray:
-    """Probabilities of background and groups, (G + 1, H, W), without those that a network spreads thinly over all.
+    """Set small probabilities of background and groups, (G + 1, H, W), to 0: a network gives each class a little.
 
-    The same goes for what is ignored, the rest to 1. The others grow until all add up to 1 again.
+    The rest to 1, which is ignored, becomes 0, too, if it is small. The others grow until all add up to 1 again.
     """
     ignored = 1.0 - maps.sum(axis=0)
     ignored[ignored < _HAZE] = 0.0
@@ -411,7 +427,7 @@ def without_haze(maps: np.ndarray) -> np.ndarray:
 
 
 def parts_from_maps(maps: np.ndarray, labels: LabelSet) -> PartLabels:
-    """Labels from probabilities of background and groups, (G + 1, H, W); the rest to 1 is of what is ignored."""
+    """Make labels from probabilities of background and groups, (G + 1, H, W); the rest to 1 is ignored."""
     ignored = 1.0 - maps.sum(axis=0)
     groups = maps.argmax(axis=0).astype(np.uint8)
     groups[ignored > maps.max(axis=0)] = IGNORE
@@ -419,15 +435,15 @@ def parts_from_maps(maps: np.ndarray, labels: LabelSet) -> PartLabels:
 
 
 def _check_content(parts: PartLabels, where: str) -> None:
-    """Refuse labels that show nobody, or one part only: no more than a silhouette, and likely a mistake."""
-    there = parts.groups.tobytes()  # which is looked through in a hundredth of the time of an index
-    shown = list(islice((group for group in range(1, parts.label_set.num_groups + 1) if group in there), 2))
-    if not shown:
+    """Raise InputError if labels show nobody, or only one part: a silhouette, which is likely a mistake."""
+    pixels = parts.groups.tobytes()  # searching bytes takes a hundredth of the time of an array
+    groups = list(islice((group for group in range(1, parts.label_set.num_groups + 1) if group in pixels), 2))
+    if not groups:
         raise InputError(
             f"{where}: empty, no pixel of a body part; expected a person in the labels of {parts.label_set.name}"
         )
-    if len(shown) == 1 and parts.label_set.num_groups > 1 and IGNORE not in there:
-        name = parts.label_set.group_names[shown[0] - 1]
+    if len(groups) == 1 and parts.label_set.num_groups > 1 and IGNORE not in pixels:
+        name = parts.label_set.group_names[groups[0] - 1]
         raise InputError(
             f"{where}: one part only ({name}); expected several of {parts.label_set.name}, or the label set full1"
         )

@@ -1,7 +1,7 @@
 """One person out of a picture: assignment of pixels to people, and the crop around the person.
 
 Boxes are (x0, y0, x1, y1) in pixels of the picture: pixel (row v, column u) covers u to u + 1 and v to v + 1. A box may
-reach beyond the picture; what lies there the camera never saw, so its labels are 255, ignore, not background.
+reach beyond the picture. The camera does not show that region, so its labels are 255, ignore, not background.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ Box = tuple[float, float, float, float]
 # Shares of the person's height.
 SEED_RADIUS = 0.03  # About an arm's half thickness: a labelled pixel so near to a bone is the person's.
 REACH = 0.25  # Farther than this from any bone, nothing is the person's; half a trunk's width is 0.12.
-LOOSE_REACH = 0.6  # The same around a joint whose next joint is missing: a whole limb may hang there.
+LOOSE_REACH = 0.6  # Reach around a joint whose next joint is missing: a whole limb may be there.
 MIN_SEED_RADIUS = 1.5  # [px]
 
-# Shares of the picture's longer side: networks guess that far where the border cuts a person off, not farther.
+# Share of the picture's longer side: so far beyond the border networks guess the joints of a person who is cut off.
 _BEYOND = 2.0
-_LARGEST = 1e5  # [px] the same where there is no picture; more than any camera has
+_LARGEST = 1e5  # [px], largest coordinate if there is no picture; more than any camera has
 
 _SHORTEST = 1e-12  # [px²], of a segment's squared length, not to divide by 0
 
@@ -41,10 +41,10 @@ class PersonInputs:
     """Arguments of ``fit_body`` for one person, and the picture.
 
     Attributes:
-        keypoints: The person's.
-        others: Other people's in the picture.
-        parts: The picture's part labels; None without.
-        photo: RGB, shape (H, W, 3), uint8; None without.
+        keypoints: Keypoints of the person.
+        others: Keypoints of other people in the picture.
+        parts: Part labels of the picture; None without.
+        photo: Picture, RGB, shape (H, W, 3), uint8; None without.
     """
 
     keypoints: Keypoints2D
@@ -56,46 +56,46 @@ class PersonInputs:
 def check_inside(keypoints: Keypoints2D, size: tuple[int, int] | None) -> None:
     """Raise InputError if no confident keypoint is in a picture of size (H, W), or one is very far from it.
 
-    None if there is no picture: then they may be anywhere that a picture can be.
+    If there is no picture (``size`` is None), keypoints may be anywhere that a picture can be.
     """
     width, height = size[::-1] if size else (_LARGEST, _LARGEST)
     points = keypoints.points[keypoints.confident]
     if len(points) and points.min() >= 0 and points[:, 0].max() <= width and points[:, 1].max() <= height:
         return
-    shown = f"the picture's {width}x{height} pixels" if size else f"{_LARGEST:g} pixels"
-    check_near(keypoints, (height, width), shown)
+    region = f"the picture's {width}x{height} pixels" if size else f"{_LARGEST:g} pixels"
+    check_near(keypoints, (height, width), region)
     if not ((points >= 0) & (points <= [width, height])).all(axis=1).any():
         (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
-        raise InputError(f"keypoints: all from ({x0:g}, {y0:g}) to ({x1:g}, {y1:g}); expected some in {shown}")
+        raise InputError(f"keypoints: all from ({x0:g}, {y0:g}) to ({x1:g}, {y1:g}); expected some in {region}")
 
 
-def check_near(keypoints: Keypoints2D, size: tuple[float, float], shown: str) -> None:
-    """Raise InputError if a confident keypoint is very far from a picture of size (H, W), which ``shown`` describes."""
+def check_near(keypoints: Keypoints2D, size: tuple[float, float], region: str) -> None:
+    """Raise InputError if a confident keypoint is very far from a picture (H, W), called ``region`` in messages."""
     height, width = size
     reach = _BEYOND * max(width, height)
-    sure = np.flatnonzero(keypoints.confident)
-    points = keypoints.points[sure]
+    joints = np.flatnonzero(keypoints.confident)
+    points = keypoints.points[joints]
     far = np.flatnonzero(((points < -reach) | (points > [width + reach, height + reach])).any(axis=1))
     if far.size:
-        name, (x, y) = keypoints.format.landmarks[sure[far[0]]], points[far[0]]
-        raise InputError(f"keypoints: {name} at ({x:g}, {y:g}); expected it in {shown}, or near them")
+        name, (x, y) = keypoints.format.landmarks[joints[far[0]]], points[far[0]]
+        raise InputError(f"keypoints: {name} at ({x:g}, {y:g}); expected it in {region}, or near them")
 
 
 def label_bounds(mask: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns from the first to the last that hold something; none if nothing does."""
+    """Rows and columns from the first to the last true pixel of a mask (H, W); empty slices if no pixel is true."""
     rows = np.flatnonzero(mask.any(axis=1))
     if not rows.size:
         return slice(0, 0), slice(0, 0)
-    there = slice(int(rows[0]), int(rows[-1]) + 1)
-    columns = np.flatnonzero(mask[there].any(axis=0))
-    return there, slice(int(columns[0]), int(columns[-1]) + 1)
+    used = slice(int(rows[0]), int(rows[-1]) + 1)
+    columns = np.flatnonzero(mask[used].any(axis=0))
+    return used, slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def person_labels(parts: PartLabels, keypoints: Keypoints2D) -> PartLabels:
-    """Labels of one person, where the file had each person's alone: the mask that holds most of the keypoints.
+    """Choose one person's labels if the file had labels for each person: those on which most of the keypoints lie.
 
-    All other people's pixels become 255, ignore. Of masks that hold as many, the smallest is the person's: what is
-    behind somebody may be a mask around both. Labels that are not by person are returned as they are.
+    All other people's pixels become 255, ignore. If several people's labels hold as many keypoints, the smallest are
+    taken, because large ones may surround two people. Labels that are not by person are returned unchanged.
 
     Raises:
         InputError: If no mask holds a confident keypoint.
@@ -105,8 +105,8 @@ def person_labels(parts: PartLabels, keypoints: Keypoints2D) -> PartLabels:
     columns, rows = np.floor(keypoints.points).astype(np.int64).T
     height, width = parts.groups.shape
     inside = keypoints.confident & (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    shown = parts.instances[:, rows[inside], columns[inside]]
-    held = ((shown != BACKGROUND) & (shown != IGNORE)) @ keypoints.confidence[inside]
+    ids = parts.instances[:, rows[inside], columns[inside]]
+    held = ((ids != BACKGROUND) & (ids != IGNORE)) @ keypoints.confidence[inside]
     if not held.any():
         raise InputError("keypoints: in nobody's mask; expected keypoints and masks to agree")
     own = parts.instances[np.lexsort((np.count_nonzero(parts.instances, axis=(1, 2)), -held))[0]]
@@ -115,23 +115,27 @@ def person_labels(parts: PartLabels, keypoints: Keypoints2D) -> PartLabels:
 
 
 def reach_boxes(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, heights: np.ndarray) -> np.ndarray:
-    """Boxes [px] around all that ``select_person`` may keep, which may reach beyond the picture, shape (N, 4).
+    """Boxes [px] around all pixels that may belong to N people, shape (N, 4); they may reach beyond the picture.
 
-    Of N people with one skeleton: points (N, J, 2), confidence (N, J), and heights (N,).
+    Args:
+        form: Skeleton of all the people.
+        points: Keypoints [px], shape (N, J, 2).
+        confidence: Confidences of the keypoints, shape (N, J).
+        heights: Heights of the people [px], shape (N,).
     """
-    sure = confident(confidence)
-    reach = np.where(loose_ends(form, sure), LOOSE_REACH, REACH) * heights[:, None]
+    usable = confident(confidence)
+    reach = np.where(loose_ends(form, usable), LOOSE_REACH, REACH) * heights[:, None]
     reach = np.maximum(reach, MIN_SEED_RADIUS)[..., None]
-    places = points.astype(np.float64)
-    low = np.where(sure[..., None], places - reach, np.inf).min(axis=1)
-    high = np.where(sure[..., None], places + reach, -np.inf).max(axis=1)
+    positions = points.astype(np.float64)
+    low = np.where(usable[..., None], positions - reach, np.inf).min(axis=1)
+    high = np.where(usable[..., None], positions + reach, -np.inf).max(axis=1)
     return np.concatenate([low, high], axis=1)
 
 
 def lower_near(image: np.ndarray, segment: np.ndarray, reach: float) -> None:
-    """Lower squared distances (H, W) [px²] to those to a segment (x, y, x, y), or set a mask, in place.
+    """Lower squared distances (H, W) [px²] in place to those from a segment (x, y, x, y), or set a mask near it.
 
-    A mask is set up to ``reach``; squares are lowered at least that far, and in places farther.
+    A mask is set up to the distance ``reach``. Distances are lowered at least that far, and in a rectangle farther.
     """
     x0, y0, x1, y1 = map(float, segment)
     rows, columns = image.shape
@@ -150,9 +154,14 @@ def lower_near(image: np.ndarray, segment: np.ndarray, reach: float) -> None:
 def squared_distances(
     u: np.ndarray, v: np.ndarray, along_x: Any, along_y: Any, squares: np.ndarray | None = None
 ) -> np.ndarray:
-    """Squared distances of places (u, v), seen from a line segment's start, to the segment, whose end is ``along``.
+    """Squared distances from points (u, v) to a line segment.
 
-    Of several segments with their places, ``along`` are arrays; their squared lengths may be known.
+    Args:
+        u: Horizontal positions, relative to the segment's start.
+        v: Vertical positions, relative to the segment's start.
+        along_x: Horizontal position of the segment's end, relative to its start; an array for several segments.
+        along_y: Vertical position of the segment's end, relative to its start; an array for several segments.
+        squares: Squared lengths of the segments, if they are known.
     """
     if squares is None:
         squares = along_x**2 + along_y**2
@@ -166,9 +175,9 @@ def _clip(value: float, limit: int) -> int:
     return int(min(max(math.floor(value), 0), limit))
 
 
-def loose_ends(form: str | Skeleton, sure: np.ndarray) -> np.ndarray:
-    """Confident joints whose next joint down a limb is not, of N people's confident ones (N, J)."""
-    loose: np.ndarray = sure & (~sure @ _followed(form))
+def loose_ends(form: str | Skeleton, confident: np.ndarray) -> np.ndarray:
+    """True for confident joints whose next joint down the limb is not confident, from N people's masks (N, J)."""
+    loose: np.ndarray = confident & (~confident @ _followed(form))
     return loose
 
 
@@ -184,15 +193,18 @@ def _followed(form: str | Skeleton) -> np.ndarray:
 
 
 def is_labelled(groups: np.ndarray) -> np.ndarray:
-    """True where group ids, uint8, are those of a part."""
+    """True where group ids, uint8, belong to a part."""
     found: np.ndarray = groups - np.uint8(1) < IGNORE - 1  # in bytes, where 0 - 1 is 255
     return found
 
 
 def crop_boxes(low: np.ndarray, high: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray]:
-    """Left and top, right and bottom of boxes in whole pixels around N people, of whom the lowest and highest is known.
+    """Boxes in whole pixels around N people: left and top, right and bottom, shape (N, 2) each.
 
-    (x, y) [px], shape (N, 2); ``margin`` on each side is a share of the longer side.
+    Args:
+        low: Lowest (x, y) of each person [px], shape (N, 2).
+        high: Highest (x, y) of each person [px], shape (N, 2).
+        margin: Margin on each side, as a share of the longer side.
     """
     grow = margin * np.maximum((high - low).max(axis=1, keepdims=True), 1.0)
     return np.floor(low - grow), np.ceil(high + grow)
@@ -203,14 +215,18 @@ def crop_nearest(
 ) -> np.ndarray:
     """Cut a box out of labels or maps (..., H, W) and resample it, each pixel from the nearest one: (..., *size).
 
-    With a ``step``, every so many-th pixel of that alone, as ``centres`` says. ``fill`` is the value of what lies
-    beyond the picture: 255, ignore, for labels; 0 for probability maps.
+    Args:
+        image: Labels or maps, shape (..., H, W).
+        box: Left, top, right and bottom [px]; it may reach beyond the picture.
+        size: Height and width of the result [px].
+        step: Step between the pixels that are returned, as for ``centres``; the result is smaller by this factor.
+        fill: Value beyond the picture: 255, ignore, for labels; 0 for probability maps.
     """
     x0, y0, x1, y1 = box
     rows = np.floor(centres(y0, y1, size[0], step)).astype(np.int64)
     columns = np.floor(centres(x0, x1, size[1], step)).astype(np.int64)
     height, width = image.shape[-2:]
-    # Rows, then columns: pairs of indices, one a pixel, take several times as long.
+    # Rows, then columns: a pair of indices for each pixel takes several times as long.
     cropped = image.take(rows.clip(0, height - 1), axis=-2).take(columns.clip(0, width - 1), axis=-1)
     cropped[..., (rows < 0) | (rows >= height), :] = fill
     cropped[..., (columns < 0) | (columns >= width)] = fill
@@ -218,8 +234,8 @@ def crop_nearest(
 
 
 def centres(low: Any, high: Any, count: int, step: int = 1) -> np.ndarray:
-    """Centres of ``count`` pixels from ``low`` to ``high``; every so many-th of them, which picture ``step`` pixels.
+    """Centres of ``count`` pixels from ``low`` to ``high``, or the middle one of every ``step`` of them.
 
-    Of several such rows, ends have the shape (N, 1).
+    For several rows of pixels, ``low`` and ``high`` have the shape (N, 1).
     """
     return low + (np.arange(step // 2, count, step) + 0.5) * ((high - low) / count)

@@ -1,4 +1,4 @@
-"""Qualisys' calibrations, ``.qca.txt``: XML of cameras that look along their negative third axis, in millimetres."""
+"""Qualisys' calibrations, ``.qca.txt``: XML, in millimetres. The cameras look along their negative third axis."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from ..errors import InputError, cause, shown
 from .camera_names import natural_key
 
 QUALISYS = (".qca.txt", ".qca", ".xml")
-_SUBPIXELS = 64  # a pixel, in which focal lengths and principal points are given
-_FILMS = ("video", "none")  # in the models of cameras that film
+_SUBPIXELS = 64  # units in a pixel, for focal lengths and principal points
+_FILMS = ("video", "none")  # parts of the models' names, for cameras that film
 _PARTS = ("transform", "intrinsic", "fov_video")
 _LARGEST = 2**24  # [bytes]; a camera has two thousand
 
 
 def read_qualisys(path: Path, expected: str) -> dict[str, dict[str, Any]]:
-    """Read cameras by serial, in natural order: OpenCV's matrix, distortion, R, t [m] and size, world to camera.
+    """Read cameras by serial number, in natural order, with OpenCV's matrix, distortion, R, t [m] and size.
 
-    Marker cameras beside video cameras are left out.
+    R and t lead from world to camera. If there are video cameras, marker cameras are left out.
 
     Args:
-        path: The file.
-        expected: Accepted forms, for messages.
+        path: File of the calibration.
+        expected: Accepted formats, for messages.
 
     Raises:
-        InputError: If it can't be read, has a document type, or a camera lacks something.
+        InputError: If it can't be read, has a document type, or a camera is incomplete.
     """
     cameras = _elements(path, expected)
     films = [each for each in cameras if any(kind in each["camera"].get("model", "none").lower() for kind in _FILMS)]
     found: dict[str, dict[str, Any]] = {}
-    for place, parts in enumerate(films or cameras):
-        name = parts["camera"].get("serial", str(place))
+    for index, parts in enumerate(films or cameras):
+        name = parts["camera"].get("serial", str(index))
         if name in found:
             raise InputError(f"{path}: camera {name} a second time; expected each once")
         found[name] = _camera(parts, f"{path}: camera {name}")
@@ -44,7 +44,7 @@ def read_qualisys(path: Path, expected: str) -> dict[str, dict[str, Any]]:
 
 
 def _elements(path: Path, expected: str) -> list[dict[str, dict[str, str]]]:
-    """Attributes of each camera and its parts."""
+    """Attributes of each camera and of its parts, as the XML has them."""
     found: list[dict[str, dict[str, str]]] = []
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -77,7 +77,7 @@ def _elements(path: Path, expected: str) -> list[dict[str, dict[str, str]]]:
 
 
 def _camera(parts: Mapping[str, Mapping[str, str]], where: str) -> dict[str, Any]:
-    """Camera with OpenCV's matrices: it looks along its third axis, the second one down."""
+    """Camera with OpenCV's matrices: it looks along its third axis, and its second axis points down."""
 
     def number(part: str, name: str) -> float:
         text = parts.get(part, {}).get(name)
@@ -94,23 +94,25 @@ def _camera(parts: Mapping[str, Mapping[str, str]], where: str) -> dict[str, Any
             raise InputError(f"{where}: {part}: missing; expected a calibrated camera")
     axes = np.array([[number("transform", f"r{row}{column}") for column in (1, 2, 3)] for row in (1, 2, 3)])
     rotation = np.diag([1.0, -1.0, -1.0]) @ axes
-    place = np.array([number("transform", axis) for axis in ("x", "y", "z")]) / 1000.0
+    position = np.array([number("transform", axis) for axis in ("x", "y", "z")]) / 1000.0
     if "skew" in parts["intrinsic"] and number("intrinsic", "skew"):
         raise InputError(f"{where}: skew: {number('intrinsic', 'skew'):g}; expected 0")
     left = top = 0.0
     if "fov_video" in parts:
         left, top = number("fov_video", "left"), number("fov_video", "top")
         width, height = number("fov_video", "right") - left + 1, number("fov_video", "bottom") - top + 1
-    else:  # the last subpixel is that of the last pixel
-        width, height = (math.ceil((number("intrinsic", f"sensorMax{axis}") + 1) / _SUBPIXELS) for axis in "UV")
+    else:  # the last subpixel belongs to the last pixel
+        width = math.ceil((number("intrinsic", "sensorMaxU") + 1) / _SUBPIXELS)
+        height = math.ceil((number("intrinsic", "sensorMaxV") + 1) / _SUBPIXELS)
     focal = [number("intrinsic", f"focalLength{axis}") / _SUBPIXELS for axis in "UV"]
-    u, v = (number("intrinsic", f"centerPoint{axis}") / _SUBPIXELS for axis in "UV")
-    k1, k2, k3 = (number("intrinsic", f"radialDistortion{order}") for order in (1, 2, 3))
-    p1, p2 = (number("intrinsic", f"tangentalDistortion{order}") for order in (1, 2))
+    u = number("intrinsic", "centerPointU") / _SUBPIXELS
+    v = number("intrinsic", "centerPointV") / _SUBPIXELS
+    radial = [number("intrinsic", f"radialDistortion{order}") for order in (1, 2, 3)]
+    tangential = [number("intrinsic", f"tangentalDistortion{order}") for order in (1, 2)]  # as the files spell it
     return {
         "matrix": [[focal[0], 0.0, u - left], [0.0, focal[1], v - top], [0.0, 0.0, 1.0]],
-        "distortions": [k1, k2, p1, p2, k3],
+        "distortions": [*radial[:2], *tangential, radial[2]],
         "rotation": rotation.tolist(),
-        "translation": (-rotation @ place).tolist(),
+        "translation": (-rotation @ position).tolist(),
         "size": [width, height],
     }

@@ -1,4 +1,4 @@
-"""Sample of a data set: one person's input of a fit, and the truth that the fit is scored against."""
+"""Sample of a data set: one person's input to a fit, and the truth that the fit is compared with."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .part_labels import PartLabels, read_photo
 
 @dataclass(frozen=True)
 class Sample:
-    """One person of a data set. Nothing but name and keypoints need be known.
+    """One person of a data set. Only name and keypoints must be known; anything else may be None.
 
     Attributes:
         source: Group whose figures are pooled: a data set, or a level of difficulty.
@@ -26,19 +26,20 @@ class Sample:
         keypoints: Input of a fit: the person's 2D keypoints [px].
         parts: Input of a fit: the picture's part labels.
         others: Other people's keypoints in the picture.
-        target: True labels, group ids of ``target_set``, 255 = ignore, (H, W).
-        mask: The person's silhouette, where it is annotated apart from the parts, shape (H, W), bool.
-        joints: True 3D joints, camera frame [m], shape (J, 3); NaN where unknown. Where the origin is does not matter.
-        joint_names: Their landmarks; both hips, which are the pelvis, must be among them.
+        target: True labels, group ids in ``target_set``, 255 = ignore, shape (H, W).
+        mask: Silhouette of the person, if it is annotated apart from the parts, shape (H, W), bool.
+        joints: True 3D joints, camera frame [m], shape (J, 3); NaN where unknown. The origin does not matter.
+        joint_names: Landmarks of the joints. Both hips must be among them, because their middle is the pelvis.
         joint_marks: Points of the body (``LANDMARKS``) that the data set's joints mark; None: ``joint_names``.
         vertices: True vertices of a mesh, in the frame of ``joints`` [m], shape (V, 3).
-        mirrored: Joints with a limb mirrored in depth, which keypoints don't tell from the true ones, as ``joints``.
-        picture: File of the picture, its place in a film, or the picture, shape (H, W, 3), uint8.
-        camera: The picture's, where it is known, B = 1.
-        label_set: Of ``target``; None: that of ``parts``.
-        stature: The person's height, standing [m].
-        cluster: Name of the samples that are not independent of this one, such as the person's whom several views show;
-            None: there are none.
+        mirrored: Joints with one limb mirrored in depth, shape (J, 3). Keypoints alone can't tell them from the true
+            ones.
+        picture: File of the picture, picture of a film, or pixels, shape (H, W, 3), uint8.
+        camera: Camera of the picture, if it is known, B = 1.
+        label_set: Label set of ``target``; None: that of ``parts``.
+        stature: Height of the person, standing [m].
+        cluster: Name that all samples share that are not independent, such as several views of one person; None: the
+            sample is independent.
     """
 
     source: str
@@ -60,7 +61,7 @@ class Sample:
     cluster: str | None = None
 
     def read_picture(self) -> np.ndarray:
-        """The picture, RGB, shape (H, W, 3), uint8.
+        """Read the picture, RGB, shape (H, W, 3), uint8.
 
         Raises:
             InputError: If there is none, or its file can't be read.
@@ -78,5 +79,5 @@ class Sample:
 
     @property
     def target_set(self) -> LabelSet | None:
-        """Label set of ``target``; None if nothing says it."""
+        """Label set of ``target``; None if it is not known."""
         return self.label_set or (None if self.parts is None else self.parts.label_set)

@@ -1,1 +1,1 @@
-"""Torch and Warp, and nothing of bodies: arrays, streams, graphs, checks of tensors, devices."""
+"""Torch and Warp together: arrays, streams, graphs, checks of tensors, devices. Nothing here knows bodies."""

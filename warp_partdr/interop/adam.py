@@ -25,10 +25,10 @@ def descend(
     """Take all steps of a refinement by Adam.
 
     Args:
-        step: Takes one step, from its number and its share of the learning rate.
+        step: Function that takes one step, from its number and its share of the learning rate.
         iterations: Number of steps.
         last_share: Share of the learning rate to which ``cosine_share`` falls.
-        progress: Called after each step with the number of steps that are done.
+        progress: Function that is called after each step with the number of steps that are done.
     """
     for iteration in range(iterations):
         step(iteration, cosine_share(iteration, iterations, last_share))
@@ -41,7 +41,7 @@ class Adam:
 
     Args:
         groups: Tensors that share a learning rate, and that rate.
-        betas: How much of the gradients' mean, and of their squares', each step keeps.
+        betas: Shares of the gradients' mean, and of their squares' mean, that each step keeps.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Adam:
                 tensors,
                 [torch.zeros_like(tensor) for tensor in tensors],
                 [torch.zeros_like(tensor) for tensor in tensors],
-                # steps, which ``adam`` counts: on the device, where a captured graph may count them
+                # ``adam`` counts the steps; on the device, so that a captured graph can count them, too
                 [torch.zeros((), device=tensor.device) for tensor in tensors],
                 rate,
             )
@@ -65,12 +65,12 @@ class Adam:
     def step(self, share: float | torch.Tensor) -> None:
         """Move the tensors by their gradients, at this share of their rates, and forget the gradients.
 
-        In a captured graph the share is a tensor on the device, or it would be the same at each replay.
+        In a captured graph, the share must be a tensor on the device; a float would be the same at each replay.
         """
         beta1, beta2 = self._betas
         for tensors, means, squares, counts, rate in self._groups:
             grads = [torch.zeros_like(tensor) if tensor.grad is None else tensor.grad for tensor in tensors]
-            # There one kernel takes the place of fifteen, which matters in a captured graph.
+            # On CUDA, one kernel replaces fifteen, which matters in a captured graph.
             on_cuda = counts[0].is_cuda
             adam(
                 tensors, grads, means, squares, [], counts, capturable=on_cuda, fused=on_cuda, foreach=False,

@@ -16,7 +16,7 @@ Item = TypeVar("Item")
 
 
 def made_ahead(items: Iterable[Item]) -> Iterator[Item]:
-    """Items in their order, of which the next ones are made while one is worked on; what fails there, fails here."""
+    """Items in their order; the next ones are made while the caller works on one. Their errors are raised here."""
     iterator = iter(items)
 
     def following() -> list[Item]:

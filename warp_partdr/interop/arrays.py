@@ -11,37 +11,37 @@ import warp as wp
 
 
 def contiguous(tensor: torch.Tensor) -> torch.Tensor:
-    """Contiguous tensor in Warp's sense, to which an empty one with odd strides is not contiguous, unlike torch's."""
+    """Make a tensor contiguous for Warp. Unlike torch, Warp wants the usual strides of an empty tensor, too."""
     tensor = tensor.contiguous()
     return tensor if tensor.numel() else tensor.new_empty(tensor.shape)
 
 
 def dense_rows(tensor: torch.Tensor) -> torch.Tensor:
-    """Tensor (B, ...) whose rows are contiguous each, such as a slice of columns, which kernels read where it lies."""
+    """Make each row of a tensor (B, ...) contiguous. Kernels read a slice of columns in place, without a copy."""
     if not tensor.numel() or not tensor[0].is_contiguous():
         return contiguous(tensor)
     return tensor
 
 
 def warp_array(tensor: torch.Tensor, dtype: Any = None) -> wp.array:
-    """A Warp array over a tensor's memory, without gradient.
+    """Wrap a tensor's memory as a Warp array without gradient.
 
     Args:
-        tensor: Any strides; of a vector's or a matrix's type the last dimensions are contiguous.
-        dtype: Warp's type; by default the tensor's scalars.
+        tensor: Tensor with any strides. For a vector's or a matrix's dtype, the last dimensions must be contiguous.
+        dtype: Warp's type; None: the tensor's scalars.
     """
     return wp.from_torch(tensor.detach(), dtype=dtype, requires_grad=False)
 
 
-def warp_arrays(tensors: Iterable[torch.Tensor], kinds: Iterable[Any]) -> list[Any]:
-    """Warp arrays over tensors' memory, each of its own of Warp's types; None takes a tensor's scalars."""
-    return [warp_array(tensor, kind) for tensor, kind in zip(tensors, kinds, strict=True)]
+def warp_arrays(tensors: Iterable[torch.Tensor], dtypes: Iterable[Any]) -> list[Any]:
+    """Wrap tensors' memory as Warp arrays, each with its own type of Warp; None takes the tensor's scalars."""
+    return [warp_array(tensor, dtype) for tensor, dtype in zip(tensors, dtypes, strict=True)]
 
 
 def tensor_over(array: np.ndarray) -> torch.Tensor:
-    """A tensor on the CPU over an array's memory, which is only to be read: the array may be read-only.
+    """Wrap an array's memory as a tensor on the CPU. It must only be read, because the array may be read-only.
 
-    Torch would warn of those, and copying them takes as long as an upload to a GPU.
+    Torch would warn about a read-only array, and a copy takes as long as an upload to a GPU.
     """
     tensor: torch.Tensor = wp.to_torch(wp.array(np.ascontiguousarray(array), copy=False, device="cpu"))
     return tensor

@@ -1,4 +1,4 @@
-"""Functions of torch tensors by captured launches: arguments into fixed buffers, one replay, copies of the results."""
+"""Functions of torch tensors, run by captured launches: copy arguments to fixed buffers, replay, copy the results."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from .graph_cache import CapturedBodies, Launch, graphs
 from .layouts import Shapes, Tensors, split_blocks, total_length
 from .streams import launch_bodies_on, on_torch_stream
 
-Prepare = Callable[..., Launch]  # of inputs, outputs and options; allocates and returns launches that fill the outputs
+Prepare = Callable[..., Launch]  # takes inputs, outputs, options; allocates, and returns launches that fill the outputs
 
-# [bytes] of arguments and results that are copied faster than launches begin
+# Most bytes of arguments and results that are copied faster than launches begin.
 _MOST_ON_CPU, _MOST_ON_CUDA = 2**20, 2**26
-_LEAST_TO_SHARE = 2**17  # and from where on they take longer than a thread to start
+_LEAST_TO_SHARE = 2**17  # [bytes]; from here on, the work takes longer than the start of a thread
 
 
 @dataclass(frozen=True, eq=False)
 class Fixed:
-    """A tensor as an option: launches read it where it lies, and another one takes launches of its own."""
+    """Tensor as an option: launches read it in place, and another tensor gets launches of its own."""
 
     tensor: torch.Tensor
 
@@ -33,17 +33,17 @@ class Fixed:
 
 
 def call_captured(prepare: Prepare, tensors: Tensors, outputs: Shapes, *options: Hashable) -> Tensors:
-    """Results of launches for B bodies, by a captured graph where that pays and memory has room for its buffers.
+    """Compute results for B bodies, with a captured graph if that is faster and memory has room for its buffers.
 
     Args:
-        prepare: A function of a module; called with inputs and outputs of some bodies, of which each body's numbers are
-            contiguous, and the options.
-        tensors: Inputs, shapes (B, ...), on one device, of any strides; the first one's dtype is a floating one.
+        prepare: Function of a module, which must not be a closure. It is called with inputs and outputs of some bodies,
+            each body's numbers being contiguous, and with the options.
+        tensors: Inputs, shapes (B, ...), on one device, with any strides. The first one has a floating dtype.
         outputs: Shapes of the results, (B, ...).
         options: Further arguments of ``prepare``.
 
     Returns:
-        The results, of the first input's dtype.
+        The results, with the first input's dtype.
     """
     first = tensors[0]
     device, dtype, length = first.device, first.dtype, total_length(outputs)
@@ -70,11 +70,11 @@ def call_captured(prepare: Prepare, tensors: Tensors, outputs: Shapes, *options:
     return found
 
 
-_launched: set[Prepare] = set()  # whose kernels are built: threads that share a batch would each build them
+_launched: set[Prepare] = set()  # functions whose kernels are built; else each thread of a batch would build them
 
 
 class _Graph:
-    """Launches in fixed buffers: inputs in a tensor each, outputs one after the other in one tensor."""
+    """Launches in fixed buffers: each input is a tensor, and all outputs lie one after the other in one tensor."""
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class _Graph:
         shared: bool,
     ) -> None:
         self._shapes = outputs
-        self._inputs = [torch.empty(shape, dtype=kind, device=device) for shape, kind in inputs]
+        self._inputs = [torch.empty(shape, dtype=own_dtype, device=device) for shape, own_dtype in inputs]
         self._found = torch.empty(total_length(outputs), dtype=dtype, device=device)
         found = split_blocks(self._found, outputs)
 
@@ -97,7 +97,7 @@ class _Graph:
         self._launches = CapturedBodies(prepare_part, inputs[0][0][0], device, shared=shared)
 
     def __call__(self, tensors: Tensors) -> Tensors:
-        """Copies of the results, for the next call fills the buffers again."""
+        """Replay, and return copies of the results, because the next call fills the buffers again."""
         torch._foreach_copy_(self._inputs, tensors)
         self._launches.replay()
         return split_blocks(self._found.clone(), self._shapes)

@@ -1,4 +1,4 @@
-"""Steps of torch as one CUDA graph: a hundred short kernels are replayed in the time of one launch."""
+"""Steps of torch, captured as one CUDA graph: a hundred short kernels are replayed in the time of one launch."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ _T = TypeVar("_T")
 
 
 class CapturedStep(Generic[_T]):
-    """Step, captured; what it returned stays at its place, filled anew by each replay.
+    """Captured step. Its ``result`` stays in the same memory, which each replay fills again.
 
     Args:
-        step: Reads and writes the same tensors at each call, and waits for nothing. It is called once before.
-        device: CUDA.
+        step: Function that reads and writes the same tensors at each call and never waits for the device. It is called
+            once before the capture.
+        device: CUDA device.
     """
 
     def __init__(self, step: Callable[[], _T], device: torch.device) -> None:
@@ -27,10 +28,10 @@ class CapturedStep(Generic[_T]):
             step()  # loads kernels, and torch's libraries
         torch.cuda.current_stream(device).wait_stream(stream)
         self._graph = torch.cuda.CUDAGraph()
-        # Other threads may allocate meanwhile; what they launch by Warp waits.
+        # Other threads may allocate meanwhile; their launches of Warp wait.
         with capturing(), torch.cuda.graph(self._graph, stream=stream, capture_error_mode="thread_local"):
             self.result = step()
 
     def replay(self) -> None:
-        """Step on torch's current stream."""
+        """Run the step on torch's current stream."""
         self._graph.replay()

@@ -12,13 +12,13 @@ from .quick_checks import FRAMES, POSITIVE, ROTATIONS, VALUES, are_good
 
 FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)  # taken, and converted to float32
 
-MAX_PIXELS = 2**31  # of a batch: they are counted in 32 bits
+MAX_PIXELS = 2**31  # in a batch; they are counted in 32 bits
 MAX_PICTURE = 2**28  # [px]; Warp counts the bytes of one picture in 32 bits, and a z-buffer has eight a pixel
 _MAX_RATE = 1e3
 _MAX_ITERATIONS = 10**7  # each has a row in the history
 
-# Of |R^T R - I| (Frobenius): bfloat16 rounds a rotation by up to 7e-3, float16 by 2e-3, products of ten thousand
-# rotations in float32 by less than 1e-3. Beyond it, ellipsoids and bones are visibly sheared or scaled.
+# Largest |R^T R - I| (Frobenius norm). bfloat16 rounds a rotation by up to 7e-3, float16 by 2e-3, and products of ten
+# thousand rotations in float32 are off by less than 1e-3. Beyond it, ellipsoids and bones are visibly sheared.
 ROTATION_TOLERANCE = 1e-2
 
 
@@ -34,14 +34,14 @@ def check_tensor(
 
     Args:
         name: The argument's name, for the message.
-        tensor: What the user passed.
+        tensor: Argument that the user passed.
         shape: Expected size of each dimension; None takes any.
         dtypes: Accepted dtypes.
-        like: Name and tensor whose device, and dtype where it is a floating one, must be the same.
+        like: Name and tensor with which device and floating dtype must agree.
 
     Raises:
         TypeError: If it is no tensor.
-        ValueError: If shape, dtype or device differ, or it is sparse.
+        ValueError: If shape, dtype or device are wrong, or it is sparse.
     """
     if not isinstance(tensor, torch.Tensor):
         raise TypeError(f"{name}: {type(tensor).__name__}; expected a torch.Tensor")
@@ -68,16 +68,23 @@ def check_tensor(
 
 
 def check_image_size(image_size: Sequence[SupportsIndex], batch: int = 1) -> tuple[int, int]:
-    """``image_size`` as two ints: positive integers of any type, of which so many pictures can be counted.
+    """Return ``image_size`` as two ints; raise unless it is two positive integers, and a batch is not too large.
+
+    Args:
+        image_size: Size (H, W) of a picture [px]: integers of any type.
+        batch: Number of pictures.
 
     Raises:
         TypeError: If it is no sequence.
-        ValueError: If it is another sequence, or the pictures are too large.
+        ValueError: If it is another sequence, or a picture is too large.
+        InputError: If the batch has too many pixels.
     """
     if not isinstance(image_size, Sequence):
         raise TypeError(f"image_size: {type(image_size).__name__}; expected two positive integers (H, W)")
     try:
-        height, width = (check_whole("image_size", size, 1) for size in image_size)
+        first, second = image_size
+        height = check_whole("image_size", first, 1)
+        width = check_whole("image_size", second, 1)
     except ValueError:  # also if they are not two
         raise ValueError(f"image_size: {image_size}; expected two positive integers (H, W)") from None
     pixels = height * width
@@ -91,9 +98,9 @@ def check_image_size(image_size: Sequence[SupportsIndex], batch: int = 1) -> tup
 
 
 def check_finite(**tensors: torch.Tensor) -> None:
-    """Raise ValueError if a tensor holds NaN, infinity or numbers that the kernels' float32 can't reckon with.
+    """Raise ValueError if a tensor holds NaN, infinity or numbers that are too large for the kernels' float32.
 
-    Synchronises with the device, once for all of them.
+    It waits for the device once for all tensors.
     """
     check_numbers(tensors)
 
@@ -105,13 +112,13 @@ def check_numbers(
     frames: Collection[str] = (),
     positive: Collection[str] = (),
 ) -> None:
-    """Raise ValueError if a tensor holds other numbers than it may; waits for the device once for all of them.
+    """Raise ValueError if a tensor holds numbers that it must not hold. It waits for the device once for all tensors.
 
     Args:
-        tensors: By name; finite, and not larger than the kernels' float32 can reckon with.
-        rotations: Names of those that are rotations, shape (..., 3, 3).
-        frames: Names of those with orthonormal columns: rotations or reflections.
-        positive: Names of those that are greater than 0.
+        tensors: Tensors by name. All must be finite, and not too large for the kernels' float32.
+        rotations: Names of tensors that must be rotations, shape (..., 3, 3).
+        frames: Names of tensors that must have orthonormal columns: rotations or reflections, shape (..., 3, 3).
+        positive: Names of tensors that must be greater than 0.
     """
     kinds = dict.fromkeys(tensors, VALUES) | dict.fromkeys(positive, POSITIVE)
     kinds |= dict.fromkeys(rotations, ROTATIONS) | dict.fromkeys(frames, FRAMES)
@@ -125,7 +132,7 @@ def check_numbers(
         wrong += [~(tensors[name] > 0).all() for name in positive]
         if not torch.stack(wrong).any():
             return
-        for name, tensor in tensors.items():  # which one, if any: many numbers may just add up to so much
+        for name, tensor in tensors.items():  # find the wrong one, if any: many large numbers may only add up to it
             if not torch.isfinite(tensor).all():
                 raise ValueError(f"{name}: holds NaN or infinity; expected finite numbers")
             if (tensor.abs() > LARGEST).any():
@@ -142,11 +149,11 @@ def rotation_error(matrices: torch.Tensor, *, mirrored: bool = False) -> torch.T
     """Error of matrices as rotations: the Frobenius norm of R^T R - I, shape (...).
 
     Args:
-        matrices: Shape (..., 3, 3).
-        mirrored: Accept reflections; else their error is infinite.
+        matrices: Matrices, shape (..., 3, 3).
+        mirrored: True: reflections are accepted. False: their error is infinite.
     """
     matrices = matrices.detach().to(torch.promote_types(matrices.dtype, torch.float32))
-    # Not by a matrix product, which autocast and TF32 would round.
+    # A matrix product would be rounded by autocast and TF32.
     gram = (matrices[..., :, :, None] * matrices[..., :, None, :]).sum(-3)
     error = torch.linalg.matrix_norm(gram - torch.eye(3, dtype=gram.dtype, device=gram.device))
     if mirrored:
@@ -156,19 +163,19 @@ def rotation_error(matrices: torch.Tensor, *, mirrored: bool = False) -> torch.T
 
 
 def rotation_fault(matrices: torch.Tensor, *, mirrored: bool = False) -> str | None:
-    """Message about the first matrix that is no rotation, None if all are; arguments as of ``rotation_error``."""
+    """Message about the first matrix that is no rotation; None if all are. It takes arguments as ``rotation_error``."""
     errors = rotation_error(matrices, mirrored=mirrored)
     wrong = (~(errors <= ROTATION_TOLERANCE)).nonzero().tolist()
     if not wrong:
         return None
     error, where = float(errors[tuple(wrong[0])]), wrong[0] if errors.ndim else ""
-    said = "mirrors or has no volume" if error == torch.inf else f"R^T R is off I by {error:.2g}"
+    fault = "mirrors or has no volume" if error == torch.inf else f"R^T R is off I by {error:.2g}"
     expected = "orthonormal columns" if mirrored else "rotation matrices, as rotation_from_6d makes them"
-    return f"matrix {where} {said}; expected {expected}".replace("  ", " ")
+    return f"matrix {where} {fault}; expected {expected}".replace("  ", " ")
 
 
 def check_steps(iterations: int, learning_rate: float) -> int:
-    """Number of steps as an ``int``; raises ValueError unless it is one, and the rate finite."""
+    """Return the number of steps as an ``int``; raise ValueError if it or the rate is out of range."""
     iterations = check_whole("iterations", iterations, 0, _MAX_ITERATIONS)
     if not 0 <= learning_rate <= _MAX_RATE:
         raise ValueError(f"learning_rate: {learning_rate}; expected 0 to {_MAX_RATE:g}")

@@ -1,4 +1,7 @@
-"""Derivatives that kernels lack, second ones and ``torch.func``'s, 0 to autograd: torch's instead, or errors."""
+"""Derivatives that kernels lack: second ones and those of ``torch.func``. Autograd would take them for 0.
+
+Instead, torch computes them, or they raise an error.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ _is_wrapped = torch._C._functorch.is_functorch_wrapped_tensor
 
 
 def is_transformed(*tensors: torch.Tensor | None) -> bool:
-    """True if ``torch.func`` has wrapped one of them, as ``vmap`` and ``grad`` do: no kernel can read it."""
+    """True if ``torch.func`` has wrapped a tensor, as ``vmap`` and ``grad`` do: no kernel can read it."""
     for tensor in tensors:  # noqa: SIM110  any() takes twice as long
         if isinstance(tensor, torch.Tensor) and _is_wrapped(tensor):
             return True
@@ -22,8 +25,8 @@ def refuse_transforms(name: str, *tensors: torch.Tensor | None) -> None:
     """Raise NotImplementedError if ``torch.func`` has wrapped one of a function's tensors.
 
     Args:
-        name: Of the public function.
-        tensors: Its arguments.
+        name: Name of the public function.
+        tensors: Arguments of the function.
     """
     if not torch.compiler.is_compiling() and is_transformed(*tensors):
         raise NotImplementedError(
@@ -33,15 +36,15 @@ def refuse_transforms(name: str, *tensors: torch.Tensor | None) -> None:
 
 
 def once(name: str, gradients: tuple[torch.Tensor | None, ...], *tensors: torch.Tensor) -> Any:
-    """Mark gradients so that to differentiate them, under ``create_graph=True``, raises NotImplementedError.
+    """Mark gradients so that NotImplementedError is raised if they are differentiated, under ``create_graph=True``.
 
-    ``torch.autograd.function.once_differentiable`` looks at the incoming gradients alone, so it is silent where only
-    the inputs could be differentiated.
+    ``torch.autograd.function.once_differentiable`` checks only the incoming gradients, so it is silent if only the
+    inputs can be differentiated.
 
     Args:
-        name: Of the public function.
-        gradients: With respect to its arguments.
-        tensors: What they depend on: incoming gradients and the arguments.
+        name: Name of the public function.
+        gradients: Gradients with respect to its arguments.
+        tensors: Tensors on which the gradients depend: incoming gradients and the arguments.
     """
     if not torch.is_grad_enabled():
         return gradients
@@ -68,16 +71,16 @@ def differentiate_again(
     inputs: tuple[torch.Tensor, ...],
     adjoints: tuple[torch.Tensor | None, ...],
 ) -> tuple[torch.Tensor | None, ...]:
-    """Gradients by torch, which have derivatives themselves: for a kernel's ``backward`` under ``create_graph=True``.
+    """Compute gradients with torch, which can be differentiated: for a ``backward`` under ``create_graph=True``.
 
     Args:
-        function: Computes by torch what the kernel computes.
-        inputs: Its argument; those without gradient get None.
-        adjoints: Gradients with respect to the results; None for those on which nothing depends.
+        function: Function of torch that computes the same as the kernel.
+        inputs: Arguments of the function; those that need no gradient get None.
+        adjoints: Gradients with respect to the results; None for results on which nothing depends.
     """
 
-    def used_results(*moved: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        own = iter(moved)
+    def used_results(*differentiated: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        own = iter(differentiated)
         results = function(tuple([next(own) if each.requires_grad else each for each in inputs]))
         return tuple([result for result, each in zip(results, adjoints, strict=True) if each is not None])
 
@@ -87,5 +90,5 @@ def differentiate_again(
 
 
 def raise_second_derivative(name: str) -> None:
-    """Raise NotImplementedError: the function has a first derivative alone."""
+    """Raise NotImplementedError: the function has only a first derivative."""
     raise NotImplementedError(f"{name}: differentiated twice; expected once: its gradient has no derivative")

@@ -1,4 +1,4 @@
-"""The device that a command runs on."""
+"""Choice of the device that a command runs on."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def choose_device(name: str) -> str:
     """Choose the device that ``--device`` names, or the best there is; Warp then prints nothing but warnings.
 
     Args:
-        name: "auto", "cpu", "cuda" or "cuda:N".
+        name: Name of the device: "auto", "cpu", "cuda" or "cuda:N".
 
     Raises:
         InputError: If torch or Warp has no such device here.
@@ -36,7 +36,7 @@ def choose_device(name: str) -> str:
 
 @contextmanager
 def without_driver_warning() -> Iterator[None]:
-    """Suppress on stderr that Warp finds no CUDA driver, which its library prints past all of Python's settings."""
+    """Suppress the line on stderr that Warp finds no CUDA driver, which Python's settings can't suppress."""
     stderr = os.dup(2)
     with tempfile.TemporaryFile() as written:
         os.dup2(written.fileno(), 2)

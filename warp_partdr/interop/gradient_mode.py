@@ -10,9 +10,9 @@ import torch
 
 @contextmanager
 def with_gradients() -> Iterator[None]:
-    """Let torch make gradients within, also for a caller in ``torch.no_grad`` or ``torch.inference_mode``; a decorator.
+    """Let torch make gradients within, even if the caller is in ``torch.no_grad`` or ``torch.inference_mode``.
 
-    Tensors that are made within are ordinary ones, from which a later stage can go on.
+    Tensors that are made within are ordinary ones, and a later stage can use them. It can also be a decorator.
     """
     with torch.inference_mode(False), torch.enable_grad():
         yield

@@ -1,7 +1,7 @@
-"""Captured graphs, kept for the next call of the same sizes: the most recently used ones, within a budget of memory.
+"""Captured graphs, kept for the next call with the same sizes: the most recently used ones, within a memory budget.
 
-For a small batch, launching takes longer than computing. So what is asked for twice is captured, in fixed buffers, and
-from then on a call copies its arguments into them, replays, and copies the results.
+For a small batch, launching takes longer than computing. So the second call with the same shapes is captured, in fixed
+buffers. From then on, a call copies its arguments into them, replays the graph, and copies the results.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from .streams import capture_graph, launching, on_torch_stream
 Launch = Callable[[], None]
 
 _CPU_BYTES = 2**29
-_CUDA_SHARE = 8  # of a device's memory, one in so many bytes
-_MOST_KEYS = 512  # that are remembered
-BYTES_PER_PIXEL = 16  # on the CPU, where nobody counts: labels, target, the nearest with its depth
+_CUDA_SHARE = 8  # one eighth of a device's memory
+_MOST_KEYS = 512  # keys that are remembered
+BYTES_PER_PIXEL = 16  # estimate for the CPU, which counts no memory: labels, target, the nearest part and its depth
 
 _budget: int | None = None
 
 
 def set_graph_memory(num_bytes: int | None) -> None:
-    """Set how much memory the buffers of captured graphs may keep on each device; frees what is too much now.
+    """Set how much memory the buffers of captured graphs may keep on each device. Graphs beyond that are freed now.
 
     Args:
-        num_bytes: 0 keeps none, and launches kernel by kernel: slower calls. None is the default: an eighth of a CUDA
-            device's memory, and 512 MiB on the CPU.
+        num_bytes: Number of bytes. 0 keeps no graphs and launches kernel by kernel, which is slower. None is the
+            default: an eighth of a CUDA device's memory, and 512 MiB on the CPU.
 
     Raises:
         ValueError: If it is no integer, or negative.
@@ -44,13 +44,13 @@ def set_graph_memory(num_bytes: int | None) -> None:
 
 
 class CapturedBodies:
-    """Launches for the bodies of a batch, captured; on the CPU device one graph for each thread's bodies.
+    """Captured launches for the bodies of a batch; on the CPU, each thread's bodies have a graph of their own.
 
     Args:
-        prepare: Returns the launches of a slice of the bodies; called once for each.
+        prepare: Function that returns the launches for a slice of the bodies; it is called once for each slice.
         batch: Number of bodies.
-        device: On CUDA, for torch's current stream.
-        shared: False: one thread has all bodies, whose work is short.
+        device: Device; on CUDA, launches are captured for torch's current stream.
+        shared: True: threads share the bodies. False: one thread takes all bodies, because their work is short.
     """
 
     def __init__(
@@ -60,12 +60,12 @@ class CapturedBodies:
         self._stream = None if device.type == "cpu" else wp.stream_from_torch(torch.cuda.current_stream(device))
         self._slices = split_batch(batch, on_cpu=shared and device.type == "cpu")
         with on_torch_stream(device, torch_memory=True):
-            # They are kept, for a graph holds no memory alive.
+            # They are kept, because a graph does not keep its memory alive.
             self._launches = {part.start: prepare(part) for part in self._slices}
         self._graphs = {start: capture_graph(launch, device) for start, launch in self._launches.items()}
 
     def replay(self) -> None:
-        """Launch all, on the stream that was current at first."""
+        """Launch everything, on the stream that was current when this was made."""
         if self._stream is None:
             with launching():
                 run_slices(lambda part: wp.capture_launch(self._graphs[part.start]), self._slices)
@@ -78,7 +78,7 @@ _T = TypeVar("_T")
 
 
 class _Kept(NamedTuple, Generic[_T]):
-    """A graph with its buffers; None before the second call, and in place of one larger than the budget."""
+    """Graph with its buffers; None before the second call, or if it is larger than the budget."""
 
     graph: _T | None
     device: torch.device
@@ -87,7 +87,7 @@ class _Kept(NamedTuple, Generic[_T]):
 
 
 class GraphCache:
-    """Graphs by key, least recently used first; each thread and stream has graphs of its own, as their buffers."""
+    """Graphs by key, least recently used first. Each thread and stream has its own graphs, because of their buffers."""
 
     def __init__(self) -> None:
         self._kept: OrderedDict[Hashable, _Kept[object]] = OrderedDict()
@@ -96,21 +96,21 @@ class GraphCache:
     def find(
         self, key: Hashable, device: torch.device, num_bytes: int, make: Callable[[], _T], *, at_once: bool = False
     ) -> _T | None:
-        """Graph of a key, made if it is asked for the second time; None at first, and if the budget has no room for it.
+        """Find the graph of a key, which is made at the second call; None at the first, or if the budget has no room.
 
-        None, too, while torch captures a graph of its own, which holds these launches then.
+        It is also None while torch captures a graph of its own, which then holds these launches.
 
         Args:
-            key: Of what is launched, its options and sizes.
-            device: Where.
-            num_bytes: Estimate of the memory that it takes, for the CPU; on CUDA torch counts it.
-            make: Makes the graph with its buffers.
-            at_once: Make it the first time, for it will be replayed many times.
+            key: Key of the launches, with their options and sizes.
+            device: Device of the launches.
+            num_bytes: Estimate of the memory that the graph takes, for the CPU; on CUDA torch counts it.
+            make: Function that makes the graph with its buffers.
+            at_once: True: make it at the first call, because it will be replayed many times.
         """
         if device.type == "cuda" and torch.cuda.is_current_stream_capturing():
             return None
-        where = get_num_threads() if device.type == "cpu" else torch._C._cuda_getCurrentRawStream(device.index)
-        key = threading.get_ident(), where, device, key
+        place = get_num_threads() if device.type == "cpu" else torch._C._cuda_getCurrentRawStream(device.index)
+        key = threading.get_ident(), place, device, key
         with self._lock:
             kept = self._kept.get(key)
             if kept is None:
@@ -139,7 +139,7 @@ class GraphCache:
     def shrink(self, device: torch.device | None = None, budget: int | None = None) -> None:
         """Free the least recently used graphs until the others keep to the budget, on one device or on each.
 
-        On each, what was too large before is tried again.
+        If it is done on each device, graphs that were too large before are tried again at their next call.
         """
         dropped = []
         with self._lock:
@@ -153,7 +153,7 @@ class GraphCache:
                         dropped.append(self._kept.pop(key))
             if len(self._kept) > _MOST_KEYS:
                 dropped += [self._kept.popitem(last=False)[1] for _ in range(len(self._kept) - _MOST_KEYS // 2)]
-        with launching():  # no graph goes while another one is captured
+        with launching():  # no graph may be freed while another one is captured
             dropped.clear()
 
     def __len__(self) -> int:
@@ -177,7 +177,7 @@ def _find_budget(device: torch.device) -> int:
 
 
 def _measure(device: torch.device, num_bytes: int, make: Callable[[], _T]) -> tuple[_T, int]:
-    """A new graph, and the memory that it took."""
+    """Make a graph, and measure the memory that it takes."""
     # Tensors of torch's inference mode can't be written to outside of it.
     with torch.inference_mode(False), torch.no_grad():
         if device.type == "cpu":

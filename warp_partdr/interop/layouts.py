@@ -1,4 +1,4 @@
-"""Tensors of B bodies in one piece of memory: one after the other, or a body's numbers side by side."""
+"""Tensors of B bodies in one block of memory: one tensor after the other, or all numbers of a body in one row."""
 
 from __future__ import annotations
 
@@ -12,45 +12,48 @@ Tensors = tuple[torch.Tensor, ...]
 
 
 def split_blocks(numbers: torch.Tensor, shapes: Shapes) -> Tensors:
-    """Views of these shapes into contiguous numbers, one after the other: what many copies at once are fast into."""
-    return tuple([numbers.as_strided(*place) for place in _blocks(shapes)])
+    """Make views with these shapes of contiguous numbers, one after the other: copies into them are fast."""
+    return tuple([numbers.as_strided(*view) for view in _blocks(shapes)])
 
 
 def split_rows(numbers: torch.Tensor, shapes: Shapes, first: int = 0) -> Tensors:
-    """Views of these shapes into rows (B, R) that begin at number ``first``: what a factor for each body is fast on."""
-    return tuple([numbers.as_strided(shape, strides, first + start) for shape, strides, start in row_places(shapes)])
+    """Make views with these shapes of rows (B, R) that begin at number ``first``: a factor for each body is fast."""
+    return tuple([numbers.as_strided(shape, strides, first + start) for shape, strides, start in row_views(shapes)])
 
 
 def total_length(shapes: Shapes) -> int:
-    """Count the numbers of all."""
+    """Count the numbers of tensors with these shapes."""
     return sum(map(math.prod, shapes))
 
 
 def row_length(shapes: Shapes) -> int:
-    """Number of a body's values, R."""
+    """Count a body's numbers in tensors with these shapes, R."""
     return sum(math.prod(shape[1:]) for shape in shapes)
 
 
-_Place = tuple[torch.Size, tuple[int, ...], int]  # shape, strides and first number
+_View = tuple[torch.Size, tuple[int, ...], int]  # shape, strides and first number
 
 
 @lru_cache(maxsize=64)
-def row_places(shapes: Shapes) -> list[_Place]:
-    """Shape, strides and offset of each tensor in rows."""
-    length, places, start = row_length(shapes), [], 0
+def row_views(shapes: Shapes) -> list[_View]:
+    """Shape, strides and first number of each tensor in rows (B, R)."""
+    length = row_length(shapes)
+    views: list[_View] = []
+    start = 0
     for shape in shapes:
-        places.append((shape, (length, *_strides(shape)[1:]), start))
+        views.append((shape, (length, *_strides(shape)[1:]), start))
         start += math.prod(shape[1:])
-    return places
+    return views
 
 
 @lru_cache(maxsize=64)
-def _blocks(shapes: Shapes) -> list[_Place]:
-    places, start = [], 0
+def _blocks(shapes: Shapes) -> list[_View]:
+    views: list[_View] = []
+    start = 0
     for shape in shapes:
-        places.append((shape, _strides(shape), start))
+        views.append((shape, _strides(shape), start))
         start += math.prod(shape)
-    return places
+    return views
 
 
 def _strides(shape: torch.Size) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""L_seg of a batch with its gradient: by a captured graph, or launched kernel by kernel where memory has no room."""
+"""L_seg of a batch with its gradient: by a captured graph, or kernel by kernel if memory has no room for a graph."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ import torch
 
 from .derivatives import once
 from .graph_cache import BYTES_PER_PIXEL, CapturedBodies, graphs
-from .layouts import Shapes, Tensors, row_length, row_places, split_blocks, split_rows
+from .layouts import Shapes, Tensors, row_length, row_views, split_blocks, split_rows
 from .streams import launch_bodies_on
 
 
 @dataclass(frozen=True)
 class Buffers:
-    """Inputs and outputs of a renderer's launches, of B bodies.
+    """Inputs and outputs of a renderer's launches for B bodies.
 
     Attributes:
-        numbers: The inputs, one after the other, and if needed their gradients, as rows (B, R), one of each body.
-        inputs: Views of them, each of shape (B, ...).
+        numbers: Numbers of the inputs, one input after the other, then, if needed, of their gradients, as rows (B, R).
+        inputs: Views of the inputs in ``numbers``, each of shape (B, ...).
         target: Target labels, shape (N, H, W), N = 1 or B, uint8; or the gradient with respect to part maps, shape
             (B, K, H, W), float32: then there is no loss.
         losses: Partial sums of L_seg, shape (B, M).
-        grads: Views of the gradients, as of the inputs; empty if not needed.
+        grads: Views of the gradients in ``numbers``, with the inputs' shapes; empty if not needed.
     """
 
     numbers: torch.Tensor
@@ -38,7 +38,7 @@ class Buffers:
 
     @classmethod
     def empty(cls, recipe: Recipe, shapes: Shapes, target: torch.Tensor, needs_grad: bool) -> Buffers:
-        """Allocate for inputs of these shapes."""
+        """Allocate buffers for inputs with these shapes."""
         batch, (*_, height, width), device = shapes[0][0], target.shape, target.device
         size = batch * row_length(shapes)
         numbers = torch.empty(size * (2 if needs_grad else 1), device=device)
@@ -52,7 +52,7 @@ class Buffers:
         return self.target.dim() == 4
 
     def of_bodies(self, part: slice) -> Buffers:
-        """Buffers of a slice of the bodies."""
+        """Return the buffers of a slice of the bodies."""
         return Buffers(
             self.numbers,
             tuple(tensor[part] for tensor in self.inputs),
@@ -63,7 +63,7 @@ class Buffers:
 
 
 class Recipe(Protocol):
-    """A renderer's launches of loss and gradient; equal for equal options, for it is a graph's key."""
+    """Launches of a renderer for loss and gradient. Recipes with equal options are equal: one is a graph's key."""
 
     def __hash__(self) -> int: ...
 
@@ -71,27 +71,27 @@ class Recipe(Protocol):
 
     @property
     def modules(self) -> Sequence[ModuleType]:
-        """Python modules of the kernels it launches."""
+        """Python modules with the kernels that it launches."""
         ...
 
     def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
-        """Number of partial sums of a body's loss, M."""
+        """Count the partial sums of a body's loss, M."""
         ...
 
     def prepare(self, buffers: Buffers) -> Callable[[], None]:
-        """Allocate intermediate buffers; return a function that fills ``losses`` and ``grads`` by launches alone."""
+        """Allocate intermediate buffers; return a function that fills ``losses`` and ``grads`` and only launches."""
         ...
 
 
 def find_label_loss(
     recipe: Recipe, tensors: tuple[torch.Tensor, ...], target: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """L_seg of a batch, and its gradient if one is needed.
+    """Compute L_seg of a batch, and its gradient if one is needed.
 
     Args:
-        recipe: The renderer's.
+        recipe: Recipe of the renderer.
         tensors: Inputs of the loss, shapes (B, ...), on one device.
-        target: Shape (N, H, W), N = 1 or B, uint8.
+        target: Target labels, shape (N, H, W), N = 1 or B, uint8.
 
     Returns:
         The loss of each body, differentiable, shape (B,), and ``Buffers.numbers``, which begin with a copy of the
@@ -105,7 +105,7 @@ def find_label_loss(
 
 
 def find_gradients(recipe: Recipe, tensors: Tensors, grad_maps: torch.Tensor) -> Tensors:
-    """Gradients with respect to the inputs, from that with respect to part maps, shape (B, K, H, W)."""
+    """Compute gradients with respect to the inputs from the gradient with respect to part maps, (B, K, H, W)."""
     _, numbers = _find_numbers(recipe, True, tensors, grad_maps.float())
     return split_rows(numbers, tuple([tensor.shape for tensor in tensors]), numbers.numel() // 2)
 
@@ -114,7 +114,7 @@ def find_gradients(recipe: Recipe, tensors: Tensors, grad_maps: torch.Tensor) ->
 def _find_numbers(
     recipe: Recipe, needs_grad: bool, tensors: Tensors, target: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Loss and numbers, by a captured graph where memory has room and a copy of the target is faster than launches."""
+    """Compute loss and numbers, by a captured graph if memory has room and copying the target beats launching."""
     shapes = tuple([tensor.shape for tensor in tensors])
     key, device, graph = (recipe, shapes, target.shape, needs_grad), target.device, None
     grad_bytes = target.nbytes if target.dim() == 4 else 0
@@ -124,18 +124,18 @@ def _find_numbers(
     return launch_label_loss(recipe, needs_grad, tensors, target) if graph is None else graph(tensors, target)
 
 
-_MOST_ON_CPU, _MOST_ON_CUDA = 2**25, 2**30  # bytes of a gradient of maps that are copied faster than launches begin
+_MOST_ON_CPU, _MOST_ON_CUDA = 2**25, 2**30  # most bytes of a maps' gradient that are copied faster than launches begin
 
 
 class LabelLoss(torch.autograd.Function):
-    """Loss whose gradient was computed with it and only waits for the incoming factor."""
+    """Loss whose gradient was computed with it, and is only multiplied by the incoming factor."""
 
     @staticmethod
     def forward(ctx: Any, name: str, found: tuple[torch.Tensor, torch.Tensor], *tensors: torch.Tensor) -> torch.Tensor:
-        """Return the loss; ``found`` is a tuple, in which autograd sees no tensors."""
+        """Return the loss. ``found`` is a tuple, because autograd does not look for tensors in it."""
         loss, numbers = found
         ctx.save_for_backward(numbers)
-        # Not saved as numbers are, for they may be written to until then: only their shapes and history are asked for.
+        # The tensors are not saved, because they may be written to until then. Only shapes and history are needed.
         ctx.name, ctx.tensors = name, tensors
         return loss
 
@@ -144,9 +144,9 @@ class LabelLoss(torch.autograd.Function):
         """Scale all gradients by one multiplication."""
         (numbers,) = ctx.saved_tensors
         scaled = gradient_rows(numbers, len(grad_loss)) * grad_loss[:, None]
-        places = row_places(tuple([tensor.shape for tensor in ctx.tensors]))
-        views = zip(places, ctx.needs_input_grad[2:], strict=True)
-        gradients = tuple([scaled.as_strided(*place) if needed else None for place, needed in views])
+        views = row_views(tuple([tensor.shape for tensor in ctx.tensors]))
+        needs = zip(views, ctx.needs_input_grad[2:], strict=True)
+        gradients = tuple([scaled.as_strided(*view) if needed else None for view, needed in needs])
         return None, None, *once(ctx.name, gradients, grad_loss, *ctx.tensors)
 
 
@@ -159,7 +159,7 @@ def gradient_rows(numbers: torch.Tensor, batch: int) -> torch.Tensor:
 def launch_label_loss(
     recipe: Recipe, needs_grad: bool, tensors: tuple[torch.Tensor, ...], target: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Loss and numbers, in fresh buffers and launch by launch."""
+    """Compute loss and numbers in new buffers, launch by launch."""
     shapes = tuple([tensor.shape for tensor in tensors])
     buffers = Buffers.empty(recipe, shapes, target.contiguous(), needs_grad)
     torch._foreach_copy_(buffers.inputs, tensors)
@@ -172,14 +172,14 @@ def launch_label_loss(
 
 
 class LossGraph:
-    """Loss and numbers by a captured graph in fixed buffers.
+    """Captured graph that computes loss and numbers in fixed buffers.
 
     Args:
-        recipe: The renderer's.
+        recipe: Recipe of the renderer.
         shapes: Shapes of the inputs.
         targets: Shape of the target.
-        needs_grad: Whether the gradient is wanted.
-        device: On CUDA, for torch's current stream.
+        needs_grad: True if the gradient is wanted.
+        device: Device; on CUDA, the graph is captured for torch's current stream.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class LossGraph:
         self._launches = CapturedBodies(lambda part: recipe.prepare(buffers.of_bodies(part)), shapes[0][0], device)
 
     def __call__(self, tensors: tuple[torch.Tensor, ...], target: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Copies of loss and numbers, for the next call fills the buffers again."""
+        """Replay, and return copies of loss and numbers, because the next call fills the buffers again."""
         buffers = self._buffers
         torch._foreach_copy_(buffers.inputs, tensors)
         buffers.target.copy_(target)

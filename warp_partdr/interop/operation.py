@@ -1,8 +1,8 @@
-"""Kernels as operations of torch, each declared once: what it launches, and what its gradient launches.
+"""Kernels as operations of torch. Each operation is declared once: its launches, and those of its gradient.
 
-An operation is a class. Its fields are the options of a call, and a call takes tensors alone. Two operations are never
-compared (``eq=False``): torch.compile before torch 2.13 hashes an object before it has its fields. An example are
-vectors (B, 3) times a power of a number for each body, (B,)::
+An operation is a class. Its fields are the options of a call, and a call takes only tensors. Operations are never
+compared (``eq=False``), because torch.compile before torch 2.13 hashes an object before it has its fields. This example
+multiplies vectors (B, 3) by a power of a number for each body, (B,)::
 
     @dataclass(frozen=True, eq=False)
     class _Scaled(Operation):
@@ -21,11 +21,11 @@ vectors (B, 3) times a power of a number for each body, (B,)::
     def scale_vectors(vectors: torch.Tensor, numbers: torch.Tensor, power: int = 1) -> torch.Tensor:
         return _Scaled(power)(vectors, numbers)[0]
 
-``_prepare(inputs, outputs, power)`` returns the launch that fills the outputs, and ``_prepare_adjoint`` that of the
-gradients. ``call_captured`` allocates them, launches on torch's stream, and replays a captured graph where that is
-faster; a class may also launch in another way. The rest is the same for all operations and is done here: what is saved
-for the gradient, adjoints of outputs that nobody uses, inputs without gradient (the numbers above), and derivatives of
-gradients. These are an error, or come from plain torch: see ``OperationWithTwin``.
+``_prepare(inputs, outputs, power)`` returns the launch that fills the outputs, and ``_prepare_adjoint`` the launch that
+fills the gradients. ``call_captured`` allocates them, launches on torch's stream, and replays a captured graph if that
+is faster; a class may also launch in another way. The rest is the same for all operations and is done here: tensors are
+saved for the gradient, and adjoints of unused outputs, inputs without gradient (the numbers above) and derivatives of
+gradients are handled. Derivatives of gradients are an error, or come from plain torch: see ``OperationWithTwin``.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Operation(ABC):
     An object is made for each call, and stays as long as its outputs' history.
     """
 
-    num_fixed = 0  # how many of the outputs, from the first one on, have no gradient, such as label images
+    num_fixed = 0  # number of outputs without gradient, such as label images; they are the first ones
 
     @property
     @abstractmethod
@@ -74,7 +74,7 @@ class Operation(ABC):
                 it; an operation for which this is so says it in its own type of the argument.
 
         Returns:
-            Gradients with respect to the first inputs; those that follow have none.
+            Gradients with respect to the first inputs; the inputs after them have none.
         """
 
     def differentiable_adjoint(self, inputs: Tensors, saved: Tensors, adjoints: Tensors) -> Gradients:
@@ -113,12 +113,12 @@ class OperationWithTwin(Operation):
 
 
 def must_be_plain(*tensors: torch.Tensor) -> bool:
-    """True if plain torch must do it: kernels can't be traced, and can't read what ``torch.func`` has wrapped."""
+    """True if plain torch must do it: kernels can't be traced, and can't read tensors that ``torch.func`` wrapped."""
     return torch.compiler.is_compiling() or (_transforms_are_active() and is_transformed(*tensors))
 
 
 def split_missing(adjoints: Gradients) -> tuple[Tensors, tuple[bool, ...]]:
-    """Adjoints that are there, for ``call_captured``, and for each output whether its adjoint is missing."""
+    """Split off the adjoints that are given, for ``call_captured``, and a flag for each output whose adjoint is not."""
     given = tuple([adjoint for adjoint in adjoints if adjoint is not None])
     return given, tuple([adjoint is None for adjoint in adjoints])
 

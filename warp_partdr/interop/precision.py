@@ -1,4 +1,4 @@
-"""Rounding of float32 products and convolutions on CUDA, and where bfloat16 is quick."""
+"""Rounding of float32 products and convolutions on CUDA, and devices on which bfloat16 is fast."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def matmul_precision(precision: Literal["highest", "high", "medium"]) -> Iterato
 
 @contextmanager
 def exact_convolutions() -> Iterator[None]:
-    """Let convolutions of float32 not be rounded to TF32, as torch has them by default."""
+    """Keep convolutions of float32 exact within; by default, torch rounds them to TF32."""
     before = torch.backends.cudnn.allow_tf32
     torch.backends.cudnn.allow_tf32 = False
     try:
@@ -36,7 +36,7 @@ def exact_convolutions() -> Iterator[None]:
 def multiplies_bfloat16(device: str) -> bool:
     """True if a device multiplies bfloat16 in hardware: CUDA from capability 8.0 on, CPUs with AVX512-BF16 or AMX.
 
-    On others it is emulated, and slower than float32. Torch has no public name for what a CPU can do.
+    On other devices it is emulated, and slower than float32. Torch has no public function that tells it about a CPU.
     """
     if device == "cpu":
         return any(getattr(torch.cpu, name, bool)() for name in _CPU_CHECKS)

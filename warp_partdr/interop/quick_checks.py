@@ -1,4 +1,4 @@
-"""Checks of numbers by a captured graph: a fraction of the time that torch takes to launch as much."""
+"""Checks of numbers by a captured graph, in a fraction of the time that torch takes to launch as many kernels."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ from .graph_cache import CapturedBodies, Launch, graphs
 from .layouts import Shapes, split_blocks, total_length
 
 VALUES, POSITIVE, ROTATIONS, FRAMES = range(4)  # frames are rotations that may mirror
-_SHARE = 0.99  # of the bounds, for numbers are rounded on the way
+_SHARE = 0.99  # share of the bounds that is accepted, because numbers are rounded on the way
 
 
 def are_good(tensors: list[torch.Tensor], kinds: tuple[int, ...], tolerance: float) -> bool:
-    """True if all is certainly good; False if something is wrong, or if it was not looked at. Waits for the device.
+    """True if all numbers are certainly good; False if one is wrong, or if they were not checked here.
+
+    It waits for the device.
 
     Args:
-        tensors: Of one device; matrices have shape (..., 3, 3).
-        kinds: Of each tensor: one of the constants above.
-        tolerance: Of matrices, as in ``checks``.
+        tensors: Tensors of one device; matrices have the shape (..., 3, 3).
+        kinds: Kind of each tensor: one of the constants above.
+        tolerance: Tolerance of matrices, as in ``checks``.
     """
     device = tensors[0].device
     if any(tensor.device != device for tensor in tensors):

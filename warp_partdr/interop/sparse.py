@@ -1,4 +1,4 @@
-"""Matrices of few entries for kernels, made once each."""
+"""Sparse matrices for kernels, each made once."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .captured_function import Fixed
 
 
 class SparseMatrix(NamedTuple):
-    """A matrix for kernels, ``SparseRows`` both ways."""
+    """Matrix for kernels, as ``SparseRows`` of its rows and of its columns."""
 
     rows: Any
     columns: Any
@@ -21,14 +21,14 @@ class SparseMatrix(NamedTuple):
 
 @lru_cache(maxsize=32)
 def sparse_matrix(matrix: Fixed) -> SparseMatrix:
-    """Entries of a matrix (R, C) of float32 that does not change; waits for the device the first time."""
+    """Make a sparse matrix of a matrix (R, C), float32, that does not change. The first call waits for the device."""
     with torch.inference_mode(False), torch.no_grad():
         return SparseMatrix(*(_rows(each) for each in (matrix.tensor, matrix.tensor.mT)))
 
 
 def _rows(matrix: torch.Tensor) -> Any:
-    places = matrix.nonzero()  # row by row
-    counts = torch.bincount(places[:, 0], minlength=len(matrix))
+    indices = matrix.nonzero()  # row by row
+    counts = torch.bincount(indices[:, 0], minlength=len(matrix))
     starts = torch.nn.functional.pad(counts.cumsum(0), (1, 0)).int()
-    values = matrix[places[:, 0], places[:, 1]]
-    return gather_rows(warp_array(starts), warp_array(places[:, 1].int().contiguous()), warp_array(values))
+    values = matrix[indices[:, 0], indices[:, 1]]
+    return gather_rows(warp_array(starts), warp_array(indices[:, 1].int().contiguous()), warp_array(values))

@@ -18,24 +18,24 @@ from ..kernels.launch import branch_on, launch_in_slices
 class _Gate:
     """Lock between captures and launches of other threads.
 
-    A capture in progress records every CPU launch of the process, whichever thread makes it; on CUDA much of what
-    another thread may do, such as allocate or make a graph ready to be launched, spoils it. So a capture waits until no
-    other thread launches, and the others wait until it ends.
+    A capture in progress records every CPU launch of the process, whichever thread makes it. On CUDA, much that another
+    thread may do, such as allocating memory or instantiating a graph, spoils it. So a capture waits until no other
+    thread launches, and the others wait until it ends.
     """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._launching = 0
-        self._capturing: int | None = None  # a thread
-        self._own = threading.local()  # how often this thread is launching
+        self._capturing: int | None = None  # identity of the thread that captures
+        self._own = threading.local()  # number of nested launches of this thread
 
     @contextmanager
     def launching(self, *, captured: bool = False) -> Iterator[None]:
-        """Enter for a launch: any number of threads at once, but during a capture only those that belong to it.
+        """Enter for a launch: any number of threads at once, but during a capture only threads that belong to it.
 
         Args:
-            captured: This thread launches on the stream that is captured: autograd's does, for which the one that
-                captures waits.
+            captured: True if this thread launches on the stream that is captured. Autograd's thread does so, and the
+                thread that captures waits for it.
         """
         with self._changed:
             self._changed.wait_for(lambda: captured or self._capturing in (None, threading.get_ident()))
@@ -51,7 +51,7 @@ class _Gate:
 
     @contextmanager
     def capturing(self) -> Iterator[None]:
-        """Enter for a capture: one thread at a time, and none that launches.
+        """Enter for a capture: one thread at a time, while no thread launches.
 
         Raises:
             RuntimeError: If this thread is launching: it would wait for itself.
@@ -74,7 +74,7 @@ launching, capturing = _gate.launching, _gate.capturing
 
 
 def capture_graph(launch: Callable[[], None], device: torch.device) -> wp.Graph:
-    """Capture what ``launch`` launches as a graph, without what other threads launch.
+    """Capture the launches of ``launch`` as a graph, without those of other threads.
 
     Raises:
         RuntimeError: If it is called inside ``on_torch_stream``.
@@ -88,28 +88,29 @@ def capture_graph(launch: Callable[[], None], device: torch.device) -> wp.Graph:
 
 @cache
 def _capture_streams(where: str) -> tuple[wp.Stream | None, wp.Stream | None]:
-    """A stream to capture on and one for a branch; none on the CPU.
+    """Make a stream to capture on and one for a branch; None on the CPU.
 
-    Not torch's current one, which may be the default one, which can't be captured; and of torch's making, for those of
-    Warp's wait for the default one, so that whatever another thread puts there meanwhile would spoil the capture. Kept,
-    for torch has a few dozen streams in all and hands the same ones out again and again.
+    Torch's current stream may be the default one, which can't be captured. Warp's own streams wait for the default one,
+    so launches of another thread on it would spoil the capture. So these are torch's streams. They are kept, because
+    torch has only a few dozen streams and hands the same ones out again and again.
     """
     device = wp.get_device(where)
     if device.is_cpu:
         return None, None
-    first, second = (wp.stream_from_torch(torch.cuda.Stream(device.ordinal, priority=-1)) for _ in range(2))
+    first = wp.stream_from_torch(torch.cuda.Stream(device.ordinal, priority=-1))
+    second = wp.stream_from_torch(torch.cuda.Stream(device.ordinal, priority=-1))
     return first, second
 
 
 @contextmanager
 def on_torch_stream(device: torch.device, *, torch_memory: bool = False) -> Iterator[str]:
-    """Launch on torch's current stream of ``device``; yields the Warp device's alias, which launches have to name.
+    """Launch on torch's current stream of ``device`` within; yields the Warp device's alias, which launches must name.
 
-    On CUDA one thread at a time: call nothing inside that may wait for another one.
+    On CUDA, only one thread at a time is within. Call nothing inside that may wait for another thread.
 
     Args:
-        device: CPU or CUDA.
-        torch_memory: Allocate Warp's arrays from torch on the default stream, too, so that torch counts them.
+        device: Device of type "cpu" or "cuda".
+        torch_memory: True: allocate Warp's arrays from torch even on the default stream, so that torch counts them.
 
     Raises:
         ValueError: If Warp has no such device.
@@ -125,14 +126,14 @@ def on_torch_stream(device: torch.device, *, torch_memory: bool = False) -> Iter
 def launch_bodies_on(
     device: torch.device, launch: Callable[[slice], None], batch: int, modules: Sequence[ModuleType]
 ) -> None:
-    """Call ``launch`` for slices of the batch on torch's current stream, see ``launch_in_slices``; not for 0 bodies."""
+    """Call ``launch`` for slices of the batch on torch's current stream (``launch_in_slices``), unless it is empty."""
     if batch > 0:
         with on_torch_stream(device) as where:
             launch_in_slices(launch, batch, wp.get_device(where), modules=modules)
 
 
-# Warp's current stream and device are the process's, torch's the thread's: without turns, a thread would launch on
-# another one's stream, and read its results before they are there.
+# Warp's current stream and device belong to the process, torch's to the thread. Without this lock, a thread could
+# launch on another thread's stream, and read its results too early.
 _one_stream = threading.RLock()
 
 
@@ -154,10 +155,10 @@ def _on_stream(device: torch.device, torch_memory: bool) -> Iterator[str]:
 
 
 class _TorchMemory:
-    """Warp arrays in torch's memory, which comes back to the stream that it was taken for.
+    """Allocator of Warp arrays in torch's memory, which returns to the stream that it was allocated for.
 
-    Warp's own is freed on the default stream. That waits for streams of Warp's making, not for torch's side streams: an
-    array could be handed on while a kernel on one of these still writes to it.
+    Warp's own memory is freed on the default stream. That stream waits for Warp's streams, but not for torch's side
+    streams: memory could be used again while a kernel on a side stream still writes to it.
     """
 
     def __init__(self, device: int) -> None:
@@ -169,7 +170,7 @@ class _TorchMemory:
         return int(torch.cuda.caching_allocator_alloc(size_in_bytes, self._device, stream))
 
     def deallocate(self, ptr: int, size_in_bytes: int) -> None:
-        """Free after the work that the stream has been given until now."""
+        """Free the memory after the work that is on the stream now."""
         torch.cuda.caching_allocator_delete(ptr)
 
 
@@ -178,7 +179,7 @@ _memory_users: Counter[str] = Counter()
 
 @contextmanager
 def _torch_memory(device: wp.Device) -> Iterator[None]:
-    """Make Warp allocate from torch; the last to leave resets it, where calls of a thread are nested."""
+    """Make Warp allocate from torch within; if calls of a thread are nested, the outermost one resets it."""
     _memory_users[device.alias] += 1
     if _memory_users[device.alias] == 1:
         wp.set_device_allocator(device, _TorchMemory(device.ordinal))

@@ -1,7 +1,12 @@
-"""Torch's threads: for small tensors, threads that wait for one another cost far more than they save.
+"""Torch's threads. For small tensors, threads that wait for one another cost far more than they save.
 
-On two busy cores, with one thread and with two: a fit 0.5 and 0.7 s, a registration 6 and 43 to 83 s, 32 bodies of the
-label network 2 and 6 s.
+On two busy cores:
+
+| | one thread | two threads |
+|---|---|---|
+| a fit | 0.5 s | 0.7 s |
+| a registration | 6 s | 43 to 83 s |
+| 32 bodies of the label network | 2 s | 6 s |
 """
 
 from __future__ import annotations
@@ -14,7 +19,7 @@ import torch
 
 _lock = threading.Lock()
 _users = 0
-_before = 0  # torch's threads when the first of the users came
+_before = 0  # number of torch's threads when the first user entered
 _own = threading.local()
 
 
@@ -22,8 +27,8 @@ _own = threading.local()
 def one_torch_thread() -> Iterator[None]:
     """Let torch's CPU operations take one thread within; as a decorator, during a call.
 
-    Torch keeps a count for each thread of Python, and a new one takes over what was set last. So each sets and restores
-    its own, and a 1 that it finds while others are within is theirs.
+    Torch keeps a number for each thread of Python, and a new thread takes the number that was set last. So each thread
+    sets and restores its own number. If it finds 1 while other threads are within, that 1 is theirs.
     """
     global _users, _before
     if getattr(_own, "within", False):
@@ -49,7 +54,7 @@ def one_torch_thread() -> Iterator[None]:
 
 @contextmanager
 def all_torch_threads() -> Iterator[None]:
-    """Let torch take as many threads as before, inside of ``one_torch_thread``: for large networks of others."""
+    """Let torch take as many threads as before, inside of ``one_torch_thread``: for other projects' large networks."""
     if not getattr(_own, "within", False):
         yield
         return

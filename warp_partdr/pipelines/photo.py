@@ -19,7 +19,7 @@ from ..errors import InputError, check_type, check_whole, told_as
 from ..inputs.evidence import MASK_LABELS, Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.own_pixels import Mask
-from ..inputs.part_labels import PartLabels, read_photo, told_focal
+from ..inputs.part_labels import PartLabels, exif_focal_length, read_photo
 from ..inputs.person import PersonInputs
 from ..interop.arrays import tensor_over
 from ..models.model import DetailedModel
@@ -119,7 +119,7 @@ def fit_photo(
     report("people", 0, 1)
     pixels = read_photo(photo) if isinstance(photo, str | Path) else photo
     check_picture("photo", pixels)
-    if camera is None and isinstance(photo, str | Path) and (focal := told_focal(photo)) is not None:
+    if camera is None and isinstance(photo, str | Path) and (focal := exif_focal_length(photo)) is not None:
         camera = Perspective.of_picture(pixels.shape[:2], focal=focal)
     picture = Pyramid(pixels, device)
     options = options or FitOptions.at("balanced")

@@ -1,1 +1,1 @@
-"""Results of a fit: files that other tools open, pictures and plots."""
+"""Results of a fit: files for other tools, pictures and plots."""

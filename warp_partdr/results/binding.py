@@ -1,4 +1,4 @@
-"""A detailed body bound to its skeleton, for files of skinned meshes."""
+"""Binding of a detailed body to its skeleton, for files of skinned meshes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ..models.registration import Registered
 
 @dataclass(frozen=True)
 class Binding:
-    """The first body's mesh and joints where the skin does nothing, in the body frame.
+    """Mesh and joints of the first body in the bind pose, in the body frame.
 
     Attributes:
-        points: Of the mesh that the skin takes to the posed one, shape (V, 3) [m]: what a viewer shows is exact, though
-            a file has fewer weights than the model, no pose correctives and no stretches.
-        joints: At rest, shape (J, 3) [m].
-        bones: The joints that move each vertex, shape (V, K).
-        shares: Their weights, shape (V, K), each row of sum 1.
+        points: Vertices that the skin moves exactly to the posed mesh [m], shape (V, 3). So a viewer shows the posed
+            mesh, although a file has fewer weights than the model, no pose correctives and no stretches.
+        joints: Joints at rest [m], shape (J, 3).
+        bones: Indices of the joints that move each vertex, shape (V, K).
+        shares: Weights of these joints, shape (V, K); each row has the sum 1.
     """
 
     points: np.ndarray
@@ -30,7 +30,7 @@ class Binding:
 
     @classmethod
     def of(cls, registered: Registered, most: int | None = None) -> Binding:
-        """Bind the first body by its ``most`` largest weights a vertex, by default by all that are not 0."""
+        """Bind the first body with the ``most`` largest weights of each vertex; None: with all that are not 0."""
         model = registered.model
         full = model.skin_weights.cpu().double()
         count = int((full > 0).sum(1).max()) if most is None else most
@@ -46,19 +46,22 @@ class Binding:
 
 
 def from_rest(joints: np.ndarray) -> np.ndarray:
-    """Matrices that take the body frame to each joint's own at rest, shape (J, 4, 4)."""
+    """Matrices from the body frame to each joint's frame at rest, shape (J, 4, 4)."""
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
     matrices[:, :3, 3] = -joints
     return matrices
 
 
 def numbers_of(tensor: torch.Tensor) -> np.ndarray:
-    """The first body's values in double precision."""
+    """Values of the first body as a NumPy array in double precision."""
     return tensor[0].detach().cpu().double().numpy()
 
 
 def to_quaternions(rotations: np.ndarray) -> np.ndarray:
-    """Quaternions (x, y, z, w) of rotation matrices (T, ..., 3, 3), the sign nearest the one before, (T, ..., 4)."""
+    """Quaternions (x, y, z, w) of rotation matrices (T, ..., 3, 3), shape (T, ..., 4).
+
+    A quaternion and its negative are the same rotation. The sign is the one that is nearest to the quaternion before.
+    """
     found = rotation_to_quaternion(torch.from_numpy(rotations)).numpy()
     turned = (found[1:] * found[:-1]).sum(-1, keepdims=True) < 0
     found[1:] *= np.where(np.cumsum(turned, axis=0) % 2, -1.0, 1.0)

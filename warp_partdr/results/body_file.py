@@ -1,6 +1,6 @@
-"""``body.npz``: a fitted body and its camera, and back, exactly.
+"""``body.npz``: a fitted body and its camera, written and read without loss.
 
-| key | shape | what |
+| key | shape | meaning |
 |---|---|---|
 | format | () | "warp-partdr body 1" |
 | global_orient | (3, 3) | rotation of the body in the camera frame |
@@ -9,10 +9,10 @@
 | lengths | (12,) | ``LENGTH_NAMES`` [m] |
 | thicknesses | (15,) | ``THICKNESS_NAMES``, full widths [m] |
 | camera_scale | () | weak perspective: u = scale X + camera_translation[0] [px/m]; perspective: the focal length [px] |
-| camera_translation | (2,) | where the frame's origin is seen, or the principal point [px] |
+| camera_translation | (2,) | image of the frame's origin, or the principal point [px] |
 | image_size | (2,) | (H, W) of the picture [px] |
 | camera_perspective | () | 1: u = scale X / Z + camera_translation[0]; 0: weak perspective |
-| part_names | (20,) | names of the ellipsoids, in the order of ``rotations``: any will do |
+| part_names | (20,) | names of the ellipsoids, in the order of ``rotations``, which may be any |
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "image_size": (2,),
     "camera_perspective": (),
 }
-BODY_ARRAYS = tuple(_SHAPES)[:5]  # what is of the body, in the order of ``pose``
-_MAX_BYTES = 1_000_000  # of all arrays when unpacked; a body has 2 kB
+BODY_ARRAYS = tuple(_SHAPES)[:5]  # arrays of the body, in the order of ``pose``
+_MAX_BYTES = 1_000_000  # limit for all arrays when unpacked; a body has 2 kB
 _POSITIVE = ("lengths", "thicknesses", "camera_scale", "image_size")
 
 
 @dataclass(frozen=True)
 class BodyFile:
-    """Contents of ``body.npz``: float32 arrays of the shapes above; the last two of integers."""
+    """Contents of ``body.npz``: float32 arrays with the shapes above; the last two hold integers."""
 
     global_orient: np.ndarray
     translation: np.ndarray
@@ -63,12 +63,15 @@ class BodyFile:
 
     @classmethod
     def read(cls, data: Mapping[str, np.ndarray], where: str) -> BodyFile:
-        """The body of arrays that came from a file, ``where`` for messages.
+        """Check arrays that were read from a file, and return the body.
 
-        Parts may come in any order, if ``part_names`` says which.
+        Args:
+            data: Arrays by their names. Parts may have any order if ``part_names`` gives it.
+            where: Beginning of messages.
 
         Raises:
-            InputError: If one has a wrong shape, or holds NaN, infinity, what is no rotation or what no body can have.
+            InputError: If an array has a wrong shape, or holds NaN, infinity, a matrix that is no rotation, or a number
+                that no body can have.
         """
         arrays = {name: _checked(data[name], name, where) for name in _SHAPES}
         if "part_names" in data:
@@ -79,18 +82,19 @@ class BodyFile:
         return body
 
     def body(self, device: str | None = None) -> EllipBody:
-        """The body as Warp arrays, B = 1."""
+        """Return the body as Warp arrays, B = 1."""
         return EllipBody.from_numpy(**{name: getattr(self, name)[None] for name in BODY_ARRAYS}, device=device)
 
     def camera(self) -> Camera:
-        """The camera of the picture."""
-        scale, translation = (torch.from_numpy(each[None]) for each in (self.camera_scale, self.camera_translation))
+        """Return the camera of the picture."""
+        scale = torch.from_numpy(self.camera_scale[None])
+        translation = torch.from_numpy(self.camera_translation[None])
         if self.camera_perspective:
             return Perspective(scale[:, None].expand(-1, 2), translation)
         return WeakPerspective(scale, translation)
 
     def parameters(self) -> BodyParameters:
-        """Parameters of the body, B = 1, in a square crop whose side is the longer side of the picture."""
+        """Return the body's parameters, B = 1, in a square crop whose side is the longer side of the picture."""
         height, width = self.image_size.tolist()
         half, camera = max(height, width) / 2, self.camera()
         if isinstance(camera, Perspective):
@@ -109,7 +113,7 @@ class BodyFile:
         """Write the file.
 
         Raises:
-            InputError: If a report beside it says that it is of a fit: that would not be true any more.
+            InputError: If a report beside it names this file as a fit's result. The report would be wrong afterwards.
         """
         check_not_in_set(Path(path))
         arrays = {name: getattr(self, name) for name in _SHAPES}
@@ -117,11 +121,11 @@ class BodyFile:
 
 
 def load_body(path: str | Path) -> BodyFile:
-    """Read a ``body.npz``; nothing in it is ever unpickled.
+    """Read a ``body.npz``. Nothing in it is ever unpickled.
 
     Raises:
-        InputError: If the file is missing or no body file, holds wrong shapes, NaN, infinity, what is no rotation or
-            what no body can have, or is of another fit than the report beside it.
+        InputError: If the file is missing or is no body file, if an array has a wrong shape or holds NaN, infinity, a
+            matrix that is no rotation or a number that no body can have, or if the report beside it is of another fit.
     """
     names = (*_SHAPES, "format")
     data = read_npz(path, names, ("part_names",), expected="a body.npz of partdr fit", most=_MAX_BYTES)
@@ -135,9 +139,9 @@ def _checked(values: np.ndarray, name: str, where: str) -> np.ndarray:
     shape = _SHAPES[name]
     whole = name in ("camera_perspective", "image_size")
     if values.shape != shape or values.dtype.kind not in ("iu" if whole else "fiu"):
-        kind = "integers" if whole else "numbers"
-        raise InputError(f"{where}: {name}: {values.dtype} {values.shape}; expected {kind} {shape}")
-    with np.errstate(over="ignore"):  # what is too large becomes infinity, which is refused next
+        expected = "integers" if whole else "numbers"
+        raise InputError(f"{where}: {name}: {values.dtype} {values.shape}; expected {expected} {shape}")
+    with np.errstate(over="ignore"):  # a number that is too large becomes infinity, which is refused next
         values = values.astype(np.int64 if whole else np.float32)
     if name == "camera_perspective" and values not in (0, 1):
         raise InputError(f"{where}: {name}: {values}; expected 0 or 1")

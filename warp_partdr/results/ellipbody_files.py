@@ -1,4 +1,4 @@
-"""EllipBody as a mesh file that other tools open."""
+"""EllipBody as a mesh file for other tools."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from ..body.posing import Posed
 
-# glTF's colour factors are linear light, the palette is sRGB
+# glTF's colour factors are linear, the palette is sRGB.
 _LINEAR_COLOURS = np.where(
     PART_COLOURS <= 10, PART_COLOURS / 255 / 12.92, ((PART_COLOURS / 255 + 0.055) / 1.055) ** 2.4
 )
@@ -24,14 +24,14 @@ GLTF_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])  # camera frame (y down, z away) t
 
 
 def ellipbody_scene(posed: Posed) -> trimesh.Scene:
-    """The first body as 20 named, coloured meshes [m], standing on y = 0: y up, seen from the camera's side."""
+    """Scene of the first body as 20 named, coloured meshes [m] that stand on y = 0, y up, facing as in the picture."""
     import trimesh
 
     sphere, faces = icosphere(_SUBDIVISIONS)
     points = posed.vertices(_SUBDIVISIONS)[0].detach().cpu().numpy().reshape(NUM_PARTS, -1, 3)
     points = points @ GLTF_FROM_CAMERA.T
     points = points - [0.0, points[..., 1].min(), 0.0]
-    # Exact, and so that trimesh need not average those of faces, for which it wants SciPy.
+    # Exact normals; trimesh would average those of faces, and needs SciPy for that.
     axes, semi_axes = posed.axes[0].detach().cpu().numpy(), posed.semi_axes[0].detach().cpu().numpy()
     normals = (sphere / semi_axes[:, None]) @ axes.transpose(0, 2, 1) @ GLTF_FROM_CAMERA.T
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Parts of figures: an empty one, legends, pictures on axes, and the checks of what is to be drawn."""
+"""Parts of figures: empty figures, legends, pictures on axes, and checks of the arguments."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 Body = FitResult | BodyParameters | Posed
 Image = np.ndarray | torch.Tensor
 
-PARTS = "ellipbody20"  # the label set where none is given
+PARTS = "ellipbody20"  # default label set
 DPI = 100
 
 
 def part_patches(groups: LabelSet, labels: Image | None = None) -> list[Patch]:
-    """Handles of a legend: colour and name of each group or, given ``labels``, of what is in it, ignored pixels too."""
+    """Handles of a legend: colour and name of each group or, if ``labels`` are given, of the ids in them."""
     from matplotlib.patches import Patch
 
     colours = group_colours(groups.part_groups) / 255
@@ -41,14 +41,14 @@ def part_patches(groups: LabelSet, labels: Image | None = None) -> list[Patch]:
 
 
 def empty_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """An empty figure [inches], which no window owns."""
+    """Make an empty figure with a size in inches, which belongs to no window."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), dpi=DPI, layout=layout)
 
 
 def add_legend(figure: Figure, patches: list[Patch]) -> None:
-    """Name parts below the axes."""
+    """Add a legend of parts below the axes."""
     columns = legend_columns(figure.get_figwidth() * DPI)
     figure.legend(
         handles=patches, loc="outside lower center", ncols=columns, frameon=False, fontsize=8, columnspacing=1.2
@@ -61,7 +61,7 @@ def legend_columns(width: float) -> int:
 
 
 def show_picture(axes: Axes, picture: np.ndarray) -> None:
-    """A picture whose pixel (v, u) has its centre at (u + 0.5, v + 0.5)."""
+    """Show a picture on axes, so that pixel (v, u) has its centre at (u + 0.5, v + 0.5)."""
     height, width = picture.shape[:2]
     axes.imshow(picture, extent=(0, width, height, 0))
     axes.set_xlabel("u [px]")
@@ -69,27 +69,28 @@ def show_picture(axes: Axes, picture: np.ndarray) -> None:
 
 
 def outline_labels(axes: Axes, labels: np.ndarray) -> None:
-    """The borders of all labels."""
-    v, u = (np.arange(side) + 0.5 for side in labels.shape)
+    """Draw the borders of all labels on axes."""
+    v = np.arange(labels.shape[0]) + 0.5
+    u = np.arange(labels.shape[1]) + 0.5
     for group in np.unique(labels[labels != BACKGROUND]):
         axes.contour(u, v, labels == group, levels=[0.5], colors="0.25", linewidths=0.8)
 
 
 def draw_groups(posed: Posed, camera: Camera, size: tuple[int, ...], groups: LabelSet) -> np.ndarray:
-    """Group ids of a body, shape (H, W), uint8."""
+    """Draw a body's group ids, shape (H, W), uint8."""
     image = draw_ellipsoids(posed, camera, (size[0], size[1]), part_labels=groups.part_groups[1:].tolist())
     return image.labels[0].cpu().numpy()
 
 
 def body_sizes(posed: Posed) -> np.ndarray:
-    """``LENGTH_NAMES``, then ``THICKNESS_NAMES`` of a body [m], shape (27,)."""
+    """Sizes of a body [m] in the order of ``LENGTH_NAMES``, then ``THICKNESS_NAMES``, shape (27,)."""
     sizes = np.zeros(len(LENGTH_NAMES) + len(THICKNESS_NAMES))
     sizes[np.array(SIZE_COLUMNS)] = 2 * posed.semi_axes[0].cpu().numpy()
     return sizes
 
 
 def first_body(body: Body) -> Posed:
-    """The first body of what was given, without gradients."""
+    """Take the first body of a fit, of parameters or of posed bodies, without gradients."""
     if not isinstance(body, Body):
         raise TypeError(f"body: {type(body).__name__}; expected FitResult, BodyParameters or Posed")
     posed = body.posed if isinstance(body, FitResult) else body.posed() if isinstance(body, BodyParameters) else body
@@ -99,7 +100,7 @@ def first_body(body: Body) -> Posed:
 
 
 def first_camera(body: Body, camera: Camera | None) -> Camera:
-    """The first camera of what was given; a fit brings its own."""
+    """Take the first camera of a batch, or the fit's own camera if none is given."""
     if camera is None and isinstance(body, FitResult):
         camera = body.camera
     if camera is None:
@@ -108,17 +109,17 @@ def first_camera(body: Body, camera: Camera | None) -> Camera:
 
 
 def find_label_set(given: LabelSet | str | None) -> LabelSet:
-    """The label set that was given or named; the 20 parts if none was."""
+    """Return a label set that is given or named; None: the 20 parts."""
     return given if isinstance(given, LabelSet) else label_set(given or PARTS)
 
 
 def to_numpy(image: Image) -> np.ndarray:
-    """An image on the host, without its gradient."""
+    """Copy an image to the host, without its gradient."""
     return image.detach().cpu().numpy() if isinstance(image, torch.Tensor) else np.asarray(image)
 
 
 def read_groups(name: str, image: Image, groups: LabelSet) -> np.ndarray:
-    """Group ids (H, W) on the host; of a batch, the first."""
+    """Check group ids, and return them on the host, shape (H, W); the first ones of a batch."""
     labels = to_numpy(image)
     labels = labels[0] if labels.ndim == 3 and len(labels) else labels
     if labels.ndim != 2 or labels.dtype != np.uint8 or not labels.size:
@@ -129,5 +130,5 @@ def read_groups(name: str, image: Image, groups: LabelSet) -> np.ndarray:
 
 
 def plain_name(name: str) -> str:
-    """A name without underscores."""
+    """Return a name with blanks for underscores."""
     return name.replace("_", " ")

@@ -1,8 +1,8 @@
 """Figures of bodies, fits and gradients.
 
 Each of them is a ``matplotlib.figure.Figure`` that belongs to no window: ``figure.savefig("figure.png")`` needs no
-screen, and ``figure.axes`` are there to be changed. Of a batch, the first body is shown. Parts have the colours of
-``palette``, as in all other pictures and files. Matplotlib is loaded by the first figure.
+screen, and you may change ``figure.axes``. From a batch, the first body is shown. Parts have the colours of
+``palette``, as in all other pictures and files. The first figure loads Matplotlib.
 """
 
 from __future__ import annotations
@@ -60,13 +60,13 @@ _STAGES = ("#f6f6f6", "#e8edf3")
 def overlay(
     body: Body, photo: np.ndarray, *, camera: Camera | None = None, keypoints: Keypoints2D | None = None
 ) -> Figure:
-    """A body over the photo it was fitted to.
+    """Draw a body over the photo that it was fitted to.
 
     Args:
-        body: A fit, parameters or a posed body.
-        photo: Shape (H, W, 3), uint8.
-        camera: In pixels of the photo; a fit brings its own.
-        keypoints: Drawn over it, where they are confident.
+        body: Fit, parameters or posed body.
+        photo: Picture, RGB, shape (H, W, 3), uint8.
+        camera: Camera in pixels of the photo; None: the camera of the fit.
+        keypoints: Keypoints to draw over the body, if they are confident.
 
     Raises:
         ValueError: If ``photo`` is no RGB picture, or ``camera`` is missing.
@@ -77,39 +77,39 @@ def overlay(
     if photo.ndim != 3 or photo.shape[2] != 3 or photo.dtype != np.uint8 or not photo.size:
         raise ValueError(f"photo: {photo.dtype} {photo.shape}; expected uint8 (H, W, 3)")
     size = photo.shape[0], photo.shape[1]
-    posed, seen = first_body(body), first_camera(body, camera)
-    picture = PilImage.fromarray(body_over(photo, posed, seen, 0.7))
+    posed, own_camera = first_body(body), first_camera(body, camera)
+    picture = PilImage.fromarray(body_over(photo, posed, own_camera))
     if keypoints is not None:
         draw_keypoints(picture, keypoints)
     figure = empty_figure(6.0 * min(size[1] / size[0], 2.0) + 0.6, 7.1)
     show_picture(figure.subplots(), np.asarray(picture))
-    add_legend(figure, part_patches(label_set(PARTS), draw_ellipsoids(posed, seen, size).labels))
+    add_legend(figure, part_patches(label_set(PARTS), draw_ellipsoids(posed, own_camera, size).labels))
     return figure
 
 
 def part_panels(
     target: PartLabels | Image, drawn: FitResult | Image, *, label_set: LabelSet | str | None = None
 ) -> Figure:
-    """Labels of the target, drawn ones and where they differ, side by side, with the names of the parts.
+    """Draw labels of the target, labels of the result and their difference side by side, with the names of the parts.
 
     Args:
-        target: Labels as read from a file, or group ids: 0 = background, 255 = ignore, shape (H, W), uint8.
-        drawn: A fit, or group ids of the same shape.
-        label_set: What the group ids mean; that of ``target`` where it brings one, else the 20 parts.
+        target: Labels from a file, or group ids: 0 = background, 255 = ignore, shape (H, W), uint8.
+        drawn: Fit, or group ids of the same shape.
+        label_set: Label set of the group ids; None: the one of ``target``, or the 20 parts if it has none.
 
     Raises:
-        ValueError: If the two are no label images of one shape, or ids are none of the set's.
+        ValueError: If the two are no label images of one shape, or an id is not in the set.
     """
     groups = find_label_set(target.label_set if label_set is None and isinstance(target, PartLabels) else label_set)
     expected = read_groups("target", target.groups if isinstance(target, PartLabels) else target, groups)
     if isinstance(drawn, FitResult):
-        shown = draw_groups(drawn.posed, drawn.camera, expected.shape, groups)
+        found = draw_groups(drawn.posed, drawn.camera, expected.shape, groups)
     else:
-        shown = read_groups("drawn", drawn, groups)
-    if shown.shape != expected.shape:
-        raise ValueError(f"drawn: shape {shown.shape}; expected {expected.shape} as the target")
-    sheet = np.asarray(panels(expected, shown, group_colours(groups.part_groups)))
-    patches = part_patches(groups, np.stack([expected, shown]))
+        found = read_groups("drawn", drawn, groups)
+    if found.shape != expected.shape:
+        raise ValueError(f"drawn: shape {found.shape}; expected {expected.shape} as the target")
+    sheet = np.asarray(panels(expected, found, group_colours(groups.part_groups)))
+    patches = part_patches(groups, np.stack([expected, found]))
     rows = -(-len(patches) // legend_columns(sheet.shape[1]))
     width, height = sheet.shape[1] / DPI, sheet.shape[0] / DPI
     below = 0.2 * rows + 0.1
@@ -131,17 +131,18 @@ def gradient_field(
     renderer: Literal["exact", "mesh"] = "exact",
     subdivisions: int = 1,
 ) -> Figure:
-    """Pull of part labels on a body: arrows against the gradient in x and y, their colour against it in z.
+    """Draw the pull of part labels on a body: arrows along the negative gradient in x and y, coloured by the one in z.
 
-    The loss is L_seg [px of label maps], its gradient with respect to points in the camera frame [px/m]: the
-    ellipsoids' centres ("exact"), or the mesh's vertices ("mesh"; those without a gradient have no arrow).
+    The loss is L_seg [px of label maps]. Its gradient is taken with respect to points in the camera frame [px/m]. These
+    are the ellipsoids' centres ("exact") or the mesh's vertices ("mesh"). Vertices without gradient have no arrow.
 
     Args:
-        body: A fit, parameters or a posed body.
-        target: Group ids to be reached in the camera's picture: 0 = background, 255 = ignore, shape (H, W), uint8.
-        camera: In pixels of the target; a fit brings its own.
-        label_set: What the group ids mean; the 20 parts by default.
-        renderer: "exact" ellipsoids, or their "mesh".
+        body: Fit, parameters or posed body.
+        target: Group ids that the body should reach in the camera's picture: 0 = background, 255 = ignore, shape
+            (H, W), uint8.
+        camera: Camera in pixels of the target; None: the camera of the fit.
+        label_set: Label set of the group ids; None: the 20 parts.
+        renderer: Renderer: "exact" draws the ellipsoids, "mesh" draws their meshes.
         subdivisions: Level of the mesh, 0 to 3.
 
     Raises:
@@ -153,40 +154,40 @@ def gradient_field(
 
     groups = find_label_set(label_set)
     expected = read_groups("target", target, groups)
-    posed, seen = first_body(body), first_camera(body, camera)
+    posed, own_camera = first_body(body), first_camera(body, camera)
     goal = torch.from_numpy(expected)[None].to(posed.centres.device)
     if renderer == "exact":
         name, width, dot = "centres", 0.008, 40
         points = posed.centres.clone().requires_grad_()
-        moved = Posed(posed.joints, posed.rotations, points, posed.axes, posed.semi_axes)
+        differentiable = Posed(posed.joints, posed.rotations, points, posed.axes, posed.semi_axes)
         part_labels = groups.part_groups[1:].tolist()
-        loss, _ = ellipsoid_label_loss(moved, seen, goal, part_labels=part_labels, gradient="partdr")
+        loss, _ = ellipsoid_label_loss(differentiable, own_camera, goal, part_labels=part_labels, gradient="partdr")
     else:
         name, width, dot = f"vertices of E{subdivisions}", 0.004, 10
         points = posed.vertices(subdivisions).requires_grad_()
         mesh = ellipbody_mesh(subdivisions, device=points.device).relabel(groups.part_groups)
-        loss, _ = mesh_label_loss(points, mesh, seen, goal)
+        loss, _ = mesh_label_loss(points, mesh, own_camera, goal)
     (slope,) = torch.autograd.grad(loss.sum(), points)
     downhill = -slope[0].cpu().numpy()
-    places = seen.project(points.detach())[0, :, :2].cpu().numpy()
+    pixels = own_camera.project(points.detach())[0, :, :2].cpu().numpy()
 
     colours = group_colours(groups.part_groups)
     colours[BACKGROUND] = 255
     figure = empty_figure(5.5 * min(expected.shape[1] / expected.shape[0], 2.0) + 1.6, 6.6)
     axes = figure.subplots()
     show_picture(axes, (0.4 * colours[expected] + 0.6 * 255).astype(np.uint8))
-    outline_labels(axes, draw_groups(posed, seen, expected.shape, groups))
-    there = np.abs(downhill).max(1) > 0
+    outline_labels(axes, draw_groups(posed, own_camera, expected.shape, groups))
+    pulled = np.abs(downhill).max(1) > 0
     longest = float(np.linalg.norm(downhill[:, :2], axis=1).max(initial=0)) or 1.0
     steepest = float(np.abs(downhill[:, 2]).max(initial=0)) or 1.0
     colour_map = LinearSegmentedColormap.from_list("depth", DEPTH_COLOURS / 255)
     norm = Normalize(-steepest, steepest)
-    sixth = max(expected.shape) / 6  # of the picture: the longest arrow
-    u, v = places[there].T
+    sixth = max(expected.shape) / 6  # length of the longest arrow: a sixth of the picture
+    u, v = pixels[pulled].T
     arrows = axes.quiver(
         u,
         v,
-        *downhill[there].T,
+        *downhill[pulled].T,
         angles="xy",
         scale_units="xy",
         scale=longest / sixth,
@@ -197,7 +198,7 @@ def gradient_field(
         norm=norm,
         zorder=3,
     )
-    axes.scatter(u, v, dot, downhill[there, 2], zorder=4, cmap=colour_map, norm=norm)
+    axes.scatter(u, v, dot, downhill[pulled, 2], zorder=4, cmap=colour_map, norm=norm)
     key = float(f"{longest / 2:.1g}")
     axes.quiverkey(arrows, 0.12, 0.95, key, f"-dL/dx, -dL/dy: {key:g} px/m", labelpos="E", color=DEPTH_COLOURS[1] / 255)
     figure.colorbar(arrows, ax=axes, shrink=0.8, label="-dL/dz [px/m]; above 0: away from the viewer")
@@ -207,11 +208,13 @@ def gradient_field(
 
 
 def loss_curve(history: FitResult | Refined | Sequence[float] | np.ndarray, *, label: str = "energy") -> Figure:
-    """Course of a loss, on a logarithmic scale if it is positive; a fit's stages stand apart: their weights differ.
+    """Draw the course of a loss, on a logarithmic scale if it is positive.
+
+    A fit's stages have separate lines, because their weights differ.
 
     Args:
-        history: A fit, a refinement (one line a body), or losses of shape (iterations,) or (iterations, B).
-        label: Of the vertical axis.
+        history: Fit, refinement (one line a body), or losses of shape (iterations,) or (iterations, B).
+        label: Label of the vertical axis.
 
     Raises:
         ValueError: If there are no values.
@@ -231,8 +234,8 @@ def loss_curve(history: FitResult | Refined | Sequence[float] | np.ndarray, *, l
         axes.plot(np.arange(first, last) + 0.5, curve, color=_BETWEEN[0], linewidth=1.6)
         if names:
             axes.axvspan(first, last, color=_STAGES[index % 2], zorder=0)
-            place = axes.get_xaxis_transform()
-            axes.text((first + last) / 2, 1.02, names[index], ha="center", va="bottom", transform=place)
+            above = axes.get_xaxis_transform()
+            axes.text((first + last) / 2, 1.02, names[index], ha="center", va="bottom", transform=above)
         first = last
     if all((curve > 0).all() for curve in curves):
         axes.set_yscale("log")
@@ -244,11 +247,11 @@ def loss_curve(history: FitResult | Refined | Sequence[float] | np.ndarray, *, l
 
 
 def turntable(body: Body, *, turns: Sequence[float] = (0, 90, 180, 270)) -> Figure:
-    """A body from all sides.
+    """Draw a body from all sides.
 
     Args:
-        body: A fit, parameters or a posed body.
-        turns: About the vertical [degrees]; 0 is the camera's view.
+        body: Fit, parameters or posed body.
+        turns: Turns about the vertical [degrees]; 0 is the camera's view.
 
     Raises:
         ValueError: If there are no turns.
@@ -256,8 +259,9 @@ def turntable(body: Body, *, turns: Sequence[float] = (0, 90, 180, 270)) -> Figu
     if not turns:
         raise ValueError("turns: none; expected one angle or more")
     views = np.stack(turntable_views(first_body(body), tuple((float(turn), 0.0) for turn in turns)))
-    rows, columns = (np.flatnonzero((views < 255).any(axes)) for axes in ((0, 2, 3), (0, 1, 3)))
-    views = views[:, rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]  # all cut alike, to where a body is
+    rows = np.flatnonzero((views < 255).any((0, 2, 3)))
+    columns = np.flatnonzero((views < 255).any((0, 1, 3)))
+    views = views[:, rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]  # one crop for all, around all bodies
     figure = empty_figure(4.0 * len(turns) * views.shape[2] / views.shape[1] + 0.5, 5.0)
     for axes, turn, view in zip(figure.subplots(1, len(turns), squeeze=False)[0], turns, views, strict=True):
         axes.imshow(view)
@@ -268,14 +272,14 @@ def turntable(body: Body, *, turns: Sequence[float] = (0, 90, 180, 270)) -> Figu
 
 
 def compare_bodies(first: Body, second: Body, *, names: tuple[str, str] = ("first", "second")) -> Figure:
-    """Two bodies with their pelvises in one place: from the front, from the side, joint by joint and size by size.
+    """Compare two bodies, with both pelvises at one point: from the front, from the side, by joint and by size.
 
-    The first one is shaded from the front, with the outline of the second; joints and sizes are of both.
+    From the front, the first body is shaded and the second one is an outline. Joints and sizes are shown for both.
 
     Args:
-        first: A fit, parameters or a posed body.
-        second: The same.
-        names: What to call them.
+        first: Fit, parameters or posed body.
+        second: Fit, parameters or posed body to compare with.
+        names: Names of the two bodies in the legend.
     """
     bodies = [first_body(body) for body in (first, second)]
     joints = [body.joints[0].cpu().double() - body.joints[0, :1].cpu().double() for body in bodies]
@@ -311,7 +315,8 @@ def compare_bodies(first: Body, second: Body, *, names: tuple[str, str] = ("firs
     distance.barh(np.arange(len(apart)), apart, color="#6d6d6d")
     distance.set_yticks(np.arange(len(apart)), [plain_name(name) for name in JOINT_NAMES])
     distance.invert_yaxis()
-    mean, aligned = (float(metric(*joints)) * 1000 for metric in (mpjpe, pa_mpjpe))
+    mean = float(mpjpe(*joints)) * 1000
+    aligned = float(pa_mpjpe(*joints)) * 1000
     title = f"MPJPE {mean:.0f} mm, PA-MPJPE {aligned:.0f} mm"
     distance.set(xlabel="distance of joints [mm]", title=title)
 

@@ -1,4 +1,4 @@
-"""Films as files, of pictures one after another; PyAV writes them, the extra "film"."""
+"""Films as files, made from pictures. PyAV writes them, which the extra "film" installs."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from ..inputs.films import check_pyav
 
-_CODECS = ("libx264", "libopenh264", "mpeg4")  # what players know best comes first
-_TICK = Fraction(1, 60_000)  # [s], the unit of times; MPEG-4 has no finer one than 1/65535
+_CODECS = ("libx264", "libopenh264", "mpeg4")  # the codec that most players know comes first
+_TICK = Fraction(1, 60_000)  # [s], unit of times; MPEG-4 has no finer one than 1/65535
 
 
 def write_film(
@@ -20,10 +20,11 @@ def write_film(
     """Write pictures as a film.
 
     Args:
-        path: Of an .mp4.
-        pictures: RGB, shape (H, W, 3), uint8, all of one size, of which an odd row or column is left out.
+        path: Path of the .mp4.
+        pictures: Pictures, RGB, shape (H, W, 3), uint8, all of one size. If a side is odd, its last row or column is
+            left out.
         rate: Pictures a second.
-        times: Of the pictures [s], rising, at least as many; None: they come evenly.
+        times: Times of the pictures [s], rising, at least as many as pictures; None: they have a constant rate.
 
     Raises:
         InputError: If PyAV is not installed.
@@ -42,7 +43,8 @@ def write_film(
         if known == "libx264":
             stream.options = {"preset": "veryfast"}  # a third of the usual preset's time, about as large
         for number, picture in enumerate(pictures):
-            height, width = (side - side % 2 for side in picture.shape[:2])
+            height = picture.shape[0] - picture.shape[0] % 2
+            width = picture.shape[1] - picture.shape[1] % 2
             if not number:
                 stream.width, stream.height = width, height
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture[:height, :width]), format="rgb24")

@@ -1,4 +1,4 @@
-"""Charts of a fit, drawn without matplotlib, which takes long to load: labels beside the target's, and the energy."""
+"""Charts of a fit: labels beside the target's, and the energy. They do without matplotlib, which takes long to load."""
 
 from __future__ import annotations
 
@@ -15,22 +15,25 @@ _PANEL_SIDE = 480  # [px]
 _IGNORED = (150, 150, 150)
 
 
-def panels(target: np.ndarray, shown: np.ndarray, colours: np.ndarray) -> Image:
-    """Target, result and difference side by side, cut to where something is, in the colours (256, 3) of group ids.
+def panels(target: np.ndarray, drawn: np.ndarray, colours: np.ndarray) -> Image:
+    """Draw target, result and difference side by side, cropped to the bodies.
 
-    The group ids (H, W) of ``target`` are 255 where nothing is compared; ``shown`` are those of the fitted body.
+    Args:
+        target: Group ids of the target, shape (H, W), uint8; 255 where nothing is compared.
+        drawn: Group ids of the fitted body, shape (H, W), uint8.
+        colours: RGB of each group id, shape (256, 3), uint8.
     """
     from PIL import Image as PilImage
     from PIL import ImageDraw, ImageFont
 
     counted = target != 255
-    wrong = counted & (shown != target)
-    # Told apart by colour-blind people too.
+    wrong = counted & (drawn != target)
+    # Colour-blind people can tell these colours apart, too.
     kinds = {
         "right": ((215, 215, 215), counted & (target > 0) & ~wrong),
-        "missing": ((0, 90, 181), wrong & (shown == 0)),
+        "missing": ((0, 90, 181), wrong & (drawn == 0)),
         "too much": ((220, 50, 32), wrong & (target == 0)),
-        "another part": ((255, 194, 10), wrong & (shown > 0) & (target > 0)),
+        "another part": ((255, 194, 10), wrong & (drawn > 0) & (target > 0)),
         "ignored": (_IGNORED, ~counted),
     }
     difference = np.full((*target.shape, 3), 255, dtype=np.uint8)
@@ -40,14 +43,15 @@ def panels(target: np.ndarray, shown: np.ndarray, colours: np.ndarray) -> Image:
     colours[0], colours[255] = 255, _IGNORED
 
     size = np.array(target.shape)
-    bodies = np.argwhere((counted & (target > 0)) | (shown > 0))
+    bodies = np.argwhere((counted & (target > 0)) | (drawn > 0))
     low, high = (bodies.min(0), bodies.max(0) + 1) if len(bodies) else (0 * size, size)
     margin = round(0.03 * (high - low).max()) + 1
     low, high = np.maximum(low - margin, 0), np.minimum(high + margin, size)
     zoom = _PANEL_SIDE / (high - low).max()
-    # Enlarged by whole numbers, so that every pixel is of one size.
+    # Enlarged by whole numbers, so that all pixels have one size.
     zoom = max(1, round(zoom)) if zoom > 0.7 else zoom
-    height, width = (max(round(side * zoom), 1) for side in (high - low).tolist())
+    rows, columns = (high - low).tolist()
+    height, width = max(round(rows * zoom), 1), max(round(columns * zoom), 1)
     resample = PilImage.Resampling.NEAREST if zoom >= 1 else PilImage.Resampling.BOX
 
     font, gap, bar = ImageFont.load_default(15), 12, 34
@@ -55,7 +59,7 @@ def panels(target: np.ndarray, shown: np.ndarray, colours: np.ndarray) -> Image:
     step = max(width, (sum(entry[2] for entry in entries) - gap) // 3) + gap
     sheet = PilImage.new("RGB", (gap + 3 * step, height + 2 * bar), "white")
     draw = ImageDraw.Draw(sheet)
-    named = {"target": colours[target], "result": colours[shown], "difference": difference}
+    named = {"target": colours[target], "result": colours[drawn], "difference": difference}
     for column, (name, image) in enumerate(named.items()):
         x = gap + column * step
         draw.text((x, 9), name, fill="black", font=font)
@@ -71,11 +75,11 @@ def panels(target: np.ndarray, shown: np.ndarray, colours: np.ndarray) -> Image:
 
 
 def loss_chart(result: FitResult) -> Image:
-    """The energy of the winner and its ancestors over all iterations, one band a stage, on a logarithmic scale."""
+    """Draw the energy of the best body and its ancestors over all iterations, one band a stage; the scale is log."""
     from PIL import Image as PilImage
     from PIL import ImageDraw, ImageFont
 
-    smooth = 2  # drawn so much larger, for smooth lines
+    smooth = 2  # factor by which it is drawn larger, for smooth lines
     width, height = 900 * smooth, 380 * smooth
     left, right, top, bottom = 62 * smooth, width - 14 * smooth, 66 * smooth, height - 44 * smooth
     chart = PilImage.new("RGB", (width, height), "white")
@@ -94,7 +98,8 @@ def loss_chart(result: FitResult) -> Image:
         return left + (right - left) * iteration / max(ends[-1], 1), bottom - (bottom - top) * float(share)
 
     for index, stage in enumerate(result.stages):
-        start, end = (at(iteration, 1.0)[0] for iteration in ends[index : index + 2])
+        start = at(ends[index], 1.0)[0]
+        end = at(ends[index + 1], 1.0)[0]
         draw.rectangle([start, top, end, bottom], fill=((246, 246, 246), (232, 237, 243))[index % 2])
         size = f"{stage.size} px" if stage.size and result.observation.labels is not None else "no labels"
         for line, text in enumerate((stage.name, size)):

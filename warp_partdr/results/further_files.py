@@ -1,6 +1,6 @@
-"""Files of detailed bodies that are written only when asked for: USD by ``usd-core``, FBX by Blender.
+"""Further files of detailed bodies, which are written on demand: USD by ``usd-core``, FBX by Blender.
 
-Blender is the command ``blender`` or, where there is none, the module ``bpy`` in this Python.
+Blender is the command ``blender`` or, if there is none, the module ``bpy`` in this Python.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .skinned_files import Poses, glb
 from .usd_files import check_usd, save_usd
 
 _COMMAND, _MODULE = "blender", "bpy"
-_LONGEST = 600  # [s] for one body
+_LONGEST = 600  # [s], time limit for one body
 # Key frames lie on whole frames of the scene, so that the rate is set before they are read.
 _SCRIPT = """
 import bpy, sys
@@ -52,15 +52,15 @@ def check_blender(name: str) -> list[str]:
         return [command, "--background", "--factory-startup", "--python-exit-code", "1", "--python-expr", _SCRIPT, "--"]
     if find_spec(_MODULE) is not None:
         return [sys.executable, "-c", _SCRIPT, "--"]
-    told = f"no command {_COMMAND!r} and no module {_MODULE!r}, one of which makes FBX"
-    raise InputError(f"{name}: {told}; expected Blender on the PATH, or pip install {_MODULE}")
+    missing = f"no command {_COMMAND!r} and no module {_MODULE!r}, one of which makes FBX"
+    raise InputError(f"{name}: {missing}; expected Blender on the PATH, or pip install {_MODULE}")
 
 
 def save_fbx(registered: Registered, path: Path, poses: Poses | None = None) -> None:
     """Write the first body, in its pose or in several over time, as FBX.
 
     Raises:
-        InputError: If Blender is missing, or fails; with the last line that it said.
+        InputError: If Blender is missing, or fails. The message has Blender's last line.
     """
     command, poses = check_blender("fbx"), (poses or Poses.first(registered)).evenly()
     blender = _MODULE if command[0] == sys.executable else command[0]
@@ -75,22 +75,22 @@ def save_fbx(registered: Registered, path: Path, poses: Poses | None = None) -> 
         except (OSError, subprocess.TimeoutExpired) as error:
             raise InputError(f"fbx: {blender}: {cause(error)}; expected Blender that writes FBX") from error
     if ran.returncode or not path.is_file():
-        said = (ran.stderr.strip() or ran.stdout.strip() or f"exit code {ran.returncode}").splitlines()[-1]
-        raise InputError(f"fbx: {blender}: {said}; expected Blender that writes FBX")
+        last_line = (ran.stderr.strip() or ran.stdout.strip() or f"exit code {ran.returncode}").splitlines()[-1]
+        raise InputError(f"fbx: {blender}: {last_line}; expected Blender that writes FBX")
 
 
 _Save = Callable[[Registered, Path, Poses | None], None]
-# By the files' endings: the check, whose message begins with its argument, and the writer.
+# For each ending of files: the check, whose message begins with its argument, and the writer.
 FURTHER: Mapping[str, tuple[Callable[[str], object], _Save]] = {
     "usda": (check_usd, save_usd),
     "usdz": (check_usd, save_usd),
     "fbx": (check_blender, save_fbx),
 }
-FURTHER_FILES = tuple(f"detailed.{kind}" for kind in FURTHER)
+FURTHER_FILES = tuple(f"detailed.{ending}" for ending in FURTHER)
 
 
 def check_formats(option: str, formats: Sequence[str]) -> None:
-    """Raise an InputError, which begins with ``option``, if one is unknown or what writes it is missing."""
+    """Raise an InputError, which begins with ``option``, if a format is unknown or its writer is not installed."""
     for name in formats:
         if name not in FURTHER:
             raise InputError(f"{option}: {name!r}; expected of {', '.join(FURTHER)}")
@@ -98,8 +98,8 @@ def check_formats(option: str, formats: Sequence[str]) -> None:
 
 
 def save_further(registered: Registered, stem: Path, formats: Sequence[str], poses: Poses | None = None) -> list[str]:
-    """Write the first body, or its motion, as ``stem`` with each ending; returns the files' names."""
-    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]
-    for kind, path in zip(formats, paths, strict=True):
-        FURTHER[kind][1](registered, path, poses)
+    """Write the first body, or its motion, to ``stem`` with each ending; return the files' names."""
+    paths = [stem.with_name(f"{stem.name}.{ending}") for ending in formats]
+    for ending, path in zip(formats, paths, strict=True):
+        FURTHER[ending][1](registered, path, poses)
     return [path.name for path in paths]

@@ -1,4 +1,4 @@
-"""Binary glTF 2.0 that grows: nodes, skinned meshes, cameras and one animation (Khronos Group, glTF 2.0)."""
+"""Writer of binary glTF 2.0: nodes, skinned meshes, cameras and one animation (Khronos Group, glTF 2.0)."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 _DTYPES = {"float32": 5126, "uint16": 5123, "uint32": 5125}  # component types
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 
-_Moved = Literal["translation", "rotation", "scale"]
+_Animated = Literal["translation", "rotation", "scale"]
 
 
 class Document:
-    """A file that is being made; lists are glTF's own."""
+    """File that is being made. Its lists are those of glTF."""
 
     def __init__(self) -> None:
         self.roots: list[int] = []
@@ -31,7 +31,7 @@ class Document:
         self._samplers: list[dict[str, Any]] = []
 
     def add(self, values: np.ndarray, *, target: int | None = None, bounds: bool = False) -> int:
-        """Append an array; returns its accessor's index."""
+        """Append an array, and return its accessor's index."""
         view = {"buffer": 0, "byteOffset": len(self._data), "byteLength": values.nbytes}
         self._views.append(view if target is None else {**view, "target": target})
         self._data += values.tobytes()
@@ -42,23 +42,27 @@ class Document:
             "count": len(values),
             "type": _KINDS[values.shape[1:]],
         }
-        low, high = (np.atleast_1d(edge(axis=0)).tolist() for edge in (values.min, values.max))
-        extent = {"min": low, "max": high} if bounds else {}
+        extent = {}
+        if bounds:
+            extent = {
+                "min": np.atleast_1d(values.min(axis=0)).tolist(),
+                "max": np.atleast_1d(values.max(axis=0)).tolist(),
+            }
         self._accessors.append({**accessor, **extent})
         return len(self._accessors) - 1
 
     def add_times(self, times: np.ndarray) -> int:
-        """Append times of key frames [s], shape (T,); returns their accessor's index."""
+        """Append times of key frames [s], shape (T,), and return their accessor's index."""
         return self.add(times.astype(np.float32), bounds=True)
 
-    def animate(self, node: int, path: _Moved, times: int, values: np.ndarray, *, steps: bool = False) -> None:
-        """Move a node: values at ``times``, shape (T, 3) or (T, 4), and what lies between them, unless in ``steps``."""
+    def animate(self, node: int, path: _Animated, times: int, values: np.ndarray, *, steps: bool = False) -> None:
+        """Animate a node with values at ``times``, (T, 3) or (T, 4), which are interpolated unless in ``steps``."""
         self._channels.append({"sampler": len(self._samplers), "target": {"node": node, "path": path}})
         output = self.add(values.astype(np.float32))
         self._samplers.append({"input": times, "output": output, "interpolation": "STEP" if steps else "LINEAR"})
 
     def glb(self) -> bytes:
-        """The file: a header, a chunk of JSON and a chunk of numbers."""
+        """Return the file's bytes: a header, a chunk of JSON and a chunk of numbers."""
         motion = {"name": "motion", "channels": self._channels, "samplers": self._samplers}
         whole = {
             "asset": {"version": "2.0", "generator": "warp-partdr"},

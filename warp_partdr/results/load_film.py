@@ -1,4 +1,4 @@
-"""Reading back what ``partdr fit FILM`` wrote: the people's motions, and the cameras that saw them."""
+"""Reader of the results of ``partdr fit FILM``: the people's motions, and the cameras of the films."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _EXPECTED = "the people.json of `partdr fit FILM --out FOLDER`"
 _MOTION = "a personN.npz of `partdr fit FILM --out FOLDER`"
 _VIEW = '{"film": name, "size": [W, H], "focal", "principal": [u, v], "rotation", "translation", "lens"}'
 _MOST_FRAMES = 10_000_000
-_RATES = 1e-5, 1e5  # frames a second, from one a day
+_RATES = 1e-5, 1e5  # frames a second; the least is about one a day
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class FilmView:
     """View of a scene, and the film that was taken there.
 
     Attributes:
-        film: Its name, "" if it isn't known.
-        size: (H, W) of its pictures [px].
-        view: The camera, of pixels without distortion.
-        lens: The camera whose distortion was taken away; None: there is none.
-        numbers: Of the frames in the film's file, -1 where it has none; None: all, from the first one on.
+        film: Name of the film, "" if it isn't known.
+        size: Size (H, W) of its pictures [px].
+        view: Camera and position, in pixels without distortion.
+        lens: Camera whose distortion was removed; None: it has no distortion.
+        numbers: Index of each frame in the film's file, -1 for none; None: all frames, from the first one on.
     """
 
     film: str
@@ -48,7 +48,7 @@ class FilmView:
     numbers: tuple[int, ...] | None = None
 
     def number(self, frame: int) -> int | None:
-        """Number of a frame in the film's file; None: it has none."""
+        """Index of a frame in the film's file; None if the file has no such frame."""
         if self.numbers is None:
             return frame
         found = self.numbers[frame] if frame < len(self.numbers) else -1
@@ -57,13 +57,13 @@ class FilmView:
 
 @dataclass(frozen=True)
 class SavedFilm:
-    """People's motions through a film, or through several of the same scene.
+    """Motions of people in a film, or in several films of one scene.
 
     Attributes:
-        rate: Frames a second of most of the film.
+        rate: Frames a second in most of the film.
         times: Time of each frame since the first [s], shape (T,).
-        motions: By person.
-        views: One or more.
+        motions: Motions by person.
+        views: Views, one for each film.
     """
 
     rate: float
@@ -73,21 +73,21 @@ class SavedFilm:
 
 
 def load_film_fit(folder: str | Path, model: DetailedModel) -> SavedFilm:
-    """Read a folder of ``save_film_fit``.
+    """Read a folder that ``save_film_fit`` wrote.
 
     Args:
-        folder: With people.json.
-        model: The detailed model that the people are bodies of.
+        folder: Folder with people.json.
+        model: Detailed model of the people's bodies.
 
     Raises:
-        InputError: If files are missing, damaged, of another model or of different runs.
+        InputError: If files are missing or damaged, or belong to another model or to different runs.
     """
     path = Path(folder) / PEOPLE_REPORT
     report = read_json(path, _EXPECTED)
     try:
         rate, count = float(report["rate"]), int(report["frames"])
         names = {int(each["person"]): f"person{int(each['person'])}.npz" for each in report["people"]}
-        seen = [_view(each, f"{path}: views") for each in report.get("views", ())]
+        views = [_view(each, f"{path}: views") for each in report.get("views", ())]
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -101,13 +101,14 @@ def load_film_fit(folder: str | Path, model: DetailedModel) -> SavedFilm:
         bodies = load_film_bodies(Path(folder) / name)
         motions[person] = _motion(Path(folder) / name, bodies, count, model)
         known[bodies.rows["frames"]] = bodies.rows["times"]
-        seen = seen or [_view_of(Path(folder) / name, bodies)]
+        views = views or [_view_of(Path(folder) / name, bodies)]
     stated = report.get("times")
-    return SavedFilm(rate, _times(known, rate) if stated is None else _stated_times(stated, count, path), motions, seen)
+    times = _times(known, rate) if stated is None else _stated_times(stated, count, path)
+    return SavedFilm(rate, times, motions, views)
 
 
 def _motion(path: Path, bodies: FilmBodies, count: int, model: DetailedModel) -> Motion:
-    """The motion in a person's file, which ``load_film_bodies`` has read."""
+    """Read the motion in a person's file, whose bodies ``load_film_bodies`` has read."""
     rows, joints = len(bodies.rows), model.num_joints
     shapes = {
         "clothes": (len(CLOTHED),),
@@ -125,22 +126,20 @@ def _motion(path: Path, bodies: FilmBodies, count: int, model: DetailedModel) ->
     frames = bodies.rows["frames"].astype(np.int64)
     if frames[0] < 0 or frames[-1] >= count or (np.diff(frames) <= 0).any():
         raise InputError(f"{path}: frames: {frames[0]} to {frames[-1]}; expected some of 0 to {count - 1}, in order")
-    clothes, values, rotations, translation = (
-        torch.from_numpy(data[name].astype(np.float32)).to(model.rest_vertices) for name in shapes
-    )
-    return Motion(model, frames, PersonShape(values, clothes), rotations, translation)
+    tensors = {name: torch.from_numpy(data[name].astype(np.float32)).to(model.rest_vertices) for name in shapes}
+    shape_of_person = PersonShape(tensors["detailed_shape"], tensors["clothes"])
+    return Motion(model, frames, shape_of_person, tensors["detailed_rotations"], tensors["detailed_translation"])
 
 
 def _view(values: Any, where: str) -> FilmView:
-    """A view as the report has it."""
+    """Read a view of the report."""
     try:
         width, height = map(int, values["size"])
         check_picture_size((height, width), f"{where}: size")
         u, v = map(float, values["principal"])
         camera = Perspective.of_picture((height, width), focal=float(values["focal"]), principal=(u, v))
-        rotation, translation = (
-            torch.tensor(values[name], dtype=torch.float32) for name in ("rotation", "translation")
-        )
+        rotation = torch.tensor(values["rotation"], dtype=torch.float32)
+        translation = torch.tensor(values["translation"], dtype=torch.float32)
         check_plausible(translation.numpy(), "translation", where)
         lens = None
         if "lens" in values:
@@ -156,7 +155,7 @@ def _view(values: Any, where: str) -> FilmView:
 
 
 def _view_of(path: Path, bodies: FilmBodies) -> FilmView:
-    """The only view of bodies in the camera's frame."""
+    """Make the only view of bodies that are given in the camera's frame."""
     row = bodies.rows[0]
     u, v = row["camera_translation"].tolist()
     try:
@@ -169,7 +168,7 @@ def _view_of(path: Path, bodies: FilmBodies) -> FilmView:
 
 
 def _stated_times(stated: Any, count: int, path: Path) -> np.ndarray:
-    """Times of all frames as the report has them."""
+    """Check the times of all frames that the report has."""
     try:
         times = np.asarray(stated, dtype=np.float64)
     except (TypeError, ValueError):
@@ -180,7 +179,7 @@ def _stated_times(stated: Any, count: int, path: Path) -> np.ndarray:
 
 
 def _times(known: np.ndarray, rate: float) -> np.ndarray:
-    """Times of all frames: those that are known, and at the film's rate between and around them."""
-    frames, there = np.arange(len(known)), np.flatnonzero(np.isfinite(known))
-    late = (known - frames / rate)[there]
-    return np.asarray(np.maximum.accumulate(frames / rate + np.interp(frames, there, late)))
+    """Times of all frames: those that are known; between and around them, times at the film's rate."""
+    frames, given = np.arange(len(known)), np.flatnonzero(np.isfinite(known))
+    late = (known - frames / rate)[given]
+    return np.asarray(np.maximum.accumulate(frames / rate + np.interp(frames, given, late)))

@@ -1,4 +1,4 @@
-"""Bodies and keypoints over pictures, or over gray where there is none."""
+"""Bodies and keypoints over pictures, or over gray if there is no picture."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 GRAY = (235, 235, 235)
-OVERLAY_SIDE = 2048  # [px]; a larger photo's overlay is made smaller: no screen shows more, and shading takes memory
+OVERLAY_SIDE = 2048  # [px]; overlays of larger photos are scaled down: no screen shows more, and shading takes memory
 _ELLIPSOIDS, _SKIN = 0.72, 0.9  # opacities
 
 
 def body_over(picture: np.ndarray, posed: Posed, camera: Camera, opacity: float = _ELLIPSOIDS) -> np.ndarray:
-    """The first body's ellipsoids over a picture, shape (H, W, 3), uint8."""
+    """Draw the first body's ellipsoids over a picture, shape (H, W, 3), uint8."""
     return blend(picture, shade_body(posed, camera, (picture.shape[0], picture.shape[1])), opacity)
 
 
@@ -36,13 +36,13 @@ def skin_over(
     camera: Camera,
     colour: np.ndarray = SKIN_COLOUR,
 ) -> np.ndarray:
-    """The first detailed body over a picture, shape (H, W, 3), uint8.
+    """Draw the first detailed body over a picture, shape (H, W, 3), uint8.
 
     Args:
-        picture: RGB, shape (H, W, 3), uint8.
-        vertices: Of the model's bodies in the camera frame [m], shape (B, V, 3).
-        model: The model.
-        camera: The picture's camera.
+        picture: Picture, RGB, shape (H, W, 3), uint8.
+        vertices: Vertices of the model's bodies in the camera frame [m], shape (B, V, 3).
+        model: Model of the bodies.
+        camera: Camera of the picture.
         colour: RGB of the skin, shape (3,), uint8.
     """
     rgba = shade_skin(vertices, model, camera, (picture.shape[0], picture.shape[1]), colour)
@@ -50,33 +50,33 @@ def skin_over(
 
 
 def gray_picture(size: tuple[int, int]) -> np.ndarray:
-    """A gray picture of (H, W) pixels, shape (H, W, 3), uint8."""
+    """Make a gray picture of (H, W) pixels, shape (H, W, 3), uint8."""
     return np.full((*size, 3), GRAY, dtype=np.uint8)
 
 
-def shown_at(size: tuple[int, int], side: int | None = None) -> tuple[float, tuple[int, int]]:
-    """Zoom and (H, W) at which a picture is shown and compared: at most ``side`` px a side, or ``OVERLAY_SIDE``."""
+def overlay_size(size: tuple[int, int], side: int | None = None) -> tuple[float, tuple[int, int]]:
+    """Zoom and size (H, W) of overlays and scores of a picture: at most ``side`` px a side, or ``OVERLAY_SIDE``."""
     zoom = min(1.0, (side or OVERLAY_SIDE) / max(size))
     return zoom, (max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1))
 
 
-def as_shown(photo: np.ndarray, size: tuple[int, int] | None = None) -> np.ndarray:
-    """A photo as it is shown, made smaller if it is large; of one that was made smaller, ``size`` is what it was."""
+def at_overlay_size(photo: np.ndarray, size: tuple[int, int] | None = None) -> np.ndarray:
+    """Scale a photo down to its overlay's size. If it was scaled before, ``size`` is its size (H, W) before that."""
     from PIL import Image
 
-    _, (height, width) = shown_at(size or (photo.shape[0], photo.shape[1]))
+    _, (height, width) = overlay_size(size or (photo.shape[0], photo.shape[1]))
     if photo.shape[:2] == (height, width):
         return photo
     return np.asarray(Image.fromarray(photo).resize((width, height), Image.Resampling.LANCZOS))
 
 
 def draw_overlay(result: FitResult, size: tuple[int, int], photo: np.ndarray | None = None) -> Image:
-    """The body and the keypoints over the photo, or on gray; at most ``OVERLAY_SIDE`` pixels a side."""
+    """Draw the body and the keypoints over the photo, or over gray; at most ``OVERLAY_SIDE`` pixels a side."""
     from PIL import Image
 
-    zoom, shown = shown_at(size)
-    below = gray_picture(shown) if photo is None else as_shown(photo, size)
-    overlay = Image.fromarray(body_over(below, result.posed, zoomed(result.camera, zoom, shown)))
+    zoom, drawn_size = overlay_size(size)
+    below = gray_picture(drawn_size) if photo is None else at_overlay_size(photo, size)
+    overlay = Image.fromarray(body_over(below, result.posed, zoomed(result.camera, zoom, drawn_size)))
     keypoints = result.evidence.keypoints
     draw_keypoints(overlay, replace(keypoints, points=keypoints.points * zoom))
     return overlay
@@ -85,25 +85,25 @@ def draw_overlay(result: FitResult, size: tuple[int, int], photo: np.ndarray | N
 def draw_detailed(
     registered: Registered, camera: Camera, size: tuple[int, int], photo: np.ndarray | None = None
 ) -> Image:
-    """The detailed body over the photo, or on gray; at most ``OVERLAY_SIDE`` pixels a side."""
+    """Draw the detailed body over the photo, or over gray; at most ``OVERLAY_SIDE`` pixels a side."""
     from PIL import Image
 
-    zoom, shown = shown_at(size)
-    below = gray_picture(shown) if photo is None else as_shown(photo, size)
+    zoom, drawn_size = overlay_size(size)
+    below = gray_picture(drawn_size) if photo is None else at_overlay_size(photo, size)
     return Image.fromarray(
-        skin_over(below, registered.detailed.vertices, registered.model, zoomed(camera, zoom, shown))
+        skin_over(below, registered.detailed.vertices, registered.model, zoomed(camera, zoom, drawn_size))
     )
 
 
 def draw_keypoints(image: Image, keypoints: Keypoints2D) -> None:
-    """Bones and dots of the confident keypoints, onto a picture."""
+    """Draw bones and dots of the confident keypoints onto a picture."""
     from PIL import ImageDraw
 
     draw, radius = ImageDraw.Draw(image), max(image.size) / 250
-    points, sure = keypoints.points.astype(float), keypoints.confident
+    points, confident = keypoints.points.astype(float), keypoints.confident
     for a, b in keypoints.format.edges:
-        if sure[a] and sure[b]:
+        if confident[a] and confident[b]:
             for colour, width in (("black", 3), ("white", 1)):
                 draw.line([*points[a], *points[b]], fill=colour, width=width)
-    for x, y in points[sure].tolist():
+    for x, y in points[confident].tolist():
         draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill="white", outline="black")

@@ -1,8 +1,8 @@
-"""The colours of body parts and of directions in depth, the same in every picture and file.
+"""Colours of body parts and of directions in depth, equal in every picture and file.
 
 Left limbs are warm, right limbs are cool, the middle of the trunk is violet and the head yellow, so sides can be told
-apart without telling red from green; along a limb, the colours grow lighter towards its end. Parts that touch differ by
-more than 12 in CIE L*a*b*, also as colour-blind people see them (``tests/results/test_plot.py`` measures it).
+apart by people who can't tell red from green. Along a limb, the colours grow lighter towards its end. Parts that touch
+differ by more than 12 in CIE L*a*b*, also for colour-blind people (``tests/results/test_plot.py`` measures it).
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ PEOPLE_COLOURS = np.array(
     ],
     dtype=np.uint8,
 )
-"""RGB of people, dark enough for white letters; from the ninth on they come again."""
+"""RGB of people, dark enough for white letters; the ninth person has the first colour again."""
 
 IGNORE_COLOUR = np.array([70, 70, 70], dtype=np.uint8)
 
 
 def group_colours(part_groups: np.ndarray) -> np.ndarray:
-    """RGB of group ids, shape (256, 3), uint8, from ``LabelSet.part_groups``: the parts' mean colour, gray for 255."""
+    """RGB of group ids by ``LabelSet.part_groups``: the mean colour of their parts, gray for 255; (256, 3), uint8."""
     table = np.zeros((256, 3), dtype=np.uint8)
     for group in np.unique(part_groups[1:]):
         table[group] = PART_COLOURS[1:][part_groups[1:] == group].mean(0)

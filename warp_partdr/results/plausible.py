@@ -1,4 +1,4 @@
-"""Checks of numbers that came from this package's own files: beyond them a file is damaged, or of other units."""
+"""Checks of numbers in this package's own files. A file with other numbers is damaged, or has other units."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..errors import InputError, shown
 from ..interop.checks import MAX_PICTURE, rotation_fault
 
 _PIXELS = -1e8, 1e8
-# By name: least, most and unit. Bodies of children and giants are well within.
+# Least and largest number, and unit, for each name. Bodies of children and giants are well within.
 _RANGES = {
     "translation": (-1e5, 1e5, "m"),
     "detailed_translation": (-1e5, 1e5, "m"),
@@ -31,9 +31,9 @@ ROTATIONS = "global_orient", "rotations", "detailed_rotations"
 
 
 def check_plausible(values: np.ndarray, name: str, where: str) -> None:
-    """Raise InputError unless the numbers of an array may be what its name says; ``where`` is the file.
+    """Raise InputError unless the numbers of an array are plausible for its name. ``where`` is the file, for messages.
 
-    They must be finite. Rotations must be rotations, sizes those of people.
+    Numbers must be finite, rotations must be rotations, and sizes must be possible for people.
     """
     if not np.isfinite(values).all():
         raise InputError(f"{where}: {name}: holds NaN or infinity; expected finite numbers {values.shape}")
@@ -46,7 +46,7 @@ def check_plausible(values: np.ndarray, name: str, where: str) -> None:
 
 
 def check_picture_size(size: Sequence[int], where: str) -> tuple[int, int]:
-    """Size (H, W) of a picture [px] as two ints; raises InputError unless there can be such a picture."""
+    """Return the size (H, W) of a picture [px] as two ints; raise InputError if no picture can have it."""
     height, width = map(int, size)
     if min(height, width) < 1:
         raise InputError(f"{where}: {min(height, width)}; expected positive numbers of pixels")
@@ -56,14 +56,14 @@ def check_picture_size(size: Sequence[int], where: str) -> tuple[int, int]:
 
 
 def order_of_parts(names: np.ndarray, where: str) -> list[int]:
-    """Places at which a file has the parts ``PART_NAMES``, by their names there.
+    """Indices of the parts ``PART_NAMES`` among a file's names.
 
     Raises:
-        InputError: If they are not the same 20 names, in whatever order.
+        InputError: If the file does not have exactly these 20 names, in any order.
     """
     found = [str(name) for name in names.astype(str)] if names.dtype.kind in "US" and names.shape == (20,) else []
     if sorted(found) != sorted(PART_NAMES):
         odd = next((name for name in found if name not in PART_NAMES or found.count(name) > 1), None)
-        told = f"{names.dtype} {names.shape}" if odd is None else shown(odd)
-        raise InputError(f"{where}: part_names: {told}; expected the names of the 20 parts, each once")
+        given = f"{names.dtype} {names.shape}" if odd is None else shown(odd)
+        raise InputError(f"{where}: part_names: {given}; expected the names of the 20 parts, each once")
     return [found.index(name) for name in PART_NAMES]

@@ -1,9 +1,9 @@
-"""Bodies that the label network says at once, without refinement: of one picture, or of a person through a film.
+"""Bodies that the label network predicts in one pass, without refinement: from one picture, or for a person in a film.
 
-A film's ``NAME.personN.npz`` has a row a frame in which the person was found, T in all. ``save_film`` adds arrays of
-the detailed body, and rows in which the person is hidden: their scores and confidences are 0.
+A film's ``NAME.personN.npz`` has a row for each frame in which the person was found, T in all. ``save_film`` adds
+arrays of the detailed body, and rows in which the person is hidden; their scores and confidences are 0.
 
-| key | shape | what |
+| key | shape | meaning |
 |---|---|---|
 | format | () | "warp-partdr film 1" |
 | frames, times | (T,) | index of each frame, 0 = the film's first, and its time since then [s] |
@@ -12,7 +12,7 @@ the detailed body, and rows in which the person is hidden: their scores and conf
 | joints | (T, 21, 3) | ``joint_names`` in the camera frame, as ``translation`` says where that is [m] |
 | global_orient, translation, rotations, lengths, thicknesses | (T, ...) | as ``body.npz`` |
 | camera_scale, camera_translation | (T), (T, 2) | as ``body.npz`` |
-| image_size, camera_perspective, part_names, joint_names | | of all frames; the first three as ``body.npz`` |
+| image_size, camera_perspective, part_names, joint_names | | for all frames; the first three as ``body.npz`` |
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ ROW = np.dtype([(name, *kind) for name, kind in SEEN.items()] + [(name, np.float
 
 
 def predict_arrays(people: Sequence[CutPerson], network: LabelNetwork) -> dict[str, np.ndarray]:
-    """Bodies of people in one pass of the network.
+    """Predict bodies of people in one pass of the network.
 
     Args:
-        people: One or more, on the network's device.
-        network: In evaluation mode.
+        people: People, one or more, on the network's device.
+        network: Label network in evaluation mode.
 
     Returns:
-        Arrays of ``body.npz`` by their names, a row a person, without the pictures' sizes.
+        Arrays of ``body.npz`` by their names, a row a person, without the sizes of the pictures.
     """
     bodies, files = predict_bodies([person.observation for person in people], network), []
     for row, person in enumerate(people):
@@ -66,12 +66,12 @@ def predict_arrays(people: Sequence[CutPerson], network: LabelNetwork) -> dict[s
 
 @dataclass(frozen=True)
 class FilmBodies:
-    """One person through a film.
+    """Bodies of one person in a film.
 
     Attributes:
-        rows: A row a frame, of dtype ``ROW``, in order.
-        image_size: (H, W) of the film [px].
-        perspective: Whether the camera is known, and of perspective.
+        rows: Rows of dtype ``ROW``, one a frame, in order.
+        image_size: Size (H, W) of the film [px].
+        perspective: True if the camera is a perspective one, False if it is weak perspective.
     """
 
     rows: np.ndarray
@@ -79,19 +79,19 @@ class FilmBodies:
     perspective: bool
 
     def body(self, row: int) -> BodyFile:
-        """The body of a row, as ``body.npz`` holds it."""
+        """Return the body of a row, as ``body.npz`` holds it."""
         arrays = {name: self.rows[name][row] for name in _BODY}
         return BodyFile(
             **arrays, image_size=np.array(self.image_size), camera_perspective=np.array(self.perspective * 1)
         )
 
     def joints(self) -> np.ndarray:
-        """``JOINT_NAMES`` in the camera frame [m], shape (T, 21, 3)."""
+        """Compute the joints ``JOINT_NAMES`` in the camera frame [m], shape (T, 21, 3)."""
         posed = pose(*(torch.from_numpy(np.ascontiguousarray(self.rows[name])) for name in BODY_ARRAYS))
         return posed.joints.numpy()
 
     def save(self, path: str | Path, **more: np.ndarray) -> None:
-        """Write the file, with arrays of other names if there are some."""
+        """Write the file, with further arrays by their names."""
         arrays: dict[str, Any] = {name: self.rows[name] for name in ROW.names or ()} | more
         np.savez_compressed(
             path,
@@ -106,11 +106,11 @@ class FilmBodies:
 
 
 def load_film_bodies(path: str | Path) -> FilmBodies:
-    """Read what ``FilmBodies.save`` wrote; nothing in it is ever unpickled.
+    """Read a file that ``FilmBodies.save`` wrote. Nothing in it is ever unpickled.
 
     Raises:
-        InputError: If the file is missing, no such file, holds wrong shapes, NaN, infinity, what is no rotation or what
-            no body can have, or is of another run than the report beside it.
+        InputError: If the file is missing or is no such file, if an array has a wrong shape or holds NaN, infinity, a
+            matrix that is no rotation or a number that no body can have, or if the report beside it is of another run.
     """
     names = ROW.names or ()
     whole = {"image_size": (2,), "camera_perspective": ()}

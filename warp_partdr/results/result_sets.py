@@ -1,9 +1,9 @@
-"""Results that are there as a set: all files of one run, or nothing that passes for one.
+"""Sets of results: either all files of one run are there, or a reader sees that the set is not whole.
 
-No file system puts several files in place at once. So a set has a report, ``report.json`` for example, which holds the
-SHA-256 of the others. It is taken away before the first file is replaced, and written last: where it is, the set is
-whole. Until then a folder in the results' folder, ``.partdr-unfinished-...``, says that files of two runs may lie side
-by side; readers (``check_result``) look for both. A folder of results that isn't there yet appears by one renaming.
+No file system can replace several files at once. So a set has a report, such as ``report.json``, which holds the
+SHA-256 of the other files. The report is removed before the first file is replaced, and is written last: if it is
+there, the set is whole. Until then, a folder ``.partdr-unfinished-...`` in the results' folder says that files of two
+runs may lie side by side. Readers (``check_result``) check both. A new folder of results appears by one renaming.
 """
 
 from __future__ import annotations
@@ -25,56 +25,56 @@ from ..files.disk import check_regular, file_sha256
 
 REPORTS = "report.json", "registration.json", "predictions.json", "people.json"
 FIT_REPORT, REGISTRATION_REPORT, PREDICTIONS_REPORT, PEOPLE_REPORT = REPORTS
-FILES = "files"  # a report's key for the SHA-256 of each file
+FILES = "files"  # key in a report for the SHA-256 of each file
 _WRITING, _UNFINISHED = ".partdr-writing-", ".partdr-unfinished-"
-_OLD = "old-"  # a report that was taken away
+_OLD = "old-"  # prefix of a report that was removed
 _PROCESS = re.compile(r"\.partdr-(?:writing|unfinished)-(?P<host>.+)-(?P<process>\d+)-\w+")
 _DAY = 24 * 60 * 60  # [s] without a change, after which another machine's folder counts as left behind
 
-_mine: set[str] = set()  # tokens of the folders that this process is busy with
+_mine: set[str] = set()  # tokens of the folders that this process writes to
 
 
 @contextmanager
 def replacing(folder: Path, name: str, report: dict[str, Any], *, outdates: tuple[str, ...] = ()) -> Iterator[Path]:
-    """A temporary folder, whose files take their places in ``folder`` as a set when all are written.
+    """Temporary folder within. Afterwards, its files replace those in ``folder`` as a set.
 
-    Files of other names in ``folder`` stay. On an error while they are written nothing there changes, and ``folder`` is
+    Files with other names in ``folder`` stay. If an error is raised within, nothing changes there, and ``folder`` is
     not made.
 
     Args:
-        folder: Made if it is not there.
-        name: The report's file, one of ``REPORTS``.
-        report: Written last; it gets the SHA-256 of the files as ``files``.
-        outdates: Reports of older sets that go when this one comes, with their files that are as those left them.
+        folder: Folder for the set, made if it does not exist.
+        name: File of the report, one of ``REPORTS``.
+        report: Report, which is written last; it gets the SHA-256 of the files under the key ``files``.
+        outdates: Reports of older sets that are removed, together with those of their files that have not changed.
 
     Raises:
         InputError: If something can't be written.
     """
     with _explained(folder):
-        place = Path(os.path.realpath(folder))
-        # Inside the folder, or the nearest one above that exists: on the same disk, files can take their places by
-        # renaming alone, and nothing but these two folders need be writable.
-        base = _existing(place)
+        target = Path(os.path.realpath(folder))
+        # The temporary folder is inside the folder, or inside the nearest one above that exists. It is on the same
+        # disk, so files can be moved by renaming, and only these two folders must be writable.
+        base = _existing(target)
         with scratch_folder(base) as scratch:
-            parts = place.relative_to(base).parts
-            top = base.joinpath(*parts[:1])  # what the temporary folder becomes, if nobody else makes it meanwhile
+            parts = target.relative_to(base).parts
+            top = base.joinpath(*parts[:1])  # the temporary folder becomes this one, if nobody else makes it meanwhile
             temporary = scratch.joinpath(*parts[1:])
             temporary.mkdir(parents=True, exist_ok=True)
             yield temporary
-            if taken := [path.name for path in temporary.iterdir() if (place / path.name).is_dir()]:
+            if taken := [path.name for path in temporary.iterdir() if (target / path.name).is_dir()]:
                 raise InputError(f"{folder / taken[0]}: a folder; expected a file, or nothing")
             report[FILES] = {path.name: file_sha256(path) for path in sorted(temporary.iterdir())}
             (temporary / name).write_text(json.dumps(report, indent=1) + "\n")
-            if missing := [path for path in (place, *place.parents) if not path.exists()]:
+            if missing := [path for path in (target, *target.parents) if not path.exists()]:
                 (scratch / missing[-1].relative_to(top)).rename(missing[-1])
             else:
-                unfinished = place / scratch.name.replace(_WRITING, _UNFINISHED)
+                unfinished = target / scratch.name.replace(_WRITING, _UNFINISHED)
                 temporary.rename(unfinished)
-                _take_places(unfinished, name, outdates)
+                _move_set(unfinished, name, outdates)
 
 
 def check_result(path: str | Path) -> None:
-    """Raise if a file of results is not of the same run as the report beside it; one without a report is its own.
+    """Raise if a file of results is not of the same run as the report beside it. A file without a report may be alone.
 
     Raises:
         InputError: If the report has another SHA-256 of it, or a run that replaced files here was ended.
@@ -96,35 +96,35 @@ def check_result(path: str | Path) -> None:
 
 
 def names_file(report: Path, name: str) -> bool:
-    """True if a set's report has a file of this name; False, too, where there is none or it can't be read."""
+    """True if a set's report names this file; False also if there is no report, or it can't be read."""
     with suppress(InputError):
         return name in _named(report)
     return False
 
 
 def check_not_in_set(path: Path) -> None:
-    """Raise an InputError if a set's report has this file, which is about to be written by itself."""
+    """Raise an InputError if a set's report names this file, which would be written outside of the set."""
     for report, _ in _naming(path):
         raise InputError(f"{path}: of the run that {report} beside it is about; expected another name or folder")
 
 
 def check_folder(folder: Path) -> None:
-    """Raise an InputError before the work starts if results can't be written to ``folder``, which need not exist."""
-    # Tried, not asked: permissions don't tell everything. Nothing of it stays.
+    """Raise an InputError, before the work starts, if results can't be written to ``folder``, which need not exist."""
+    # A folder is made and removed again, because permissions alone don't tell everything.
     with _explained(folder), scratch_folder(_existing(Path(os.path.realpath(folder)))):
         pass
 
 
 def check_inputs(folder: Path, given: Iterable[Path | None], files: Iterable[str]) -> None:
-    """Raise an InputError if one of these files, written to ``folder``, would replace a given one."""
+    """Raise an InputError if one of the results ``files``, written to ``folder``, would replace a given file."""
     results = {(folder / name).resolve() for name in files}
     for path in given:
         if path is not None and path.resolve() in results:
             raise InputError(f"--out: {folder}: the result would replace {path}; expected another folder")
 
 
-def _take_places(new: Path, name: str, outdates: tuple[str, ...]) -> None:
-    """Move a set from its own folder to the one around it, the report last."""
+def _move_set(new: Path, name: str, outdates: tuple[str, ...]) -> None:
+    """Move a set from its own folder to the folder around it, the report last."""
     folder = new.parent
     ended = [path for path in folder.glob(f"{_UNFINISHED}*") if _waiting(path) in (name, *outdates)]
     ended = [path for path in ended if _left_behind(path)]
@@ -132,8 +132,8 @@ def _take_places(new: Path, name: str, outdates: tuple[str, ...]) -> None:
         if (folder / report).exists():
             (folder / report).replace(new / f"{_OLD}{report}")
     names = [path.name for path in new.iterdir() if path.name != name and not path.name.startswith(_OLD)]
-    for source in (place / f"{age}{report}" for place in (new, *ended) for age in ("", _OLD) for report in outdates):
-        with suppress(InputError):  # what is no report names nothing
+    for source in (where / f"{age}{report}" for where in (new, *ended) for age in ("", _OLD) for report in outdates):
+        with suppress(InputError):  # a file that is no report names nothing
             for other, digest in _named(source).items():
                 path = folder / other
                 if other not in names and path.is_file() and file_sha256(path) == digest:
@@ -142,14 +142,14 @@ def _take_places(new: Path, name: str, outdates: tuple[str, ...]) -> None:
         (new / file).replace(folder / file)
     (new / name).replace(folder / name)
     for path in (new, *ended):
-        # What an ended run left is told apart by its folder alone, until a set replaces or removes all of it.
+        # The folder is the only sign of an ended run's files, until a set has replaced or removed all of them.
         if name in outdates or _named(path / name).keys() <= set(names):
             shutil.rmtree(path, ignore_errors=True)
 
 
 @contextmanager
 def scratch_folder(folder: Path) -> Iterator[Path]:
-    """A folder for files that are being written; those that earlier processes left behind are removed first."""
+    """Folder for files that are being written; folders that earlier processes left behind are removed first."""
     for path in folder.glob(".partdr-*"):
         if path.is_dir() and _waiting(path) is None and _left_behind(path):
             shutil.rmtree(path, ignore_errors=True)
@@ -165,16 +165,16 @@ def scratch_folder(folder: Path) -> Iterator[Path]:
 
 
 def _waiting(unfinished: Path) -> str | None:
-    """The report of a set that has not all its files in place."""
+    """Name of the report in the folder of a set that is not moved completely; None for another folder."""
     if not unfinished.name.startswith(_UNFINISHED):
         return None
     return next((report for report in REPORTS if (unfinished / report).exists()), None)
 
 
 def _left_behind(folder: Path) -> bool:
-    """True if no process is busy any more with a folder of this module's."""
+    """True if no process uses a folder of this module any more."""
     match = _PROCESS.fullmatch(folder.name)
-    # Only here is it known who runs; and on Windows, os.kill kills.
+    # Only this machine's processes are known; and on Windows, os.kill kills.
     if match and match["host"] == _host() and os.name == "posix":
         process = int(match["process"])
         if process == os.getpid():
@@ -196,10 +196,10 @@ def _host() -> str:
 
 
 def _named(report: Path) -> dict[str, str]:
-    """The SHA-256 of each file that a report names; none if it is not there, or no set's.
+    """SHA-256 of each file that a report names; empty if there is no report, or it is not a set's.
 
     Raises:
-        InputError: If it is no JSON: it may have been a set's.
+        InputError: If it is no JSON, because it may have been a set's report.
     """
     try:
         check_regular(report)
@@ -214,7 +214,7 @@ def _named(report: Path) -> dict[str, str]:
 
 
 def _naming(path: Path) -> Iterator[tuple[str, str]]:
-    """The reports beside a file that name it, and its SHA-256 there."""
+    """Names of the reports beside a file that name it, and its SHA-256 in them."""
     for report in REPORTS:
         if (digest := _named(path.parent / report).get(path.name)) is not None:
             yield report, digest
@@ -229,5 +229,5 @@ def _explained(folder: Path) -> Iterator[None]:
 
 
 def _existing(folder: Path) -> Path:
-    """The folder, or the nearest one above it that exists."""
+    """Return the folder, or the nearest one above it that exists."""
     return next((path for path in (folder, *folder.parents) if path.exists()), folder)

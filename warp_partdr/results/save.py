@@ -1,4 +1,4 @@
-"""The files that ``partdr fit`` and ``partdr register`` leave, a set each (``result_sets``)."""
+"""Files that ``partdr fit`` and ``partdr register`` write, each as a set (``result_sets``)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -36,17 +36,14 @@ from .body_file import BodyFile
 from .ellipbody_files import ellipbody_scene
 from .fit_charts import loss_chart, panels
 from .further_files import save_further
-from .overlays import draw_detailed, draw_overlay, shown_at
+from .overlays import draw_detailed, draw_overlay, overlay_size
 from .palette import group_colours
 from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, names_file, replacing
 from .skinned_files import save_detailed
 
-if TYPE_CHECKING:
-    pass
-
 RESULT_FILES = ("body.npz", "body.json", "ellipbody.glb", "overlay.png", "parts.png", "loss.png", FIT_REPORT)
-DETAILED_FILES = (*(f"detailed.{kind}" for kind in ("png", "glb", "obj", "ply", "bvh", "npz")), REGISTRATION_REPORT)
-SMPLX_FILE = "detailed.smplx.npz"  # one more, of SMPL's models alone
+DETAILED_FILES = (*(f"detailed.{ending}" for ending in ("png", "glb", "obj", "ply", "bvh", "npz")), REGISTRATION_REPORT)
+SMPLX_FILE = "detailed.smplx.npz"  # one more file, only for SMPL's models
 
 
 @one_torch_thread()
@@ -61,17 +58,17 @@ def save_fit(
     """Write body.npz, body.json, ellipbody.glb, overlay.png, parts.png, loss.png and report.json.
 
     Args:
-        result: Of ``fit_body``.
-        folder: Made if it is not there.
-        photo: The picture, shape (H, W, 3), uint8, if there was one; beside labels, it may have been made smaller.
-        sources: Names of the networks that "keypoints" and "parts" are of, for the report, as of ``PhotoFit``.
-        mesh: The same body as ``MeshFit.body``, whose stature and girths body.json then has.
+        result: Result of ``fit_body``.
+        folder: Folder for the files, made if it does not exist.
+        photo: Picture, shape (H, W, 3), uint8; None: there is none. If there are labels, it may have been scaled down.
+        sources: Names of the networks that found "keypoints" and "parts", for the report, as ``PhotoFit`` has them.
+        mesh: Detailed body of the same person (``MeshFit.body``). Its stature and girths are added to body.json.
 
     Returns:
-        The report.
+        Report, as report.json holds it.
 
     Raises:
-        TypeError: If an argument is of another type.
+        TypeError: If an argument has another type.
     """
     check_type("result", result, FitResult, "of fit_body")
     check_photo(photo)
@@ -83,14 +80,14 @@ def save_fit(
     comparison = None
     if evidence.picture is not None:
         label_set = evidence.picture.label_set
-        # In the picture or, if that is large, a smaller one.
-        zoom, scored = shown_at(size)
-        drawn = result.draw(scored, camera=zoomed(result.camera, zoom, scored)).labels[0].cpu().numpy()
-        shown, target = label_set.part_groups[drawn], evidence.target(scored)
-        report |= score_labels(shown, target, label_set)
-        comparison = panels(target, shown, group_colours(label_set.part_groups))
+        # A large picture is scored at a smaller size.
+        zoom, scored = overlay_size(size)
+        parts = result.draw(scored, camera=zoomed(result.camera, zoom, scored)).labels[0].cpu().numpy()
+        drawn, target = label_set.part_groups[parts], evidence.target(scored)
+        report |= score_labels(drawn, target, label_set)
+        comparison = panels(target, drawn, group_colours(label_set.part_groups))
     overlay = draw_overlay(result, size, photo)
-    # A registration that is there clothes another body, and a photo's people have the same overlay (a film's have not).
+    # An older registration clothes another body. People of a photo, but not of a film, have an overlay of this name.
     outdates: tuple[str, ...] = (FIT_REPORT, REGISTRATION_REPORT)
     if names_file(Path(folder, PEOPLE_REPORT), "overlay.png"):
         outdates += (PEOPLE_REPORT,)
@@ -107,14 +104,14 @@ def save_fit(
 
 
 def check_photo(photo: np.ndarray | None) -> None:
-    """Raise unless it is a picture, as of ``read_photo``, or none."""
+    """Raise unless it is None or a picture, as ``read_photo`` returns it."""
     check_type("photo", photo, np.ndarray | None, "of read_photo")
     if photo is not None and (photo.dtype != np.uint8 or photo.ndim != 3 or photo.shape[2] != 3 or not photo.size):
         raise ValueError(f"photo: {photo.dtype} {photo.shape}; expected uint8 (H, W, 3), as of read_photo")
 
 
 def image_size(keypoints: Keypoints2D, parts: PartLabels | None, photo: np.ndarray | None) -> tuple[int, int]:
-    """Size (H, W) of the picture; without photo and labels, what holds all keypoints."""
+    """Size (H, W) of the picture [px]; without photo and labels, a size that holds all keypoints."""
     for image in (None if parts is None else parts.groups, photo):
         if image is not None:
             return int(image.shape[0]), int(image.shape[1])
@@ -135,26 +132,27 @@ def save_registered(
     formats: Sequence[str] = (),
     **about: Any,
 ) -> dict[str, Any]:
-    """Write the first body as ``DETAILED_FILES``; returns the report.
+    """Write the first body as ``DETAILED_FILES``, and return the report.
 
-    Of SMPL, SMPL-H and SMPL-X, ``SMPLX_FILE`` holds the arguments of the ``smplx`` package, and the camera by the names
-    of ``body.npz``. Parts that grew are none of its bodies: then there is no such file.
+    For SMPL, SMPL-H and SMPL-X, ``SMPLX_FILE`` is written, too. It holds the arguments of the ``smplx`` package, and
+    the camera by the names of ``body.npz``. If parts grew, the model has no such body, and the file is not written.
 
     Args:
-        registered: In the camera frame.
-        folder: Made if it is not there.
-        camera: Of the picture.
-        size: (H, W) of the picture [px].
-        photo: The picture, shape (H, W, 3), uint8, if there was one.
-        evidence: Of the person in that picture, for the report's scores where it has labels: "parts" of the meshes that
-            are written, and with clothes also "parts_clothed", of what the picture shows.
-        clothes: Thicknesses on parts ``CLOTHED`` [m], shape (1, 8), that the picture shows; meshes are without.
-        formats: Of ``FURTHER``, for more files.
-        **about: More for the report.
+        registered: Registered bodies in the camera frame.
+        folder: Folder for the files, made if it does not exist.
+        camera: Camera of the picture.
+        size: Size (H, W) of the picture [px].
+        photo: Picture, shape (H, W, 3), uint8; None: there is none.
+        evidence: Evidence of the person in that picture. If it has labels, the report has scores: "parts" for the bare
+            meshes that are written and, if there are clothes, "parts_clothed" for the mesh in its clothes.
+        clothes: Thicknesses of clothes on the parts ``CLOTHED`` [m], shape (1, 8), as the picture shows them. The
+            meshes in the files have none.
+        formats: Formats in ``FURTHER``, for more files.
+        **about: Further entries of the report.
     """
     model = registered.model
-    shown = registered if clothes is None else replace(registered, detailed=registered.clothed(clothes))
-    picture = draw_detailed(shown, camera, size, photo)
+    clothed = registered if clothes is None else replace(registered, detailed=registered.clothed(clothes))
+    picture = draw_detailed(clothed, camera, size, photo)
     losses = {name: round(float(value[0]), 5) for name, value in registered.losses.items()}
     report: dict[str, Any] = {
         "model": model.name,
@@ -170,7 +168,7 @@ def save_registered(
         label_set = evidence.picture.label_set
         report |= _score_detailed(registered, evidence, label_set, camera, size)
         if clothes is not None:
-            in_clothes = _score_detailed(shown, evidence, label_set, camera, size)
+            in_clothes = _score_detailed(clothed, evidence, label_set, camera, size)
             report |= {f"{name}_clothed": scores for name, scores in in_clothes.items()}
     with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
         save_detailed(registered, temporary)
@@ -187,16 +185,16 @@ def save_registered(
 def _score_detailed(
     body: Registered, evidence: Evidence, labels: LabelSet, camera: Camera, size: tuple[int, int]
 ) -> dict[str, Any]:
-    """Scores of the first detailed body's own mesh against a picture of (H, W) pixels with labels of this set."""
-    zoom, scored = shown_at(size)
+    """Score the first detailed body's mesh against the labels of a picture of (H, W) pixels."""
+    zoom, scored = overlay_size(size)
     vertices = body.detailed.vertices[:1].detach()
-    seen = zoomed(first_of(camera).to(vertices.device), zoom, scored)
-    image = draw_mesh(vertices, detailed_mesh(body.model, labels.at_joints), seen, scored)
+    own_camera = zoomed(first_of(camera).to(vertices.device), zoom, scored)
+    image = draw_mesh(vertices, detailed_mesh(body.model, labels.at_joints), own_camera, scored)
     return score_labels(labels.part_groups[image.labels[0].cpu().numpy()], evidence.target(scored), labels)
 
 
 def save_detailed_arrays(registered: Registered, folder: Path, clothes: torch.Tensor | None) -> None:
-    """Write detailed.npz: the first body's shape, pose and, if there are any, clothes, as ``save_registered`` does."""
+    """Write detailed.npz: the first body's shape, pose and, if it has any, clothes."""
     tensors = {name: value for name, value in vars(registered).items() if isinstance(value, torch.Tensor)}
     tensors |= {} if clothes is None else {"clothes": clothes}
     numbers: dict[str, Any] = {name: value[0].cpu().numpy() for name, value in tensors.items()}
@@ -206,13 +204,13 @@ def save_detailed_arrays(registered: Registered, folder: Path, clothes: torch.Te
 def body_file(
     parameters: BodyParameters, camera: Camera, size: tuple[int, int], position: torch.Tensor | None = None
 ) -> BodyFile:
-    """The first body, seen by a camera in pixels of the full picture, as ``body.npz`` holds it.
+    """Make the contents of ``body.npz`` from the first body and a camera of the full picture.
 
     Args:
-        parameters: Of the body.
-        camera: Of the picture, with square pixels.
-        size: (H, W) of the picture [px].
-        position: Pelvis in the camera frame [m], shape (3,), of a perspective camera.
+        parameters: Parameters of the body.
+        camera: Camera of the picture, with square pixels.
+        size: Size (H, W) of the picture [px].
+        position: Position of the pelvis in the frame of a perspective camera [m], shape (3,); None: weak perspective.
     """
     parameters = parameters.detach()
     numbers = {
@@ -227,7 +225,7 @@ def body_file(
 
 
 def camera_arrays(camera: Camera, size: tuple[int, int]) -> dict[str, np.ndarray]:
-    """The first camera, with square pixels, of a picture of (H, W) pixels, by the names of ``body.npz``."""
+    """Arrays of the first camera, which has square pixels, for a picture of (H, W) pixels, named as in ``body.npz``."""
     scale, _, *centre = camera.intrinsics[0].detach().cpu()
     return {
         "camera_scale": scale.numpy(),
@@ -238,18 +236,18 @@ def camera_arrays(camera: Camera, size: tuple[int, int]) -> dict[str, np.ndarray
 
 
 def describe_mesh(body: Registered) -> dict[str, float]:
-    """Stature and girths of the first detailed body [cm]."""
+    """Measure stature and girths of the first detailed body [cm]."""
     measures = measure_body(body.model, body.select(slice(1)).rest())[0]
     return {name: round(100 * value, 1) for name, value in zip(BODY_MEASURES, measures.tolist(), strict=True)}
 
 
 def save_description(described: Mapping[str, Any], folder: Path) -> None:
-    """Write body.json, of ``describe_body``."""
+    """Write body.json with the description that ``describe_body`` returns."""
     (folder / "body.json").write_text(json.dumps(described, indent=1) + "\n")
 
 
 def describe_body(result: FitResult, mesh: Registered | None = None) -> dict[str, Any]:
-    """Measurements in cm and joint positions, for people and programs that don't read npz."""
+    """Describe a body by measurements in cm and joint positions, for people and programs that don't read npz."""
     saved = body_file(result.parameters, result.camera, (1, 1))
     described = describe_posed(saved, result.posed.joints, result.camera, mesh, guessed=result.camera_guessed)
     if result.stature is not None:
@@ -258,7 +256,7 @@ def describe_body(result: FitResult, mesh: Registered | None = None) -> dict[str
 
 
 def describe_distance(result: FitResult) -> str:
-    """Words on the lens that a body's distance from the camera is right for."""
+    """Words about the lens for which a body's distance from the camera is right."""
     if not result.camera.perspective or result.camera_guessed:
         return "for an assumed lens"
     return "for a known focal length"
@@ -272,9 +270,14 @@ def describe_posed(
     *,
     guessed: bool = False,
 ) -> dict[str, Any]:
-    """Measurements and joints of a body with joints at (1, 21, 3) [m], before a camera of the full picture.
+    """Describe a body by measurements and joints.
 
-    ``guessed`` says that the camera is not known, and a lens is assumed.
+    Args:
+        saved: Body as ``body.npz`` holds it.
+        positions: Positions of its joints in the camera frame [m], shape (1, 21, 3).
+        camera: Camera of the full picture.
+        mesh: Detailed body of the same person, whose stature and girths are added.
+        guessed: True if the camera is not known, and a lens is assumed.
     """
     measured = saved.body("cpu").measure()
     joints = positions[0].detach().cpu().numpy()
@@ -308,13 +311,13 @@ def describe_posed(
 
 
 def make_report(result: FitResult) -> dict[str, Any]:
-    """Losses, distance of the keypoints, times of a fit, and what looks wrong."""
+    """Report on a fit: losses, distance of the keypoints, times and warnings."""
     keypoints = result.evidence.keypoints
-    sure = keypoints.confident
-    names = [name for name, there in zip(keypoints.format.marks, sure, strict=True) if there]
+    confident = keypoints.confident
+    names = [name for name, counts in zip(keypoints.format.marks, confident, strict=True) if counts]
     landmarks = LandmarkGather(names, result.camera.intrinsics.device)(result.posed)
-    seen = result.camera.project(landmarks)[0, :, :2].detach().cpu().numpy()
-    distance = float(np.linalg.norm(seen - keypoints.points[sure], axis=1).mean())
+    projected = result.camera.project(landmarks)[0, :, :2].detach().cpu().numpy()
+    distance = float(np.linalg.norm(projected - keypoints.points[confident], axis=1).mean())
     height = person_height(keypoints)
     return {
         "warnings": list(result.warnings),
@@ -326,7 +329,7 @@ def make_report(result: FitResult) -> dict[str, Any]:
         "depth": _depth_report(result),
         "distance": describe_distance(result),
         "keypoints": {
-            "confident": int(sure.sum()),
+            "confident": int(confident.sum()),
             "mean_distance_px": round(distance, 3),
             "mean_distance_share_of_person_height": round(distance / height, 5) if height else None,
         },
@@ -343,33 +346,42 @@ def make_report(result: FitResult) -> dict[str, Any]:
 
 
 def _depth_report(result: FitResult) -> dict[str, Any]:
-    """Flips that were tried, and how sure the network was of depths and distance."""
-    order, said = result.depth_order, result.uncertainty
+    """Report on depth: flips that were tried, and the network's uncertainty of depths and its distance."""
+    order, uncertainty = result.depth_order, result.uncertainty
     report: dict[str, Any] = {}
     if order is not None:
         report |= {"flips_tried": list(order.tried), "flipped": order.flipped, "limbs_hidden": list(order.hidden)}
-    if said is not None:
-        spreads = zip(JOINT_NAMES[1:], said.depths[0].tolist(), strict=True)
+    if uncertainty is not None:
+        depths = zip(JOINT_NAMES[1:], uncertainty.depths[0].tolist(), strict=True)
         report |= {
-            "spread_m": {name: round(spread, 3) for name, spread in spreads},  # 68 %, relative to the pelvis
-            "network_distance_m": round(1 / max(float(said.nearness[0]), 1e-3), 2),
+            "spread_m": {name: round(depth, 3) for name, depth in depths},  # 68 %, relative to the pelvis
+            "network_distance_m": round(1 / max(float(uncertainty.nearness[0]), 1e-3), 2),
         }
     return report
 
 
-def score_labels(shown: np.ndarray, target: np.ndarray, source: LabelSet) -> dict[str, Any]:
-    """Scores of a body's group ids against the picture's, shape (H, W); also in LSP's six parts where those exist."""
-    scores = {"parts": {"label_set": source.name, **_scores(shown, target, source.group_names)}}
+def score_labels(drawn: np.ndarray, target: np.ndarray, source: LabelSet) -> dict[str, Any]:
+    """Score a body's group ids against the picture's.
+
+    Args:
+        drawn: Group ids of the body, shape (H, W), uint8.
+        target: Group ids of the picture, shape (H, W), uint8, 255 = ignore.
+        source: Label set of both.
+
+    Returns:
+        Scores under "parts", and, if the set can be mapped to LSP's six parts, also under "parts_lsp6".
+    """
+    scores = {"parts": {"label_set": source.name, **_scores(drawn, target, source.group_names)}}
     lsp6 = label_set("lsp6")
     try:
         table = regroup(source, lsp6)
     except ValueError:
         return scores  # the set is not finer than LSP's six parts
-    return scores | {"parts_lsp6": _scores(table[shown], table[target], lsp6.group_names)}
+    return scores | {"parts_lsp6": _scores(table[drawn], table[target], lsp6.group_names)}
 
 
-def _scores(shown: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]:
-    counts = metrics.confusion(shown, target, len(names) + 1)
+def _scores(drawn: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]:
+    counts = metrics.confusion(drawn, target, len(names) + 1)
     person = (target != BACKGROUND) & (target != IGNORE)
     return {
         "foreground_f1": round(metrics.part_f1(metrics.foreground_counts(counts)), 4),
@@ -379,7 +391,7 @@ def _scores(shown: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -> di
             name: None if np.isnan(score) else round(float(score), 4)
             for name, score in zip(("background", *names), metrics.f1_scores(counts), strict=True)
         },
-        # F1's mean over person and background hides it.
-        "left_out": round(float((shown == BACKGROUND)[person].mean()), 4) if person.any() else None,
+        # The mean F1 over person and background hides how much of the person is left out.
+        "left_out": round(float((drawn == BACKGROUND)[person].mean()), 4) if person.any() else None,
         "pixels": {"person": int(person.sum()), "ignored": int((target == IGNORE).sum())},
     }

@@ -1,4 +1,4 @@
-"""The files of everyone in a photo: a folder for each person, and what shows all of them together."""
+"""Files of all people in a photo: a folder for each person, and files that show all of them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from ..interop.torch_threads import one_torch_thread
 from ..pipelines.photo import PhotoFit
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .further_files import FURTHER_FILES
-from .overlays import as_shown, draw_detailed, draw_keypoints, shown_at
+from .overlays import at_overlay_size, draw_detailed, draw_keypoints, overlay_size
 from .palette import PART_COLOURS
+from .placements import Placement, place_on_ground
 from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, replacing
 from .save import (
     DETAILED_FILES,
@@ -27,77 +28,75 @@ from .save import (
     save_fit,
     save_registered,
 )
-from .scene_places import ScenePlace, place_on_ground
 
 if TYPE_CHECKING:
     import trimesh
     from PIL.Image import Image
 
 PHOTO_FILES = ("overlay.png", "people.png", "scene.glb", PEOPLE_REPORT)
-_TINT = 0.45  # of masks over the photo
+_TINT = 0.45  # opacity of masks over the photo
 
 
 @one_torch_thread()
 def save_photo_fit(
     fit: PhotoFit, folder: str | Path, *, photo: np.ndarray, formats: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Write person0, person1, ... (``RESULT_FILES`` and ``DETAILED_FILES`` each), and ``PHOTO_FILES``.
+    """Write folders person0, person1, ... with ``RESULT_FILES`` and ``DETAILED_FILES``, and write ``PHOTO_FILES``.
 
     Args:
-        fit: Of ``fit_photo``.
-        folder: Made if it is not there. Files of people whom an older run left in it are removed, and those of a single
-            person's fit.
-        photo: The picture, shape (H, W, 3), uint8.
-        formats: Of ``FURTHER``, for more files of each detailed body.
+        fit: Result of ``fit_photo``.
+        folder: Folder for the files, made if it does not exist. Files of an older run's people are removed from it, and
+            those of a single person's fit.
+        photo: Picture, shape (H, W, 3), uint8.
+        formats: Formats in ``FURTHER``, for more files of each detailed body.
 
     Returns:
-        The report, which is ``people.json``.
+        Report, as ``people.json`` holds it.
 
     Raises:
-        TypeError: If an argument is of another type.
+        TypeError: If an argument has another type.
     """
     check_type("fit", fit, PhotoFit, "of fit_photo")
     check_type("photo", photo, np.ndarray, "of read_photo")
     check_photo(photo)
     folder, size = Path(folder), (photo.shape[0], photo.shape[1])
-    keypoints = [fit.people[place].keypoints for place in fit.fits]
-    placed = dict(zip(fit.fits, place_on_ground(list(fit.fits.values()), keypoints, size), strict=True))
-    report: dict[str, Any] = {"people": [_describe(fit, place, placed[place]) for place in fit.fits]}
-    small = as_shown(photo)  # once for all, which takes long
+    keypoints = [fit.people[index].keypoints for index in fit.fits]
+    placements = dict(zip(fit.fits, place_on_ground(list(fit.fits.values()), keypoints, size), strict=True))
+    report: dict[str, Any] = {"people": [_describe(fit, index, placements[index]) for index in fit.fits]}
+    small = at_overlay_size(photo)  # once for all people, because it takes long
     overlay = small
-    for place in sorted(fit.fits, key=lambda place: -placed[place].distance):  # the farthest first
-        overlay = np.asarray(draw_detailed(fit.fits[place].body, fit.fits[place].camera, size, overlay))
-    for place, mesh in fit.fits.items():
-        own, found = folder / _name(place), mesh.ellipbody
-        shown = small if found.evidence.picture is not None else photo
-        save_fit(found, own, photo=shown, sources=fit.sources[place], mesh=mesh.body)
+    for index in sorted(fit.fits, key=lambda index: -placements[index].distance):  # the farthest first
+        overlay = np.asarray(draw_detailed(fit.fits[index].body, fit.fits[index].camera, size, overlay))
+    for index, mesh in fit.fits.items():
+        own, found = folder / _name(index), mesh.ellipbody
+        background = small if found.evidence.picture is not None else photo
+        save_fit(found, own, photo=background, sources=fit.sources[index], mesh=mesh.body)
         save_registered(
             mesh.body, own, found.camera, size, photo=small, evidence=found.evidence, clothes=mesh.clothes,
             seconds=round(found.stage_seconds["mesh"], 3), formats=formats,
         )  # fmt: skip
-    _remove_others(folder, {_name(place) for place in fit.fits})
-    # Last, so that where people.json is, everyone is; a fit of one person, whose overlay this replaces, goes.
+    _remove_others(folder, {_name(index) for index in fit.fits})
+    # people.json is written last: if it is there, all people are. It outdates a single person's fit with its overlay.
     with replacing(
         folder, PEOPLE_REPORT, report, outdates=(PEOPLE_REPORT, FIT_REPORT, REGISTRATION_REPORT)
     ) as temporary:
         _picture(overlay).save(temporary / "overlay.png")
         draw_people(fit, small).save(temporary / "people.png")
-        _scene({place: each.of(fit.fits[place].vertices) for place, each in placed.items()}, fit).export(
-            temporary / "scene.glb"
-        )
+        vertices = {index: each.apply(fit.fits[index].vertices) for index, each in placements.items()}
+        _scene(vertices, fit).export(temporary / "scene.glb")
     return report
 
 
 def draw_people(fit: PhotoFit, photo: np.ndarray) -> Image:
-    """The photo with the people as they were found: masks in colours, and keypoints; not larger than shown."""
+    """Draw the people over the photo as they were found: coloured masks, and keypoints; at the size of overlays."""
     from PIL import Image
 
-    zoom, (height, width) = shown_at(fit.owners.shape)
+    zoom, (height, width) = overlay_size(fit.owners.shape)
     owners = np.asarray(Image.fromarray(fit.owners).resize((width, height), Image.Resampling.NEAREST))
-    places = 1 + np.arange(len(fit.people)) % (len(PART_COLOURS) - 1)
-    tints = np.concatenate([PART_COLOURS[:1], PART_COLOURS[places]]).astype(np.float32)
+    colours = 1 + np.arange(len(fit.people)) % (len(PART_COLOURS) - 1)
+    tints = np.concatenate([PART_COLOURS[:1], PART_COLOURS[colours]]).astype(np.float32)
     share = (_TINT * (owners > 0))[..., None].astype(np.float32)
-    image = _picture(((1 - share) * as_shown(photo) + share * tints[owners]).astype(np.uint8))
+    image = _picture(((1 - share) * at_overlay_size(photo) + share * tints[owners]).astype(np.uint8))
     for person in fit.people:
         draw_keypoints(image, replace(person.keypoints, points=person.keypoints.points * zoom))
     return image
@@ -109,24 +108,24 @@ def _picture(pixels: np.ndarray) -> Image:
     return Image.fromarray(pixels)
 
 
-def _name(place: int) -> str:
-    """A person's folder."""
-    return f"person{place}"
+def _name(index: int) -> str:
+    """Name of a person's folder."""
+    return f"person{index}"
 
 
-def _describe(fit: PhotoFit, place: int, placed: ScenePlace) -> dict[str, Any]:
-    person, mesh = fit.people[place], fit.fits[place]
+def _describe(fit: PhotoFit, index: int, placement: Placement) -> dict[str, Any]:
+    person, mesh = fit.people[index], fit.fits[index]
     keypoints = np.column_stack([person.keypoints.points.round(2), person.keypoints.confidence.round(3)])
     return {
-        "person": place,
-        "folder": _name(place),
+        "person": index,
+        "folder": _name(index),
         "score": round(person.score, 3),
         "box": [round(float(edge), 1) for edge in person.box],
-        "distance_m": round(placed.distance, 2),
-        "scene_scale": round(placed.scale, 3),
+        "distance_m": round(placement.distance, 2),
+        "scene_scale": round(placement.scale, 3),
         "distance": describe_distance(mesh.ellipbody),
-        "hidden_by": fit.hidden_by(place),
-        "sources": fit.sources[place],
+        "hidden_by": fit.hidden_by(index),
+        "sources": fit.sources[index],
         "format": person.keypoints.format.name,
         "keypoints": keypoints.astype(float).tolist(),
         **describe_body(mesh.ellipbody, mesh.body),
@@ -135,19 +134,19 @@ def _describe(fit: PhotoFit, place: int, placed: ScenePlace) -> dict[str, Any]:
 
 
 def _scene(vertices: dict[int, np.ndarray], fit: PhotoFit) -> trimesh.Scene:
-    """All bodies as named meshes [m], y up, seen from the camera's side."""
+    """Scene of all bodies as named meshes [m], y up, facing as in the picture."""
     import trimesh
 
     scene = trimesh.Scene()
-    for place, points in vertices.items():
-        faces = fit.fits[place].body.model.faces.cpu().numpy()
+    for index, points in vertices.items():
+        faces = fit.fits[index].body.model.faces.cpu().numpy()
         mesh = trimesh.Trimesh(points @ GLTF_FROM_CAMERA.T, faces, process=False)
-        scene.add_geometry(mesh, node_name=_name(place), geom_name=_name(place))
+        scene.add_geometry(mesh, node_name=_name(index), geom_name=_name(index))
     return scene
 
 
 def _remove_others(folder: Path, kept: set[str]) -> None:
-    """Remove the files of people whom this run has not, and their folders if nothing else is in them."""
+    """Remove the files of people who are not in this run, and their folders if nothing else is in them."""
     for own in folder.glob("person[0-9]*"):
         if own.name in kept or not own.is_dir() or not own.name[len("person") :].isdigit():
             continue

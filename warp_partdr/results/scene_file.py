@@ -1,4 +1,4 @@
-"""A scene in one file for other tools: everybody who moves in it, and its cameras, as binary glTF 2.0."""
+"""Scene in one file for other tools: all moving people and the cameras, as binary glTF 2.0."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .ellipbody_files import GLTF_FROM_CAMERA
 from .gltf import Document
 from .skinned_files import Poses, add_body
 
-_NEAREST = 0.05  # [m] from a camera that something is shown
+_NEAREST = 0.05  # [m], least distance from a camera at which it shows something
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,10 @@ class Actor:
     """Body that moves in the world.
 
     Attributes:
-        name: The body's.
-        body: In its first pose.
-        poses: The motion.
-        until: When the body is there no longer [s].
+        name: Name of the body.
+        body: Body in its first pose.
+        poses: Motion of the body.
+        until: Time from which on the body is hidden [s].
     """
 
     name: str
@@ -37,7 +37,7 @@ class Actor:
 
 @dataclass(frozen=True)
 class NamedView:
-    """A camera: its name, its place, and (H, W) of its pictures [px]."""
+    """View with its name and the size (H, W) of its pictures [px]."""
 
     name: str
     view: View
@@ -45,14 +45,14 @@ class NamedView:
 
 
 def scene_glb(actors: Sequence[Actor], views: Sequence[NamedView]) -> bytes:
-    """Bodies and cameras as binary glTF 2.0, one animation in all, y up; the lowest vertex of all lies on y = 0.
+    """Write bodies and cameras as binary glTF 2.0 with one animation, y up; the lowest vertex lies on y = 0.
 
-    The world's y is taken for down. Who is not there yet, or no longer, has no size. glTF's cameras look through the
-    middle of their pictures: principal points are left out.
+    The world's y axis must point down. Outside of its own time, a body is scaled to 0. Cameras of glTF look through the
+    middle of their pictures, so principal points are left out.
 
     Args:
-        actors: Who moves, one at least; each may begin at another time.
-        views: The cameras.
+        actors: Moving bodies, at least one; each may begin at another time.
+        views: Cameras of the scene.
     """
     lowest, end = min(each.poses.lowest for each in actors), max(float(each.poses.times[-1]) for each in actors)
     document = Document()
@@ -60,28 +60,28 @@ def scene_glb(actors: Sequence[Actor], views: Sequence[NamedView]) -> bytes:
         poses = replace(actor.poses, lowest=lowest)
         body = add_body(document, actor.body, poses, name=actor.name)
         first, last = float(poses.times[0]), float(poses.times[-1])
-        shown = [(0.0, 0.0)] * (first > 0) + [(first, 1.0)] + [(actor.until, 0.0)] * (last < end)
-        if len(shown) > 1:
-            times, sizes = np.array(shown).T
+        keys = [(0.0, 0.0)] * (first > 0) + [(first, 1.0)] + [(actor.until, 0.0)] * (last < end)
+        if len(keys) > 1:
+            times, sizes = np.array(keys).T
             document.animate(body, "scale", document.add_times(times), np.repeat(sizes[:, None], 3, 1), steps=True)
     for each in views:
         _add_camera(document, each, -lowest)
     return document.glb()
 
 
-def _add_camera(document: Document, seen: NamedView, lift: float) -> None:
-    height, width = seen.size
-    focal = float(seen.view.camera.focal[0, 1])
+def _add_camera(document: Document, named: NamedView, lift: float) -> None:
+    height, width = named.size
+    focal = float(named.view.camera.focal[0, 1])
     lens = {"yfov": 2 * math.atan(height / 2 / focal), "aspectRatio": width / height, "znear": _NEAREST}
-    turn = GLTF_FROM_CAMERA @ seen.view.rotation.double().numpy().T @ GLTF_FROM_CAMERA
-    place = GLTF_FROM_CAMERA @ seen.view.eye.double().numpy() + [0.0, lift, 0.0]
+    turn = GLTF_FROM_CAMERA @ named.view.rotation.double().numpy().T @ GLTF_FROM_CAMERA
+    position = GLTF_FROM_CAMERA @ named.view.eye.double().numpy() + [0.0, lift, 0.0]
     document.roots.append(len(document.nodes))
     document.nodes.append(
         {
-            "name": seen.name,
+            "name": named.name,
             "camera": len(document.cameras),
             "rotation": to_quaternions(turn[None])[0].tolist(),
-            "translation": place.tolist(),
+            "translation": position.tolist(),
         }
     )
-    document.cameras.append({"name": seen.name, "type": "perspective", "perspective": lens})
+    document.cameras.append({"name": named.name, "type": "perspective", "perspective": lens})

@@ -1,8 +1,8 @@
-"""Registered detailed bodies as files for other tools: GLB with skeleton and skin, OBJ, PLY, and BVH; motions, too.
+"""Registered detailed bodies and their motions as files for other tools: GLB with skeleton and skin, OBJ, PLY, and BVH.
 
-All have y up, stand on y = 0, seen from the camera's side, as ``ellipbody_files`` has EllipBody; metres, but for BVH:
-centimetres. trimesh writes no skins, so the GLB is written here (glTF 2.0): its joints hold the pose, so that a viewer
-shows the posed body and Blender can pose it further.
+In all files y is up, bodies stand on y = 0, and they face as in the picture, like EllipBody in ``ellipbody_files``.
+Lengths are in metres, in BVH in centimetres. trimesh writes no skins, so the GLB is written here (glTF 2.0). Its joints
+hold the pose, so that a viewer shows the posed body and Blender can change the pose.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from .palette import PART_COLOURS
 if TYPE_CHECKING:
     import trimesh
 
-SKIN_WEIGHTS = 4  # a vertex, as glTF's JOINTS_0 has it
-SKIN_LOOK: dict[str, Any] = {  # by glTF's names
+SKIN_WEIGHTS = 4  # weights of a vertex, as many as glTF's JOINTS_0 has
+SKIN_MATERIAL: dict[str, Any] = {  # by glTF's names
     "baseColorFactor": [0.6, 0.42, 0.34, 1.0],
     "metallicFactor": 0.0,
     "roughnessFactor": 0.8,
 }
-_MOST_OFTEN = 16  # poses a pose, of motions that are made even
-_STILL = 1e-5  # of a rotation's entries: joints that turn less do not move
+_MOST_OFTEN = 16  # most poses at a constant rate for each given pose
+_STILL = 1e-5  # change of a rotation's entries; joints that turn less do not move
 _INDICES = 34963  # glTF's ELEMENT_ARRAY_BUFFER
 
 
 def save_detailed(registered: Registered, folder: Path) -> None:
-    """Write detailed.glb, detailed.obj, detailed.ply and detailed.bvh of the first body, from the camera frame."""
+    """Write detailed.glb, detailed.obj, detailed.ply and detailed.bvh of the first body, given in the camera frame."""
     (folder / "detailed.glb").write_bytes(glb(registered))
     posed_mesh(registered).export(folder / "detailed.obj")
     colours = PART_COLOURS[registered.model.face_parts.cpu().numpy()]
@@ -47,12 +47,13 @@ def save_detailed(registered: Registered, folder: Path) -> None:
     (folder / "detailed.bvh").write_text(bvh(registered))
 
 
-def posed_mesh(registered: Registered, **look: Any) -> trimesh.Trimesh:
-    """The first body's posed mesh, y up, standing on y = 0 [m]; ``look`` is trimesh's."""
+def posed_mesh(registered: Registered, **options: Any) -> trimesh.Trimesh:
+    """Make the first body's posed mesh, y up, standing on y = 0 [m]. ``options`` are those of trimesh."""
     import trimesh
 
     vertices, lowest = _upright(registered)
-    return trimesh.Trimesh(vertices - [0.0, lowest, 0.0], registered.model.faces.cpu().numpy(), process=False, **look)
+    faces = registered.model.faces.cpu().numpy()
+    return trimesh.Trimesh(vertices - [0.0, lowest, 0.0], faces, process=False, **options)
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,9 @@ class Poses:
     Attributes:
         rotations: Local rotation of each joint, shape (T, J, 3, 3).
         translation: Position of the root joint in the camera frame [m], shape (T, 3).
-        times: Of the poses [s], rising, shape (T,), float64.
-        rate: Poses a second of files in which they come evenly.
-        lowest: Of all, the y of the lowest vertex, y up [m].
+        times: Times of the poses [s], rising, shape (T,), float64.
+        rate: Poses a second in files that have a constant rate.
+        lowest: Lowest y of any vertex in any pose, y up [m].
     """
 
     rotations: torch.Tensor
@@ -75,18 +76,18 @@ class Poses:
 
     @classmethod
     def first(cls, registered: Registered) -> Poses:
-        """The pose of the first body."""
+        """Make the pose of the first body."""
         lowest = float(_upright(registered)[1])
         return cls(registered.rotations[:1], registered.translation[:1], np.zeros(1), USUAL_RATE, lowest)
 
     def since(self, time: float) -> Poses:
-        """Returns a copy whose times are counted from this time [s]."""
+        """Return a copy whose times are counted from this time [s]."""
         return replace(self, times=self.times - time)
 
     def evenly(self) -> Poses:
-        """The motion in poses that come evenly: joints turn the shortest way between two poses, the root goes straight.
+        """Return the motion at a constant rate. Between poses, joints turn the shortest way, the root goes straight.
 
-        There are ``rate`` a second, or fewer where these would be far more than there are poses.
+        There are ``rate`` poses a second, or fewer if that would be far more than the given poses.
         """
         if is_even(self.times, self.rate):
             return self
@@ -95,27 +96,28 @@ class Poses:
         times = first + np.arange(round((last - first) * rate) + 1) / rate
         before = (np.searchsorted(self.times, times, side="right") - 1).clip(0, len(steps) - 1)
         shares = torch.from_numpy(((times - self.times[before]) / steps[before]).clip(0, 1)).to(self.translation)
-        turns, places = self.rotations[before], self.translation[before]
+        turns, positions = self.rotations[before], self.translation[before]
         further = rotation_to_axis_angle(turns.mT @ self.rotations[before + 1])
-        turned = turns @ rotation_from_axis_angle(shares[:, None, None] * further)
-        moved = torch.lerp(places, self.translation[before + 1], shares[:, None])
-        return Poses(turned, moved, times, rate, self.lowest)
+        rotations = turns @ rotation_from_axis_angle(shares[:, None, None] * further)
+        translation = torch.lerp(positions, self.translation[before + 1], shares[:, None])
+        return Poses(rotations, translation, times, rate, self.lowest)
 
     def numbers(self) -> tuple[np.ndarray, np.ndarray]:
-        """``rotations`` and ``translation`` in double precision."""
-        rotations, translation = (each.detach().cpu().double().numpy() for each in (self.rotations, self.translation))
+        """Return ``rotations`` and ``translation`` as NumPy arrays in double precision."""
+        rotations: np.ndarray = self.rotations.detach().cpu().double().numpy()
+        translation: np.ndarray = self.translation.detach().cpu().double().numpy()
         return rotations, translation
 
 
 def glb(registered: Registered, poses: Poses | None = None) -> bytes:
-    """The first body as binary glTF 2.0: mesh, skeleton, skin weights, and its pose; of several poses, an animation."""
+    """Write the first body as binary glTF 2.0: mesh, skeleton, skin weights and pose, or an animation of its poses."""
     document = Document()
     add_body(document, registered, poses or Poses.first(registered), name="body")
     return document.glb()
 
 
 def add_body(document: Document, registered: Registered, poses: Poses, *, name: str) -> int:
-    """Add the first body to a glTF file, in its pose, and the way it moves; returns the node that carries it."""
+    """Add the first body to a glTF file, with its pose and motion, and return the index of the node that carries it."""
     model, faces = registered.model, registered.model.faces.cpu().numpy()
     binding = Binding.of(registered, SKIN_WEIGHTS)
     rest, bind, nodes = binding.joints, binding.points, document.nodes
@@ -135,7 +137,7 @@ def add_body(document: Document, registered: Registered, poses: Poses, *, name: 
 
     attributes = {
         "POSITION": document.add(bind.astype(np.float32), bounds=True),
-        "NORMAL": document.add(_any_way(vertex_normals(bind, faces)).astype(np.float32)),
+        "NORMAL": document.add(_unit_normals(vertex_normals(bind, faces)).astype(np.float32)),
         "JOINTS_0": document.add(binding.bones.astype(np.uint16)),
         "WEIGHTS_0": document.add(binding.shares.astype(np.float32)),
     }
@@ -143,7 +145,7 @@ def add_body(document: Document, registered: Registered, poses: Poses, *, name: 
     # glTF's matrices are stored column by column.
     matrices = document.add(from_rest(rest).transpose(0, 2, 1).astype(np.float32))
     primitive = {"attributes": attributes, "indices": indices, "material": len(document.materials)}
-    document.materials.append({"name": "skin", "pbrMetallicRoughness": SKIN_LOOK})
+    document.materials.append({"name": "skin", "pbrMetallicRoughness": SKIN_MATERIAL})
     document.meshes.append({"name": model.name, "primitives": [primitive]})
     document.skins.append({"joints": list(range(first, body)), "inverseBindMatrices": matrices, "skeleton": body})
     if len(poses.rotations) > 1:
@@ -152,7 +154,7 @@ def add_body(document: Document, registered: Registered, poses: Poses, *, name: 
 
 
 def _animate(document: Document, first: int, poses: Poses) -> None:
-    """Move the joints that move, of which the root's node is the ``first``."""
+    """Animate the joints that move. The root's node has the index ``first``."""
     rotations, translation = poses.numbers()
     times = document.add_times(poses.times)
     document.animate(first, "translation", times, translation)
@@ -163,7 +165,7 @@ def _animate(document: Document, first: int, poses: Poses) -> None:
 
 
 def bvh(registered: Registered, poses: Poses | None = None) -> str:
-    """The first body's skeleton and its pose, or several that come evenly, as BVH, centimetres and degrees."""
+    """Write the first body's skeleton with its pose, or poses at a constant rate, as BVH [cm, degrees]."""
     model, poses = registered.model, (poses or Poses.first(registered)).evenly()
     rest, (rotations, translation) = 100 * numbers_of(registered.rest().joints), poses.numbers()
     rotations[:, 0] = GLTF_FROM_CAMERA @ rotations[:, 0]
@@ -201,9 +203,9 @@ def _upright(registered: Registered) -> tuple[np.ndarray, float]:
 
 
 def _euler_zyx(rotations: np.ndarray) -> np.ndarray:
-    """Angles [degrees] about z, y, x of ``Rz Ry Rx``, shape (T, 3); where y is at a right angle, the one about x is 0.
+    """Angles [degrees] about z, y, x for ``Rz Ry Rx``, shape (T, 3). If y is at a right angle, the angle about x is 0.
 
-    Angles go on from frame to frame: none jumps by a whole turn.
+    No angle jumps by a whole turn from frame to frame.
     """
     cosine = np.hypot(rotations[:, 0, 0], rotations[:, 1, 0])
     locked = cosine < 1e-6
@@ -217,8 +219,8 @@ def _euler_zyx(rotations: np.ndarray) -> np.ndarray:
     return np.degrees(np.unwrap(np.stack([z, y, x], axis=1), axis=0))
 
 
-def _any_way(normals: np.ndarray) -> np.ndarray:
-    """Normals in which those of no length lie along z, for glTF takes unit vectors alone."""
+def _unit_normals(normals: np.ndarray) -> np.ndarray:
+    """Normals in which those of length 0 are replaced by the z axis, because glTF takes only unit vectors."""
     return np.where(normals.any(axis=1, keepdims=True), normals, [0.0, 0.0, 1.0])
 
 

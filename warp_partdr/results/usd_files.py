@@ -1,6 +1,7 @@
-"""Detailed bodies as USD (UsdSkel): skinned, posed, and of a motion animated; needs the extra ``usd``.
+"""Detailed bodies as USD (UsdSkel): skinned and posed, or animated for a motion. This needs the extra ``usd``.
 
-Metres, y up, standing on y = 0, as ``skinned_files`` has them. Every weight of the model is in the file.
+Lengths are in metres, y is up, and bodies stand on y = 0, as in ``skinned_files``. The file holds every weight of the
+model.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from ..models.normals import vertex_normals
 from ..models.registration import Registered
 from .binding import Binding, numbers_of, to_quaternions
 from .ellipbody_files import GLTF_FROM_CAMERA
-from .skinned_files import SKIN_LOOK, Poses
+from .skinned_files import SKIN_MATERIAL, Poses
 
-_WHOLE = 1e-6  # of a frame, by which times are rounded
+_WHOLE = 1e-6  # [frames]; times that are so near to a whole frame are rounded to it
 
 
 def check_usd(name: str) -> None:
@@ -62,13 +63,13 @@ def _stage(registered: Registered, path: Path, poses: Poses) -> Any:
         stage.SetEndTimeCode(times[-1])
     extent = root.CreateExtentAttr()
     for time in times:
-        moment = Usd.TimeCode(time) if len(times) > 1 else Usd.TimeCode.Default()
-        extent.Set(UsdGeom.Boundable.ComputeExtentFromPlugins(root, moment), moment)
+        code = Usd.TimeCode(time) if len(times) > 1 else Usd.TimeCode.Default()
+        extent.Set(UsdGeom.Boundable.ComputeExtentFromPlugins(root, code), code)
     return stage
 
 
 def _add_skeleton(stage: Any, model: DetailedModel, binding: Binding) -> Any:
-    """The joints at rest, where they are bound, too."""
+    """Add the joints at rest, where they are also bound."""
     from pxr import Tf, UsdSkel, Vt
 
     paths: list[str] = []
@@ -80,24 +81,24 @@ def _add_skeleton(stage: Any, model: DetailedModel, binding: Binding) -> Any:
     skeleton = UsdSkel.Skeleton.Define(stage, "/body/skeleton")
     skeleton.CreateJointsAttr(paths)
     skeleton.CreateJointNamesAttr(list(model.joint_names))
-    skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray(_moves(binding.joints)))
-    skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray(_moves(offsets)))
+    skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray(_translations(binding.joints)))
+    skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray(_translations(offsets)))
     return skeleton
 
 
-def _moves(places: np.ndarray) -> list[Any]:
+def _translations(offsets: np.ndarray) -> list[Any]:
     from pxr import Gf
 
-    return [Gf.Matrix4d().SetTranslate(Gf.Vec3d(*place.tolist())) for place in places]
+    return [Gf.Matrix4d().SetTranslate(Gf.Vec3d(*offset.tolist())) for offset in offsets]
 
 
 def _add_motion(stage: Any, skeleton: Any, registered: Registered, poses: Poses) -> list[float]:
-    """The joints' rotations and places, one after another; returns their times, ``poses.rate`` a second."""
+    """Add the joints' rotations and positions over time; return their time codes, ``poses.rate`` a second."""
     from pxr import Gf, Usd, UsdSkel, Vt
 
     rotations, translation = poses.numbers()
     rotations = rotations.copy()
-    # The root takes the body from the camera frame to the files'.
+    # The root turns the body from the camera frame to the frame of the files.
     rotations[:, 0] = GLTF_FROM_CAMERA @ rotations[:, 0]
     standing = translation @ GLTF_FROM_CAMERA.T - [0.0, poses.lowest, 0.0]
     rest = numbers_of(registered.rest().joints)
@@ -109,13 +110,13 @@ def _add_motion(stage: Any, skeleton: Any, registered: Registered, poses: Poses)
     motion.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * len(parents)))
     codes = (poses.times - poses.times[0]) * poses.rate
     times: list[float] = np.where(np.abs(codes - codes.round()) < _WHOLE, codes.round(), codes).tolist()
-    moving, placed = motion.CreateRotationsAttr(), motion.CreateTranslationsAttr()
-    for place, time in enumerate(times):
-        moment = Usd.TimeCode(time) if len(times) > 1 else Usd.TimeCode.Default()
-        offsets[parents < 0] = standing[place]
-        quaternions = [Gf.Quatf(w, x, y, z) for x, y, z, w in turns[place].tolist()]
-        moving.Set(Vt.QuatfArray(quaternions), moment)
-        placed.Set(Vt.Vec3fArray.FromNumpy(offsets.astype(np.float32)), moment)
+    rotation_keys, translation_keys = motion.CreateRotationsAttr(), motion.CreateTranslationsAttr()
+    for row, time in enumerate(times):
+        code = Usd.TimeCode(time) if len(times) > 1 else Usd.TimeCode.Default()
+        offsets[parents < 0] = standing[row]
+        quaternions = [Gf.Quatf(w, x, y, z) for x, y, z, w in turns[row].tolist()]
+        rotation_keys.Set(Vt.QuatfArray(quaternions), code)
+        translation_keys.Set(Vt.Vec3fArray.FromNumpy(offsets.astype(np.float32)), code)
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([motion.GetPath()])
     return times
 
@@ -142,7 +143,7 @@ def _add_skin(stage: Any, skeleton: Any, model: DetailedModel, binding: Binding)
     material = UsdShade.Material.Define(stage, "/body/look")
     shader = UsdShade.Shader.Define(stage, "/body/look/surface")
     shader.CreateIdAttr("UsdPreviewSurface")
-    colour, roughness = SKIN_LOOK["baseColorFactor"][:3], SKIN_LOOK["roughnessFactor"]
+    colour, roughness = SKIN_MATERIAL["baseColorFactor"][:3], SKIN_MATERIAL["roughnessFactor"]
     shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(Gf.Vec3f(*colour))
     shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(roughness)
     material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")

@@ -16,7 +16,7 @@ from ...body.labels import IGNORE, LabelSet, label_set
 from ...body.skeletons import MPJPE_JOINTS
 from ...body.template import NUM_PARTS
 from ...errors import InputError
-from ...inputs.keypoints import LARGEST_PLACE
+from ...inputs.keypoints import LARGEST_COORDINATE
 from ...inputs.observation import crop_squares
 from ...inputs.own_pixels import person_extents
 from ...inputs.part_labels import check_sizes
@@ -157,7 +157,7 @@ def _square_box(sample: Sample) -> Box:
         raise InputError(f"{sample.name}: no keypoint is visible; expected one at least")
     middles, halves = crop_squares(*person_extents(sample.keypoints, sample.target))
     half, (u, v) = float(halves[0]), middles[0].tolist()
-    if not _SMALLEST <= 2 * half <= LARGEST_PLACE:
+    if not _SMALLEST <= 2 * half <= LARGEST_COORDINATE:
         raise InputError(f"{sample.name}: a crop of {2 * half:g} px; expected {_SMALLEST:g} or more")
     return u - half, v - half, u + half, v + half
 

@@ -10,7 +10,7 @@ import torch
 from ...body.parameters import BodyParameters
 from ...errors import check_each, check_type
 from ...inputs.observation import Observation, resize_nearest
-from ...inputs.observations import Observations, group_alike
+from ...inputs.observations import Observations, batch_observations
 from ...interop.torch_threads import one_torch_thread
 from .conventions import keypoints_at_landmarks
 from .fused import ask_fused, ask_with
@@ -118,7 +118,7 @@ def ask_about_each(observations: Sequence[Observation], network: LabelNetwork, *
     """Return ``ask_network`` of N people in their order, who need not be alike: it is asked about each kind at once."""
     rows: list[int] = []
     predicted: list[Predicted] = []
-    for own, some in group_alike(observations):
+    for own, some in batch_observations(observations):
         rows += own
         predicted.append(ask_network(some, network, mirror=mirror))
     if len(predicted) == 1:

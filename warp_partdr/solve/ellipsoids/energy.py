@@ -168,7 +168,7 @@ class Energy:
         usual_thicknesses: Thicknesses at which L_t is 0 [m], shape (N, 15).
         depths: Expected depths of the parts' centres along z, pelvis at 0 [m], shape (N, 20); None leaves the term out.
             Labels and keypoints do not hold depths, so a body would lean to fit an outline.
-        depth_scales: Inverse of the uncertainty of the expected depths [1/m], ``1 / depth_spreads`` of the
+        depth_scales: Inverse of the uncertainty of the expected depths [1/m], ``1 / depth_uncertainties`` of the
             observations, shape (N, 20). If that is not known, the uncertainty is 1 mm.
         target: Target labels, shape (N, size, size), uint8; None if nothing is drawn.
         key: Object that identifies this energy in the cache of graphs.
@@ -196,8 +196,8 @@ class Energy:
         )
         self.depths: torch.Tensor | None = people.depths
         self.depth_scales = torch.full((count, NUM_PARTS), _MILLIMETRES, device=device)
-        if people.depth_spreads is not None:
-            self.depth_scales = 1 / people.depth_spreads
+        if people.depth_uncertainties is not None:
+            self.depth_scales = 1 / people.depth_uncertainties
         self.target: torch.Tensor | None = None
         self.key = object()
         self._fixed: Renderer | None = None

@@ -13,7 +13,7 @@ from ...body.skeletons import skeleton
 from ...body.template import NUM_PARTS
 from ...cameras import Perspective, check_square
 from ...errors import check_each, check_type
-from ...inputs.cut_people import CutPeople, CutPerson, stack_alike
+from ...inputs.cut_people import CutPeople, CutPerson, batch_people
 from ...inputs.evidence import Evidence, weigh_evidence
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.observation import crop_evidence, usual_lens
@@ -148,7 +148,7 @@ def fit_people(people: Sequence[CutPerson], options: FitOptions, network: LabelN
     if isinstance(people, CutPeople):
         device = people.observations.points.device
         return _fit_batch(people, _Plan(options, network, packaged_prior(str(device))))
-    groups = stack_alike(people)
+    groups = batch_people(people)
     if len(groups) == 1:
         return fit_people(groups[0][1], options, network)
     found: dict[int, FitResult] = {}

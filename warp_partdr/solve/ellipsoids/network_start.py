@@ -85,7 +85,7 @@ def start_from_network(
         )
         seconds["depth order"] = time.perf_counter() - started
     depths = starts.posed().centres[..., 2]
-    observations = replace(observations, depths=depths, depth_spreads=uncertainty.centre_depths())
+    observations = replace(observations, depths=depths, depth_uncertainties=uncertainty.centre_depths())
     return NetworkStart(starts, given, observations, uncertainty, orders, seconds)
 
 

@@ -78,7 +78,7 @@ def _fit_overlapping(
     camera = results[0].camera
     assert isinstance(camera, Perspective)
     observed_bodies = [ObservedBody.of_fit(each, person) for person, each in enumerate(results)]
-    # The scene has no ground, because a photo's ground is found from all of its people (``results.scene_places``).
+    # The scene has no ground, because a photo's ground is found from all of its people (``results.placements``).
     scene_options = SceneOptions(mesh=options, ground=0.0)
     device = results[0].parameters.shift.device
     scene = Scene([View(camera)], [observed.source for observed in observed_bodies])

@@ -18,7 +18,7 @@ from ....inputs.calibrated_camera import CalibratedCamera
 from ....inputs.camera_files import read_cameras
 from ....inputs.camera_names import assign_cameras
 from ....inputs.films import FILM_SUFFIXES
-from ....inputs.keypoints import LARGEST_PLACE
+from ....inputs.keypoints import LARGEST_COORDINATE
 from .views import Views
 
 _METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
@@ -184,7 +184,7 @@ def _views(points: np.ndarray, cameras: Mapping[str, CalibratedCamera]) -> tuple
     focal, principal = (np.array([getattr(each, name) for each in cameras.values()]) for name in ("focal", "principal"))
     with np.errstate(all="ignore"):
         projected = joints[..., :2] / joints[..., 2:] * focal[:, None] + principal[:, None]
-        before = (joints[..., 2] > 0) & (np.abs(projected) <= LARGEST_PLACE).all(axis=-1)
+        before = (joints[..., 2] > 0) & (np.abs(projected) <= LARGEST_COORDINATE).all(axis=-1)
         size = np.array([each.size or (np.inf, np.inf) for each in cameras.values()])[:, None, ::-1]
         inside = before & ((projected >= 0) & (projected < size)).all(axis=-1)
     projected[~before] = np.nan

@@ -24,7 +24,7 @@ from ....cameras import Perspective
 from ....errors import InputError, cause, check_whole, shown, told_of
 from ....files.array_files import read_npz
 from ....inputs.films import FilmPicture
-from ....inputs.keypoints import LARGEST_PLACE, Keypoints2D
+from ....inputs.keypoints import LARGEST_COORDINATE, Keypoints2D
 from ....inputs.sample import Sample
 from ..sizes import trunk_and_legs
 
@@ -48,7 +48,7 @@ class _Rule(NamedTuple):
 _ARRAYS = {
     "joint_names": _Rule(_TEXT, ("J",)),
     "joints_camera": _Rule(_NUMBERS, ("N", "J", 3), -1e5, 1e5),
-    "keypoints": _Rule(_NUMBERS, ("N", "K", 2), -LARGEST_PLACE, LARGEST_PLACE),
+    "keypoints": _Rule(_NUMBERS, ("N", "K", 2), -LARGEST_COORDINATE, LARGEST_COORDINATE),
     "person": _Rule(_NAMES, ("N",)),
     "keypoint_names": _Rule(_TEXT, ("K",)),
     "confidence": _Rule(_NUMBERS, ("N", "K"), 0.0, 1.0),
@@ -58,7 +58,7 @@ _ARRAYS = {
     "convention": _Rule(_TEXT, ("N",)),
     "focal": _Rule(_NUMBERS, ("N", 2), 1.0, 1e6),
     "centre": _Rule(_NUMBERS, ("N", 2), -1e6, 1e6),
-    "picture_size": _Rule(_WHOLE, ("N", 2), 1, LARGEST_PLACE),
+    "picture_size": _Rule(_WHOLE, ("N", 2), 1, LARGEST_COORDINATE),
     "stature": _Rule(_NUMBERS, ("N",), LEAST_STATURE, MOST_STATURE),
     "baseline": _Rule(_FLAGS, ("N",)),
     "picture": _Rule(_TEXT, ("N",)),
