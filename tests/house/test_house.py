@@ -102,8 +102,6 @@ FRAGMENTS = (
     r"(The same|As|Of|For|With|By|From|In|To|At|On|So|When|While|If|Between|Around|Besides|After|Before|Such|Those"
     r"|Their|Its|Your|Whom|Who|Nothing|Nobody|Somebody|Anything|One's|Up|None|[A-Z](?= and |,)|[A-Z]\.$)(?!\w)|[(\[]"
 )
-# Wings whose entries of Args and Attributes may still begin so; one that is mended leaves the list.
-ENTRIES_TO_MEND = ("inputs",)
 
 pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").exists(), reason="needs the repository around the tests")
 
@@ -436,10 +434,7 @@ def test_arguments_and_attributes_are_described_by_a_noun():
     described = [(path, entry) for path in product_files() for entry in entries(path)]
     assert len(described) > 1500
     wrong = {path for path, entry in described if re.match(rf"{QUESTIONS}|{FRAGMENTS}|[^A-Z`]", entry)}
-    open_folders = tuple(f"warp_partdr/{name}/" for name in ENTRIES_TO_MEND)
-    assert [short(path) for path in sorted(wrong) if not short(path).startswith(open_folders)] == []
-    mended = [folder for folder in open_folders if not any(short(path).startswith(folder) for path in wrong)]
-    assert mended == [], "mended: take them out of the list"
+    assert [short(path) for path in sorted(wrong)] == []
 
 
 def test_tests_are_named_by_sentences():
