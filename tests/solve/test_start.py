@@ -82,7 +82,8 @@ def test_the_quality_chooses_the_stages_and_options_override_it(device):
     searched = FitOptions.at("fast", "search")
     own = FitOptions(stages=(Stage("lift", 4, 2, 0.1),))
     for given, expected in (
-        ({}, [replace(stage, size=0) for stage in STAGES["network"]["balanced"][:-1]]),
+        ({}, [replace(stage, size=0) for stage in STAGES["network"]["balanced"]]),
+        ({"options": FitOptions().with_outline()}, [replace(stage, size=0) for stage in STAGES["network"]["balanced"]]),
         ({"quality": "fast"}, [replace(stage, size=0) for stage in STAGES["network"]["fast"]]),
         ({"options": searched}, [stage for stage in STAGES["search"]["fast"] if stage.size == 0]),
         ({"quality": "fast", "options": own}, own.stages),
@@ -99,7 +100,7 @@ def test_qualities_are_in_order_of_work(start):
         quality: sum(stage.bodies * stage.iterations * stage.size**2 for stage in stages)
         for quality, stages in STAGES[start].items()
     }
-    assert 4 * work["fast"] < work["balanced"] < work["accurate"]
+    assert work["fast"] < work["balanced"] <= work["accurate"]
     meshes = [FitOptions.at(quality, start).mesh for quality in STAGES[start]]
     drawn = [mesh.iterations * mesh.size**2 for mesh in meshes]
     assert drawn[0] == drawn[1] < drawn[2]
