@@ -32,6 +32,7 @@ from ..networks.detection.person import FoundPerson
 from ..networks.predictors.keypoints import find_keypoints
 from ..networks.predictors.networks import KeypointNetwork, PartNetwork
 from ..networks.predictors.parts import PeopleParts
+from ..solve.confidence.judge import BodyConfidence, judge_fits
 from ..solve.ellipsoids.fitting import fit_evidence
 from ..solve.ellipsoids.options import FitOptions
 from ..solve.ellipsoids.result import FitResult
@@ -54,12 +55,14 @@ class PhotoFit:
         owners: Person at each pixel: 1 for the first of ``people``, 0 for nobody, shape (H, W), int32.
         sources: Names of the networks that gave the "keypoints" and "parts" of each body, by the index of the person.
             ``PACKAGED`` is the packaged network, whose parts are a mask. None stands for parts that were not used.
+        confidences: Confidence in each body, by the index of the person; None where no label network took part.
     """
 
     people: tuple[FoundPerson, ...]
     fits: dict[int, MeshFit]
     owners: np.ndarray
     sources: dict[int, dict[str, str | None]]
+    confidences: dict[int, BodyConfidence | None]
 
     def hidden_by(self, index: int) -> list[int]:
         """Indices of the people whose masks cover a person's body."""
@@ -139,7 +142,19 @@ def fit_photo(
         result = fit_evidence(readings, options, device=device, camera=camera)
         results.append(replace(result, warnings=(*warnings, *result.warnings)))
     fits = refine_people(results, model, options=options.mesh, progress=progress)
-    return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners, sources)
+    scores = [{"score": found[index].score} for index in chosen]
+    confidences = judge_fits([fit.ellipbody for fit in fits], scores)
+    judged = [
+        fit if confidence is None else fit.with_warnings(confidence.warnings)
+        for fit, confidence in zip(fits, confidences, strict=True)
+    ]
+    return PhotoFit(
+        tuple(found),
+        dict(zip(chosen, judged, strict=True)),
+        owners,
+        sources,
+        dict(zip(chosen, confidences, strict=True)),
+    )
 
 
 class _PeopleEvidence:

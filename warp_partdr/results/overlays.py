@@ -11,8 +11,9 @@ import torch
 from ..body.posing import Posed
 from ..cameras import Camera, zoomed
 from ..inputs.keypoints import Keypoints2D
-from ..models.model import DetailedModel
+from ..models.model import DetailedModel, detailed_mesh
 from ..models.registration import Registered
+from ..render.mesh import draw_mesh
 from ..solve.ellipsoids.result import FitResult
 from .shading import SKIN_COLOUR, blend, shade_body, shade_skin
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 GRAY = (235, 235, 235)
 OVERLAY_SIDE = 2048  # [px]; overlays of larger photos are scaled down: no screen shows more, and shading takes memory
 _ELLIPSOIDS, _SKIN = 0.72, 0.9  # opacities
+_PALE = 0.4  # opacity of guessed limbs, as a share of the others'
 
 
 def body_over(picture: np.ndarray, posed: Posed, camera: Camera, opacity: float = _ELLIPSOIDS) -> np.ndarray:
@@ -83,16 +85,32 @@ def draw_overlay(result: FitResult, size: tuple[int, int], photo: np.ndarray | N
 
 
 def draw_detailed(
-    registered: Registered, camera: Camera, size: tuple[int, int], photo: np.ndarray | None = None
+    registered: Registered,
+    camera: Camera,
+    size: tuple[int, int],
+    photo: np.ndarray | None = None,
+    pale: np.ndarray | None = None,
 ) -> Image:
-    """Draw the detailed body over the photo, or over gray; at most ``OVERLAY_SIDE`` pixels a side."""
+    """Draw the detailed body over the photo, or over gray; at most ``OVERLAY_SIDE`` pixels a side.
+
+    Args:
+        registered: Detailed body, the first of its batch.
+        camera: Camera of the picture.
+        size: Size (H, W) of the picture [px].
+        photo: Photo, RGB, shape (H, W, 3), uint8; None: gray.
+        pale: Flags of the part labels that are drawn pale because they are guessed (``guessed_parts``), shape (21,).
+    """
     from PIL import Image
 
     zoom, drawn_size = overlay_size(size)
     below = gray_picture(drawn_size) if photo is None else at_overlay_size(photo, size)
-    return Image.fromarray(
-        skin_over(below, registered.detailed.vertices, registered.model, zoomed(camera, zoom, drawn_size))
-    )
+    vertices, camera = registered.detailed.vertices, zoomed(camera, zoom, drawn_size)
+    picture = skin_over(below, vertices, registered.model, camera)
+    if pale is not None and pale.any():
+        labels = draw_mesh(vertices, detailed_mesh(registered.model), camera, drawn_size).labels[0].cpu().numpy()
+        share = np.where(pale[labels], _PALE, 1.0)[..., None]
+        picture = (share * picture + (1 - share) * below).astype(np.uint8)
+    return Image.fromarray(picture)
 
 
 def draw_keypoints(image: Image, keypoints: Keypoints2D) -> None:

@@ -12,6 +12,8 @@ import numpy as np
 from ..errors import check_type
 from ..interop.torch_threads import one_torch_thread
 from ..pipelines.photo import PhotoFit
+from ..solve.confidence.judge import confidence_record
+from ..solve.confidence.limbs import guessed_parts
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .further_files import FURTHER_FILES
 from .overlays import at_overlay_size, draw_detailed, draw_keypoints, overlay_size
@@ -66,7 +68,9 @@ def save_photo_fit(
     small = at_overlay_size(photo)  # once for all people, because it takes long
     overlay = small
     for index in sorted(fit.fits, key=lambda index: -placements[index].distance):  # the farthest first
-        overlay = np.asarray(draw_detailed(fit.fits[index].body, fit.fits[index].camera, size, overlay))
+        confidence = fit.confidences[index]
+        pale = None if confidence is None else guessed_parts(confidence.guessed)
+        overlay = np.asarray(draw_detailed(fit.fits[index].body, fit.fits[index].camera, size, overlay, pale))
     for index, mesh in fit.fits.items():
         own, found = folder / _name(index), mesh.ellipbody
         background = small if found.evidence.picture is not None else photo
@@ -120,6 +124,7 @@ def _describe(fit: PhotoFit, index: int, placement: Placement) -> dict[str, Any]
         "person": index,
         "folder": _name(index),
         "score": round(person.score, 3),
+        **confidence_record(fit.confidences[index]),
         "box": [round(float(edge), 1) for edge in person.box],
         "distance_m": round(placement.distance, 2),
         "scene_scale": round(placement.scale, 3),

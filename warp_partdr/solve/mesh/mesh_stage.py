@@ -69,6 +69,10 @@ class MeshFit(Movable):
         """Vertices of the body without clothes, in the camera frame, shape (V, 3) [m]."""
         return self.body.detailed.vertices[0].cpu().numpy()
 
+    def with_warnings(self, warnings: Sequence[str]) -> MeshFit:
+        """Return the same fit with more warnings."""
+        return replace(self, ellipbody=replace(self.ellipbody, warnings=(*self.ellipbody.warnings, *warnings)))
+
     def landmarks(self, names: Sequence[str]) -> np.ndarray:
         """Landmarks in the camera frame, shape (L, 3) [m]."""
         return self.body.model.landmarks(self.body.detailed, names)[0].cpu().numpy()

@@ -1,0 +1,182 @@
+"""Confidence in fits: the probability that a body is right, and of each limb whether it was seen or guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from ...body.parameters import BodyParameters
+from ...inputs.keypoints import MIN_CONFIDENCE
+from ...inputs.observations import Observations, batch_observations
+from ...networks.regression.uncertainty import Uncertainty
+from ..ellipsoids.result import FitResult
+from .limbs import LIMBS
+from .measures import measure_bodies
+from .model import packaged_model
+
+Sight = Literal["seen", "hidden", "outside"]
+_WHY = {"hidden": "hidden", "outside": "outside the picture"}
+
+
+@dataclass(frozen=True)
+class LimbConfidence:
+    """Confidence in a limb.
+
+    Attributes:
+        probability: Probability that its joints lie, on average, within 20 cm of the truth.
+        sight: "seen"; "hidden", where no keypoint shows the limb; or "outside" the picture. A limb that is not seen is
+            guessed.
+    """
+
+    probability: float
+    sight: Sight
+
+
+@dataclass(frozen=True)
+class BodyConfidence:
+    """Confidence in a fitted body.
+
+    Attributes:
+        probability: Probability that the body is right: its joints lie, on average, within 10 cm of the truth in depth,
+            and within 10 cm across the picture, relative to the hips and for a person of 1.7 m.
+        limbs: Confidence in each limb, by its name: head, left arm, left leg, right arm, right leg.
+    """
+
+    probability: float
+    limbs: Mapping[str, LimbConfidence]
+
+    @property
+    def guessed(self) -> tuple[str, ...]:
+        """Names of the limbs that no keypoint shows."""
+        return tuple(name for name, limb in self.limbs.items() if limb.sight != "seen")
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One sentence if the body is likely wrong, which says why and what to do; else none."""
+        least = packaged_model().least
+        if self.probability >= least:
+            return ()
+        reason = self.describe_guessed()
+        reason = f"{reason}; " if reason else ""
+        expected = f"expected {least:.2f} or more"
+        return (f"body: confidence {self.probability:.2f}; {expected}; {reason}compare overlay.png with the picture",)
+
+    def describe_guessed(self) -> str:
+        """Words for the limbs that are guessed and why, such as "left arm hidden, guessed"; empty if all are seen."""
+        groups: dict[str, list[str]] = {}
+        for name in self.guessed:
+            groups.setdefault(_WHY[self.limbs[name].sight], []).append(name)
+        return "; ".join(f"{' and '.join(names)} {why}, guessed" for why, names in groups.items())
+
+
+def confidence_record(confidence: BodyConfidence | None) -> dict[str, Any]:
+    """Numbers and words about a body for JSON; "confidence" is None where no label network took part."""
+    if confidence is None:
+        return {"confidence": None, "limbs": {}, "guessed": []}
+    limbs = confidence.limbs.items()
+    return {
+        "confidence": round(confidence.probability, 3),
+        "limbs": {
+            name.replace(" ", "_"): {"confidence": round(limb.probability, 3), "sight": limb.sight}
+            for name, limb in limbs
+        },
+        "guessed": list(confidence.guessed),
+    }
+
+
+def judge_fits(
+    fits: Sequence[FitResult], further: Sequence[Mapping[str, float]] | None = None
+) -> list[BodyConfidence | None]:
+    """Judge fitted bodies.
+
+    Args:
+        fits: Fits of ellipsoids, or EllipBodies that were measured from a mesh (``MeshFit.ellipbody``).
+        further: Measures of each person that the fit does not know, by name: the detector's "score".
+
+    Returns:
+        Confidence of each; None where no label network took part, as after a search.
+
+    Example:
+        >>> from warp_partdr import fit_body, read_keypoints
+        >>> keypoints = read_keypoints("warp_partdr/assets/example/keypoints.json")[0]
+        >>> (confidence,) = judge_fits([fit_body(keypoints)])
+        >>> confidence is not None and confidence.probability > 0.5
+        True
+    """
+    found: list[BodyConfidence | None] = [None] * len(fits)
+    stated = [row for row, fit in enumerate(fits) if fit.uncertainty is not None]
+    if not stated:
+        return found
+    observations = [fits[row].observation for row in stated]
+    for rows, batch in batch_observations(observations):
+        own = [stated[row] for row in rows]
+        spreads = [fits[row].uncertainty for row in own]
+        probabilities, limbs = judge_bodies(
+            BodyParameters.joined([fits[row].parameters for row in own]),
+            batch,
+            Uncertainty.joined([each for each in spreads if each is not None]),
+            _columns([further[row] for row in own]) if further is not None else {},
+        )
+        for index, row in enumerate(own):
+            sights = _sights(fits[row])
+            found[row] = BodyConfidence(
+                float(probabilities[index]),
+                {
+                    limb.name: LimbConfidence(float(limbs[index, column]), sights[column])
+                    for column, limb in enumerate(LIMBS)
+                },
+            )
+    return found
+
+
+def judge_bodies(
+    bodies: BodyParameters,
+    observations: Observations,
+    uncertainty: Uncertainty,
+    further: Mapping[str, np.ndarray] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Judge N bodies side by side.
+
+    Args:
+        bodies: N bodies in the crops of their people.
+        observations: Keypoints and labels in these crops.
+        uncertainty: Uncertainty that the label network stated.
+        further: Further measures by name, shape (N,) each.
+
+    Returns:
+        Probabilities that the bodies are right, shape (N,), and their limbs, shape (N, 5).
+    """
+    return packaged_model().judge(measure_bodies(bodies, observations, uncertainty), further or {})
+
+
+def _columns(rows: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
+    """Measures that all people have, as columns."""
+    names = set.intersection(*map(set, rows))
+    return {name: np.array([row[name] for row in rows]) for name in names}
+
+
+def _sights(fit: FitResult) -> list[Sight]:
+    """Tell of each limb whether it is seen, from the keypoints in the picture and the body."""
+    keypoints = fit.evidence.keypoints
+    found: list[Sight] = []
+    for limb in LIMBS:
+        rows = limb.rows(keypoints.format.landmarks)
+        if rows and keypoints.confidence[rows].max() >= MIN_CONFIDENCE:
+            found.append("seen")
+        else:
+            found.append("outside" if _is_outside(fit, limb.landmarks) else "hidden")
+    return found
+
+
+def _is_outside(fit: FitResult, landmarks: tuple[str, ...]) -> bool:
+    """True if all of these landmarks of the body lie outside the picture, whose size is known."""
+    size = fit.evidence.image_size
+    if size is None:
+        return False
+    camera, points = fit.camera, torch.from_numpy(fit.landmarks(landmarks)).float()
+    pixels = camera.project(points[None].to(camera.intrinsics))[0, :, :2].cpu().numpy()
+    return bool(((pixels < 0) | (pixels > (size[1], size[0]))).any(axis=1).all())

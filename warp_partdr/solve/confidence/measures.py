@@ -1,0 +1,98 @@
+"""Measures that separate right bodies from wrong ones: what the network stated, and how well the body fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ...body.labels import IGNORE
+from ...body.lens import place_bodies
+from ...body.parameters import BodyParameters
+from ...body.posing import LandmarkGather
+from ...inputs.observation import resize_nearest
+from ...inputs.observations import Observations
+from ...networks.regression.uncertainty import Uncertainty
+from ...render.ellipsoids import draw_ellipsoids
+from .limbs import BODY_LANDMARKS, LIMBS, limb_columns, mean_over
+
+_DRAWN = 128  # [px], side of the crop in which bodies are compared with labels
+_LEAST = 1e-4  # of what is a logarithm, so that it stays finite
+
+
+@dataclass(frozen=True)
+class BodyMeasures:
+    """Measures of N bodies.
+
+    Attributes:
+        depths: Uncertainty of the depths that the label network stated, mean over joints [m], shape (N,).
+        keypoints: Distance of the body's joints from the keypoints of shoulders, elbows, wrists, hips, knees and
+            ankles, mean over all that are there, as a share of the crop's side, shape (N,).
+        labels: Share of the pixels of the body or the person's labels that both have, shape (N,); None without labels.
+        limb_depths: Uncertainty of depths of each limb of ``LIMBS`` [m], shape (N, 5).
+        limb_keypoints: Least confidence in a keypoint of each limb, 0 where the format has none, shape (N, 5).
+    """
+
+    depths: np.ndarray
+    keypoints: np.ndarray
+    labels: np.ndarray | None
+    limb_depths: np.ndarray
+    limb_keypoints: np.ndarray
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Measures of bodies by name, on the scales that the model of confidence takes them, shape (N,) each."""
+        found = {"depths": _log(self.depths), "keypoints": _log(self.keypoints)}
+        return found if self.labels is None else found | {"labels": self.labels}
+
+    def limb_columns(self) -> dict[str, np.ndarray]:
+        """Measures of limbs likewise, shape (N, 5) each."""
+        return {"depths": _log(self.limb_depths), "keypoints": self.limb_keypoints}
+
+
+@torch.no_grad()
+def measure_bodies(bodies: BodyParameters, observations: Observations, uncertainty: Uncertainty) -> BodyMeasures:
+    """Measure bodies of N people.
+
+    Args:
+        bodies: N bodies in the crops of their people.
+        observations: Keypoints and labels in these crops.
+        uncertainty: Uncertainty that the label network stated about its bodies, from which the fits started.
+    """
+    posed, camera = place_bodies(bodies, bodies.posed(), observations.lens, 2)
+    points = camera.project(LandmarkGather(observations.marks, posed.joints.device)(posed))[..., :2] - 1
+    distances = (points - observations.points).norm(dim=-1) / 2
+    rows = [observations.landmarks.index(name) for name in BODY_LANDMARKS if name in observations.landmarks]
+    there = torch.from_numpy(observations.visible[:, rows]).to(distances)
+    confidence = observations.confidence
+    limbs = [limb.rows(observations.landmarks) for limb in LIMBS]
+    least = [confidence[:, own].amin(1) if own else torch.zeros_like(confidence[:, 0]) for own in limbs]
+    return BodyMeasures(
+        depths=_numbers(uncertainty.depths.mean(1)),
+        keypoints=_numbers((distances[:, rows] * there).sum(1) / there.sum(1).clamp_min(1)),
+        labels=None if observations.labels is None else _numbers(_shared_pixels(bodies, observations)),
+        limb_depths=_numbers(mean_over(uncertainty.depths, limb_columns())),
+        limb_keypoints=_numbers(torch.stack(least, dim=1)),
+    )
+
+
+def _shared_pixels(bodies: BodyParameters, observations: Observations) -> torch.Tensor:
+    """Pixels that body and labels both have, over those that either has, shape (N,); ignored pixels do not count."""
+    assert observations.labels is not None
+    target = resize_nearest(observations.labels, _DRAWN)
+    placed, camera = place_bodies(bodies, bodies.posed(), observations.lens, _DRAWN)
+    drawn = draw_ellipsoids(placed, camera, (_DRAWN, _DRAWN)).parts > 0
+    known = target != IGNORE
+    person = (target > 0) & known
+    both, either = (drawn & person).sum((1, 2)), ((drawn | person) & known).sum((1, 2))
+    return both / either.clamp_min(1)
+
+
+def _numbers(values: torch.Tensor) -> np.ndarray:
+    found: np.ndarray = values.double().cpu().numpy()
+    return found
+
+
+def _log(values: np.ndarray) -> np.ndarray:
+    found: np.ndarray = np.log(np.maximum(values, _LEAST))
+    return found

@@ -1,0 +1,98 @@
+"""Model of confidence: logistic regressions from measures of bodies and limbs, learned by a script."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from .limbs import LIMBS
+from .measures import BodyMeasures
+
+FORMAT = "warp-partdr body confidence 1"
+
+
+@dataclass(frozen=True)
+class Logistic:
+    """Probability from measures: 1 / (1 + exp(-(bias + sum of weights times measures)))."""
+
+    measures: tuple[str, ...]
+    weights: tuple[float, ...]
+    bias: float
+
+    def logits(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Logarithms of the odds, of the columns' shape."""
+        total = np.zeros_like(columns[self.measures[0]]) + self.bias
+        for name, weight in zip(self.measures, self.weights, strict=True):
+            total = total + weight * columns[name]
+        return total
+
+
+@dataclass(frozen=True)
+class ConfidenceModel:
+    """Learned model.
+
+    Attributes:
+        bodies: One regression for each set of measures that may be there, the largest set first.
+        limbs: Regression of each kind of limb.
+        least: Confidence below which a body is warned of.
+    """
+
+    bodies: tuple[Logistic, ...]
+    limbs: Mapping[str, Logistic]
+    least: float
+
+    def body_logits(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Logarithms of the odds that bodies are right, shape (N,)."""
+        return next(each for each in self.bodies if columns.keys() >= set(each.measures)).logits(columns)
+
+    def judge(self, measures: BodyMeasures, further: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Probabilities that bodies (N,) and their limbs (N, 5) are right.
+
+        Args:
+            measures: Measures of N bodies.
+            further: Measures by name that only some fits have, such as the detector's score, shape (N,) each.
+        """
+        logits = self.body_logits({**measures.columns(), **further})
+        columns = measures.limb_columns() | {"body": np.repeat(logits[:, None], len(LIMBS), 1)}
+        limbs = np.zeros_like(measures.limb_depths)
+        for column, limb in enumerate(LIMBS):
+            own = {name: values[:, column] for name, values in columns.items()}
+            limbs[:, column] = _probabilities(self.limbs[limb.kind].logits(own))
+        return _probabilities(logits), limbs
+
+
+def _probabilities(logits: np.ndarray) -> np.ndarray:
+    found: np.ndarray = 1 / (1 + np.exp(-logits))
+    return found
+
+
+def read_model(text: str) -> ConfidenceModel:
+    """Read a model that ``scripts/learn_confidence.py`` wrote.
+
+    Raises:
+        ValueError: If it is of another format.
+    """
+    content: dict[str, Any] = json.loads(text)
+    if content["format"] != FORMAT:
+        raise ValueError(f"format: {content['format']!r}; expected {FORMAT!r}")
+    return ConfidenceModel(
+        _logistics(content["bodies"]),
+        {kind: each for kind, one in content["limbs"].items() for each in _logistics([one])},
+        content["least"],
+    )
+
+
+def _logistics(rows: Sequence[Mapping[str, Any]]) -> tuple[Logistic, ...]:
+    return tuple(Logistic(tuple(row["measures"]), tuple(row["weights"]), row["bias"]) for row in rows)
+
+
+@lru_cache(maxsize=1)
+def packaged_model() -> ConfidenceModel:
+    """Packaged model; docs/evaluation.md says how it was learned and measured."""
+    return read_model(resources.files("warp_partdr").joinpath("assets", "body_confidence.json").read_text("utf-8"))
