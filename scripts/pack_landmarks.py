@@ -199,12 +199,8 @@ def read_operator(source: TfliteGraph, name: str, inputs: list[int], output: int
         return {"kind": "resize", "inputs": inputs[:1], "size": constant[inputs[1]]}
     if name == "LOGISTIC":
         return {"kind": "sigmoid", "inputs": inputs}
-    if name == "DEPTH_TO_SPACE":
-        return {"kind": "depth_to_space", "inputs": inputs, "size": options(tflite.DepthToSpaceOptions).BlockSize()}
     if name == "RESHAPE":
         return {"kind": "rows", "inputs": inputs[:1], "shape": source.shape(output)[1:]}
-    if name == "CONCATENATION" and options(tflite.ConcatenationOptions).Axis() == 1 and len(source.shape(output)) == 3:
-        return {"kind": "concatenate", "inputs": inputs}
     raise SystemExit(f"{name} {output}: not known here")
 
 

@@ -35,7 +35,16 @@ def read_people(maps: Mapping[str, torch.Tensor], min_score: float) -> tuple[tor
     heat = maps["centre"].sigmoid()
     highest = F.max_pool2d(heat, _AROUND, stride=1, padding=_AROUND // 2)
     pictures, rows, columns = ((heat > highest - _EQUAL) & (heat >= min_score))[:, 0].nonzero(as_tuple=True)
-    parts = zip(*(each.split(_TOGETHER) for each in (pictures, rows, columns)), strict=True)
+    cells = torch.stack([columns, rows], dim=1).to(heat)
+
+    def at_centre(name: str) -> torch.Tensor:
+        """Pairs (x, y) of a map at the centres, shape (N, K, 2)."""
+        return maps[name][pictures, :, rows, columns].unflatten(1, (-1, 2)).flip(-1)
+
+    half, middle = at_centre("size").clamp_min(0.0) / 2, cells[:, None] + at_centre("centre_offset")
+    boxes = torch.cat([middle - half, middle + half], dim=1)
+    expected = cells[:, None] + at_centre("keypoints")
+    parts = zip(*(each.split(_TOGETHER) for each in (pictures, boxes, expected)), strict=True)
     keypoints = torch.cat([_read_keypoints(maps, *part) for part in parts])
     sure = keypoints[..., 2] > SURE
     mean = (keypoints[..., 2] * sure).sum(dim=1) / sure.sum(dim=1).clamp_min(1)
@@ -43,31 +52,22 @@ def read_people(maps: Mapping[str, torch.Tensor], min_score: float) -> tuple[tor
 
 
 def _read_keypoints(
-    maps: Mapping[str, torch.Tensor], pictures: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor
+    maps: Mapping[str, torch.Tensor], pictures: torch.Tensor, boxes: torch.Tensor, expected: torch.Tensor
 ) -> torch.Tensor:
-    """Keypoints of people with centres in these cells, as ``read_people`` returns them, shape (N, 17, 3)."""
+    """Keypoints as ``read_people`` returns them: the hottest cells in boxes, near expected ones [cells]."""
     height, width = maps["heat"].shape[2:]
-
-    def at_centre(name: str) -> torch.Tensor:
-        """Pairs (x, y) of a map at the centres, shape (N, K, 2)."""
-        return maps[name][pictures, :, rows, columns].unflatten(1, (-1, 2)).flip(-1)
-
-    cells = torch.stack([columns, rows], dim=1)[:, None].to(maps["heat"])
-    size, middle = at_centre("size").clamp_min(0.0), cells + at_centre("centre_offset")
-    expected = cells + at_centre("keypoints")
-    low, high = middle - size / 2, middle + size / 2
     spread = _NEAR * min(height, width)
 
     def nearness(axis: int, length: int) -> torch.Tensor:
         """Weights of columns or of rows, shape (N, 17, length): 0 outside the box, and else of a bell curve."""
-        steps = torch.arange(length, device=cells.device).to(cells)
-        inside = (steps >= low[..., axis, None]) & (steps < high[..., axis, None])
-        return (-((steps - expected[..., axis, None]) ** 2) / spread).exp() * inside
+        steps = torch.arange(length, device=boxes.device).to(boxes)
+        low, high = boxes[:, :, axis, None].unbind(1)
+        inside = (steps >= low) & (steps < high)
+        return (-((steps - expected[..., axis, None]) ** 2) / spread).exp() * inside[:, None]
 
     heat = maps["heat"][pictures].sigmoid() * nearness(0, width)[:, :, None] * nearness(1, height)[..., None]
     confidence, best = heat.flatten(2).max(dim=2)
-    found = torch.stack([best % width, best // width], dim=-1).to(cells)
     offsets = maps["keypoint_offset"].unflatten(1, (-1, 2)).flip(2).flatten(3)
-    numbers = torch.arange(NUM_KEYPOINTS, device=cells.device)
-    points = STRIDE * (found + offsets[pictures[:, None], numbers, :, best])
-    return torch.cat([points, confidence[..., None]], dim=2)
+    numbers = torch.arange(NUM_KEYPOINTS, device=best.device)
+    found = torch.stack([best % width, best // width], dim=-1) + offsets[pictures[:, None], numbers, :, best]
+    return torch.cat([STRIDE * found, confidence[..., None]], dim=2)

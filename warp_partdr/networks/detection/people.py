@@ -26,6 +26,8 @@ _HEAD = slice(0, 11)  # the head's landmarks
 _TOGETHER = 64  # people whose masks are made at a time
 _FEWEST, _MOST = 2, 4  # levels where the pictures decide
 _DETECTED = 0.15  # least score of a person whom the detector sees
+_CERTAIN = 0.3  # score of the detector from which on it takes nothing off a person's score
+_STAYED = 0.95  # least score of the second look, that of the first being 1
 _FIRST = 0.5  # least score of the first look at a person, as a share of the least score
 _SMALL = 1.4  # side of the crop about the smallest person that a level finds, in quarters of the level's tiles
 
@@ -161,8 +163,9 @@ def _find(
     again, rest = np.arange(len(rows)), np.arange(len(rows), len(found.crops))
     second = found.select(again)
     closer = _scores(detected, second)
-    found = join_landmarks([first.or_better(second, closer >= scores), found.select(rest)])
-    scores = np.concatenate([np.maximum(closer, scores), found.presence[rest]])
+    stayed = closer >= _STAYED * scores  # else the second look went to a neighbour
+    found = join_landmarks([first.or_better(second, stayed), found.select(rest)])
+    scores = np.concatenate([np.where(stayed, closer, scores), found.presence[rest]])
     rows = _distinct(found, scores, min_score)
     rows = rows[np.argsort(-found.next_crops.sides[rows], kind="stable")]
     pictured = found.crops.pictures[rows]
@@ -178,9 +181,10 @@ def _find(
 
 
 def _scores(detected: Detections, found: FoundLandmarks) -> np.ndarray:
-    """Confidence in people who were detected, shape (N,): geometric mean of presence and of both networks' agreement.
+    """Confidence in people who were detected, shape (N,): the root of presence times both networks' agreement.
 
-    Networks that exchange left and right agree: on backs, the detector often does.
+    It is less where the detector is unsure, for parts of people look like people to the other network. Networks that
+    exchange left and right agree: on backs, the detector often does.
     """
     theirs = found.points[:, _COCO_LANDMARKS], found.confidence[:, _COCO_LANDMARKS], found.next_crops.sides
     agreement = np.maximum(
@@ -189,7 +193,7 @@ def _scores(detected: Detections, found: FoundLandmarks) -> np.ndarray:
             for order in (slice(None), _MIRRORED)
         )
     )
-    return np.sqrt(found.presence * agreement)
+    return np.sqrt(found.presence * agreement * np.minimum(detected.scores / _CERTAIN, 1.0))
 
 
 def _distinct(found: FoundLandmarks, scores: np.ndarray, min_score: float) -> np.ndarray:
