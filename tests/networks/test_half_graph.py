@@ -9,8 +9,10 @@ from helpers.example import example_photo
 
 from warp_partdr.networks.detection.asset import packaged_people_networks
 from warp_partdr.networks.detection.crops import Pyramid, TurnedCrops, cut_crops
+from warp_partdr.networks.detection.detector import tiles
 from warp_partdr.networks.detection.graph import Node, OperatorGraph
 from warp_partdr.networks.detection.half_graph import HalfGraph
+from warp_partdr.networks.detection.movenet import read_people
 
 
 def chain(rng: np.random.Generator, size: int, stride: int, zeros: tuple[int, int, int, int]) -> OperatorGraph:
@@ -70,3 +72,15 @@ def test_the_packaged_networks_say_the_same_of_a_person(device):
     assert float((places[:, 3:].sigmoid() - others[:, 3:].sigmoid()).abs().max()) < 0.02
     assert float(found["presence"]) == pytest.approx(float(expected["presence"]), abs=1e-3)
     assert float(((expected["mask"] > 0) != (found["mask"] > 0)).float().mean()) < 1e-3
+
+
+def test_the_detector_in_float16_sees_the_same_person(device):
+    """Keypoints within a pixel of 256, and the score to 0.01."""
+    picture = example_photo()
+    view = cut_crops([Pyramid(picture, device)], tiles(picture.shape[:2], 1), 256) * 2 - 1
+    networks = packaged_people_networks(device)
+    with torch.no_grad():
+        exact, half = (read_people(each.detector(view), 0.5) for each in (networks, networks.halved()))
+    assert len(exact[1]) == len(half[1]) == 1
+    assert float(half[1]) == pytest.approx(float(exact[1]), abs=0.01)
+    assert float((exact[2][0, :, :2] - half[2][0, :, :2]).norm(dim=1).max()) < 1

@@ -57,19 +57,10 @@ def test_resized_pictures_keep_straight_ramps():
     np.testing.assert_allclose(wide[0, 0, 0], np.clip((np.arange(8) + 0.5) / 2 - 0.5, 0, 3))
 
 
-def test_depth_becomes_space_row_by_row():
-    values = np.arange(8, dtype=np.float32).reshape(1, 8, 1, 1)  # (row, column, channel) of 2 x 2 blocks, 2 channels
-    picture = run(Node("depth_to_space", (0,), 1, size=2), values)
-    np.testing.assert_array_equal(picture[0], [[[0, 2], [4, 6]], [[1, 3], [5, 7]]])
-
-
 def test_rows_are_read_pixel_by_pixel(rng):
     values = rng.normal(size=(2, 6, 2, 3)).astype(np.float32)
     rows = run(Node("rows", (0,), 1, shape=(12, 3)), values)
     np.testing.assert_array_equal(rows, values.transpose(0, 2, 3, 1).reshape(2, 12, 3))
-    joined = run(Node("concatenate", (0, 1), 2), rows, rows[:, :5])
-    assert joined.shape == (2, 17, 3)
-    np.testing.assert_array_equal(joined[:, 12:], rows[:, :5])
 
 
 def test_a_graph_keeps_what_is_needed_later(device):

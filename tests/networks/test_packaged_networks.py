@@ -24,31 +24,30 @@ from warp_partdr.networks.detection.people import find_people
 
 WHEEL_VARIABLE, PACKAGE_VARIABLE = "PARTDR_MEDIAPIPE_WHEEL", "PARTDR_MEDIAPIPE_POSE"
 HEAVY_FILE = "package/pose_landmark_heavy.tflite"
-FILES = {
-    "detector": ("mediapipe/modules/pose_detection/pose_detection.tflite", ("boxes", "scores")),
-    "landmarks": (
-        "mediapipe/modules/pose_landmark/pose_landmark_full.tflite",
-        ("landmarks", "presence", "mask", "heat"),
-    ),
-}
+FULL_FILE = "mediapipe/modules/pose_landmark/pose_landmark_full.tflite"
+FULL_OUTPUTS = ("landmarks", "presence", "mask", "heat")
 ASSETS = Path(warp_partdr.__file__).parent / "assets"
 
 
 def test_the_file_is_small_and_its_licence_lies_beside_it():
     assert (ASSETS / "people_detector.safetensors").stat().st_size < 10e6
+    assert (ASSETS / "full_landmarks.safetensors").stat().st_size < 6.5e6
     assert (ASSETS / "heavy_landmarks.safetensors").stat().st_size < 15.5e6
-    assert "heavy_landmarks.safetensors" in (ASSETS / "people_detector.LICENSE.txt").read_text()
-    assert "Apache License" in (ASSETS / "people_detector.LICENSE.txt").read_text()
+    licence = (ASSETS / "people_detector.LICENSE.txt").read_text()
+    for name in ("people_detector", "full_landmarks", "heavy_landmarks"):
+        assert f"{name}.safetensors" in licence
+    assert "This model\nfollows Apache 2.0." in licence
+    assert "Apache License" in licence
     assert "Apache-2.0" in (ASSETS / "people_detector.md").read_text()
 
 
 def test_outputs_have_their_shapes(device):
     networks = packaged_people_networks(device)
     assert networks.device.type == device
-    said = networks.detector(torch.zeros(3, 3, 224, 224, device=device))
+    said = networks.detector(torch.zeros(3, 3, 256, 256, device=device))
+    channels = {"centre": 1, "size": 2, "centre_offset": 2, "heat": 17, "keypoints": 34, "keypoint_offset": 34}
     assert {name: tuple(values.shape) for name, values in said.items()} == {
-        "boxes": (3, 2254, 12),
-        "scores": (3, 2254, 1),
+        name: (3, number, 64, 64) for name, number in channels.items()
     }
     said = networks.landmarks(torch.zeros(2, 3, 256, 256, device=device))
     assert {name: tuple(values.shape) for name, values in said.items()} == {
@@ -82,24 +81,21 @@ def test_other_files_are_refused(tmp_path):
         load_people_networks(path)
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_google_s_runtime_says_the_same(name, tmp_path):
+def test_google_s_runtime_says_the_same(tmp_path):
     """On the example's picture, places agree to 0.01 px, and probabilities to a part in a thousand."""
     interpreter = pytest.importorskip("ai_edge_litert.interpreter", reason="needs ai-edge-litert, Google's runtime")
     wheel = os.environ.get(WHEEL_VARIABLE)
     if not wheel:
         pytest.skip(f"needs {WHEEL_VARIABLE}, the path of MediaPipe's wheel (pip download mediapipe==0.10.21)")
-    path, outputs = FILES[name]
     with zipfile.ZipFile(wheel) as archive:
-        (tmp_path / "network.tflite").write_bytes(archive.read(path))
-    network = getattr(packaged_people_networks("cpu"), name)
+        (tmp_path / "network.tflite").write_bytes(archive.read(FULL_FILE))
+    network = packaged_people_networks("cpu").landmarks
     picture = example_photo()
-    cut = cut_crops([Pyramid(picture, "cpu")], tiles(picture.shape[:2], 1, 1), network.size)
-    cut = cut * 2 - 1 if name == "detector" else cut
+    cut = cut_crops([Pyramid(picture, "cpu")], tiles(picture.shape[:2], 1), network.size)
     said, results = network(cut), run_google(interpreter, tmp_path / "network.tflite", cut)
-    for output, theirs in zip(outputs, results, strict=False):  # the last one isn't packaged
+    for output, theirs in zip(FULL_OUTPUTS, results, strict=False):  # the last one isn't packaged
         ours = said[output]
-        if output in ("boxes", "landmarks"):
+        if output == "landmarks":
             torch.testing.assert_close(ours, theirs, atol=0.01, rtol=0)
         else:
             torch.testing.assert_close(ours.sigmoid(), theirs.sigmoid(), atol=1e-3, rtol=0)

@@ -27,8 +27,7 @@ class PeopleNetworks:
     """The networks, on one device.
 
     Attributes:
-        detector: Network from pictures, from -1 to 1, to "boxes" (B, 2254, 12) [px] about anchors, and "scores" (B,
-            2254, 1), logits.
+        detector: Network from pictures, from -1 to 1, to the maps that ``read_people`` takes, (B, C, 64, 64).
         landmarks: Network from pictures, from 0 to 1, to "landmarks" (B, 195), which are five numbers for each of 39
             [px], "presence" (B, 1), 0 to 1, "mask" (B, 1, 256, 256) and "heat" (B, 39, 64, 64), logits.
         heavy: Larger network to "landmarks" and "heat", which are nearer to the truth. If it is None, those of
@@ -60,13 +59,13 @@ def load_people_networks(path: Path | str | None = None, *, device: torch.device
     Raises:
         InputError: If the file can't be read or is none of these.
     """
-    networks = _load_networks(path, "people_detector.safetensors", ("detector", "landmarks"), device)
-    return PeopleNetworks(networks["detector"], networks["landmarks"])
+    detector = _load_network(path, "people_detector.safetensors", "detector", device)
+    return PeopleNetworks(detector, _load_network(None, "full_landmarks.safetensors", "landmarks", device))
 
 
 def load_heavy_landmarks(path: Path | str | None = None, *, device: torch.device | str = "cpu") -> OperatorGraph:
     """Load the larger landmark network, which ``PeopleNetworks.heavy`` is; arguments as in ``load_people_networks``."""
-    return _load_networks(path, "heavy_landmarks.safetensors", ("heavy",), device)["heavy"]
+    return _load_network(path, "heavy_landmarks.safetensors", "heavy", device)
 
 
 def packaged_people_networks(device: str, *, half: bool = False, landmarks: LandmarkNetwork = "full") -> PeopleNetworks:
@@ -90,16 +89,13 @@ def _packaged_heavy(device: str, half: bool) -> OperatorGraph:
     return HalfGraph(_packaged_heavy(device, False)).eval() if half else load_heavy_landmarks(device=device)
 
 
-def _load_networks(
-    path: Path | str | None, packaged: str, names: tuple[str, ...], device: torch.device | str
-) -> dict[str, OperatorGraph]:
-    """Networks of a file, or of the packaged one, by their names."""
+def _load_network(path: Path | str | None, packaged: str, name: str, device: torch.device | str) -> OperatorGraph:
+    """Network of a file, or of the packaged one."""
     with resources.as_file(resources.files("warp_partdr").joinpath("assets", packaged)) as default:
-        networks = _read(Path(default if path is None else path), names)
-    return {name: network.eval().to(device) for name, network in networks.items()}
+        return _read(Path(default if path is None else path), name).eval().to(device)
 
 
-def _read(path: Path, names: tuple[str, ...]) -> dict[str, OperatorGraph]:
+def _read(path: Path, name: str) -> OperatorGraph:
     from safetensors import SafetensorError, safe_open
 
     try:
@@ -107,9 +103,9 @@ def _read(path: Path, names: tuple[str, ...]) -> dict[str, OperatorGraph]:
             metadata = file.metadata() or {}
             if metadata.get("format") != _FORMAT:
                 raise InputError(f"{path}: format {metadata.get('format')!r}; expected {_EXPECTED}")
-            weights = _whole_weights({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118  no mapping
+            weights = _whole_weights({key: file.get_tensor(key) for key in file.keys()})  # noqa: SIM118  no mapping
         graphs = parse_json(metadata["graphs"], f"{path}: graphs", _EXPECTED)
-        return {name: _graph(graphs[name], name, weights) for name in names}
+        return _graph(graphs[name], name, weights)
     except (OSError, SafetensorError, KeyError, ValueError, TypeError) as error:
         if isinstance(error, InputError) and str(error).startswith(str(path)):
             raise
@@ -123,19 +119,12 @@ def _graph(about: Mapping[str, Any], name: str, weights: Mapping[str, np.ndarray
 
 
 def _whole_weights(tensors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Arrays of the file: with the zeros that only a mask of bits tells of, and of 8 bits times their scale."""
+    """Arrays of the file, those of 8 bits times their scale."""
     arrays = {}
     for name, values in tensors.items():
         stem, _, role = name.rpartition(".")
-        if role in ("bits", "shape", "scale"):
-            continue
         if role == "int8":
-            name, values = stem, values * tensors[f"{stem}.scale"].reshape(-1, 1, 1, 1)
-        if role == "values":
-            shape = tensors[f"{stem}.shape"]
-            there = np.unpackbits(tensors[f"{stem}.bits"], count=int(shape.prod())).astype(bool)
-            full = np.zeros(there.size, dtype=values.dtype)
-            full[there] = values
-            name, values = stem, full.reshape(shape)
-        arrays[name] = values
+            arrays[stem] = values * tensors[f"{stem}.scale"].reshape(-1, 1, 1, 1)
+        elif role != "scale":
+            arrays[name] = values
     return arrays

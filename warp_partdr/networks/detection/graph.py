@@ -27,8 +27,7 @@ class Node:
         groups: Groups of a convolution. There are as many as channels if each channel goes by itself.
         zeros: Padding with zeros around a convolution's input: left, right, above, below.
         activation: Activation after a convolution or a sum: "none", "relu" or "relu6".
-        size: Side of pooled squares or of the blocks that channels become, number of channels of zeros that are
-            appended, or (H, W) of a resized picture.
+        size: Side of pooled squares, number of channels of zeros that are appended, or (H, W) of a resized picture.
         shape: Shape of the rows that a picture becomes, without the batch.
     """
 
@@ -90,21 +89,9 @@ def _sigmoid(node: Node, values: torch.Tensor) -> torch.Tensor:
     return values.sigmoid()
 
 
-def _depth_to_space(node: Node, values: torch.Tensor) -> torch.Tensor:
-    """Blocks of pixels out of channels, whose order is (row in the block, column in it, channel)."""
-    batch, channels, height, width = values.shape
-    side = node.size
-    values = values.reshape(batch, side, side, channels // side**2, height, width)
-    return values.permute(0, 3, 4, 1, 5, 2).reshape(batch, channels // side**2, height * side, width * side)
-
-
 def _rows(node: Node, values: torch.Tensor) -> torch.Tensor:
     """Rows out of pictures, whose numbers are read pixel by pixel, the channels of each together."""
     return values.permute(0, 2, 3, 1).reshape(len(values), *node.shape)
-
-
-def _concatenate(node: Node, *values: torch.Tensor) -> torch.Tensor:
-    return torch.cat(values, dim=1)
 
 
 KINDS: dict[str, Callable[..., torch.Tensor]] = {
@@ -114,9 +101,7 @@ KINDS: dict[str, Callable[..., torch.Tensor]] = {
     "more_channels": _more_channels,
     "resize": _resize,
     "sigmoid": _sigmoid,
-    "depth_to_space": _depth_to_space,
     "rows": _rows,
-    "concatenate": _concatenate,
 }
 
 

@@ -14,7 +14,7 @@ from ...kernels import depthwise
 from .graph import KINDS, Node, OperatorGraph, convolve
 
 _A_PICTURE = 2**28  # [bytes] of a device's memory for each picture of a graph, which takes some hundredths of it
-_NUMBERS = ("rows", "concatenate", "sigmoid")  # operators that only rearrange what a convolution has said, or nearly
+_NUMBERS = ("rows", "sigmoid")  # operators that only rearrange what a convolution has said, or nearly
 _LARGEST = torch.finfo(torch.float16).max
 _LIMITS = {"none": (-_LARGEST, _LARGEST), "relu": (0.0, _LARGEST), "relu6": (0.0, 6.0)}
 

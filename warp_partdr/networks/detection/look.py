@@ -10,7 +10,7 @@ import torch
 
 from ...inputs.keypoints import Keypoints2D
 from .asset import PeopleNetworks
-from .crops import Pyramid, TurnedCrops, crops_of_people, cut_crops, work_on_crops
+from .crops import Pyramid, TurnedCrops, crops_of_people, cut_crops, join_crops, work_on_crops
 from .heat import refine_landmarks
 from .person import SKELETON, FoundPerson
 
@@ -44,6 +44,10 @@ class FoundLandmarks:
         arrays = (self.points[rows], self.confidence[rows], self.presence[rows])
         return FoundLandmarks(self.crops[rows], *arrays, self.next_crops[rows], self.masks[kept])
 
+    def or_better(self, other: FoundLandmarks, better: np.ndarray) -> FoundLandmarks:
+        """The same people, those of a mask (N,) as the other looks say them."""
+        return join_landmarks([self, other]).select(np.arange(len(better)) + len(better) * better)
+
     def people(self, rows: np.ndarray, scores: np.ndarray, sizes: np.ndarray) -> list[FoundPerson]:
         """Some of them as people, with scores (R,), in pictures of sizes (H, W), shape (R, 2)."""
         some, side = self.select(rows), self.masks.shape[-1]
@@ -66,6 +70,15 @@ class FoundLandmarks:
             FoundPerson(Keypoints2D(SKELETON, *each), score, box, some.crops[one], mask, some.next_crops[one])
             for each, score, box, one, mask in zip(values, scores.tolist(), map(tuple, boxes), ones, masks, strict=True)
         ]
+
+
+def join_landmarks(parts: Sequence[FoundLandmarks]) -> FoundLandmarks:
+    """All of the people in a row."""
+    points, confidence, presence = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("points", "confidence", "presence")
+    )
+    crops, next_crops = (join_crops([getattr(part, name) for part in parts]) for name in ("crops", "next_crops"))
+    return FoundLandmarks(crops, points, confidence, presence, next_crops, torch.cat([part.masks for part in parts]))
 
 
 def look(networks: PeopleNetworks, pyramids: Sequence[Pyramid], crops: TurnedCrops) -> FoundLandmarks:

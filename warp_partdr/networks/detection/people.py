@@ -7,19 +7,28 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from ...body.skeletons import skeleton
 from ...errors import InputError, check_each, check_type, check_whole, shown
 from ...interop.torch_threads import one_torch_thread
 from . import MIN_SCORE, LandmarkNetwork, check_landmark_network
 from .asset import PeopleNetworks, packaged_people_networks
 from .crops import Pyramid, TurnedCrops, join_crops
-from .detector import detect_people
+from .detector import SMALLEST, Detections, detect_people
 from .heavy import with_heavy_landmarks
-from .look import FoundLandmarks, look
-from .person import FoundPerson
+from .look import FoundLandmarks, join_landmarks, look
+from .person import SKELETON, FoundPerson
 from .same_person import first_of_each, similarity
 
+_COCO = skeleton("coco17")
+_COCO_LANDMARKS = [skeleton(SKELETON).landmarks.index(name) for name in _COCO.landmarks]
+_MIRRORED = _COCO.mirror
+_HEAD = slice(0, 11)  # the head's landmarks
 _TOGETHER = 64  # people whose masks are made at a time
 _FEWEST, _MOST = 2, 4  # levels where the pictures decide
+_DETECTED = 0.15  # least score of a person whom the detector sees
+_CERTAIN = 0.3  # score of the detector from which on it takes nothing off a person's score
+_STAYED = 0.95  # least score of the second look, that of the first being 1
+_FIRST = 0.5  # least score of the first look at a person, as a share of the least score
 _SMALL = 1.4  # side of the crop about the smallest person that a level finds, in quarters of the level's tiles
 
 
@@ -37,10 +46,10 @@ def find_people(
     Args:
         picture: RGB, shape (H, W, 3), uint8; or a ``Pyramid`` of it on the device, which others may go on with.
         device: Device to run on.
-        min_score: Least confidence that there is a person, of the detector and of the landmarks, 0 to 1.
+        min_score: Least confidence that there is a person (``FoundPerson.score``), 0 to 1.
         levels: Number of sizes at which the picture is looked at. With 1, the whole picture alone is, where people of a
             quarter of its longer side and more are found. Each further level, at overlapping tiles of half the size,
-            finds people half as large. Tiles smaller than the detector's 224 pixels are left out. If it is None, there
+            finds people half as large. Tiles smaller than 192 pixels are left out. If it is None, there
             are 2, and more where people are so small that there may be smaller ones, or where nobody is found.
         previous: The people of a film's last frame. Where they are given, only they are followed, and the detector
             doesn't run; nobody new is found.
@@ -110,7 +119,7 @@ def find_people_in(
         again = [
             index
             for index, people in enumerate(everyone)
-            if not before[index] and _look_closer(people, max(pyramids[index].size), more, networks.detector.size)
+            if not before[index] and _look_closer(people, max(pyramids[index].size), more)
         ]
         closer = _find(networks, [pyramids[index] for index in again], [()] * len(again), min_score, more)
         for index, people in zip(again, closer, strict=True):
@@ -125,12 +134,9 @@ def check_picture(name: str, picture: np.ndarray) -> None:
         raise InputError(f"{name}: {picture.dtype} {picture.shape}; expected uint8 (H, W, 3), RGB")
 
 
-def _look_closer(people: Sequence[FoundPerson], longer: int, levels: int, least: int) -> bool:
-    """True if one more level, the last of so many, may find people in a picture of this longer side [px].
-
-    Tiles have ``least`` pixels a side at least.
-    """
-    if longer / 2 ** (levels - 1) < least:
+def _look_closer(people: Sequence[FoundPerson], longer: int, levels: int) -> bool:
+    """True if one more level, the last of so many, may find people in a picture of this longer side [px]."""
+    if longer / 2 ** (levels - 1) < SMALLEST:
         return False
     if not people:
         return levels == _FEWEST + 1
@@ -147,14 +153,19 @@ def _find(
 ) -> list[list[FoundPerson]]:
     """The people of each picture, those who were in the frame before it or else new ones."""
     new = [index for index, people in enumerate(before) if not people]
-    crops, detected = detect_people(networks, pyramids, new, min_score, levels)
-    first = look(networks, pyramids, crops)
-    rows = _distinct(first, first.presence, min_score)
-    first, detected = first.select(rows), detected[rows]
+    detected = detect_people(networks, pyramids, new, _DETECTED, levels)
+    first = look(networks, pyramids, detected.crops())
+    scores = _scores(detected, first)
+    rows = _distinct(first, scores, _FIRST * min_score)
+    detected, first, scores = detected[rows], first.select(rows), scores[rows]
     followed = [_moved(person.next_crop, index) for index, people in enumerate(before) for person in people]
     found = look(networks, pyramids, join_crops([first.next_crops, *followed]))
-    scores = found.presence.copy()
-    scores[: len(rows)] = _scores(detected, first, found.select(np.arange(len(rows))))
+    again, rest = np.arange(len(rows)), np.arange(len(rows), len(found.crops))
+    second = found.select(again)
+    closer = _scores(detected, second)
+    stayed = closer >= _STAYED * scores  # else the second look went to a neighbour
+    found = join_landmarks([first.or_better(second, stayed), found.select(rest)])
+    scores = np.concatenate([np.where(stayed, closer, scores), found.presence[rest]])
     rows = _distinct(found, scores, min_score)
     rows = rows[np.argsort(-found.next_crops.sides[rows], kind="stable")]
     pictured = found.crops.pictures[rows]
@@ -169,13 +180,20 @@ def _find(
     return people_of
 
 
-def _scores(detected: np.ndarray, first: FoundLandmarks, second: FoundLandmarks) -> np.ndarray:
-    """Confidence in people who were detected, (N,): where nobody is, the second look seldom says what the first did."""
-    agreement = similarity(
-        (first.points, first.confidence, first.next_crops.sides),
-        (second.points, second.confidence, second.next_crops.sides),
+def _scores(detected: Detections, found: FoundLandmarks) -> np.ndarray:
+    """Confidence in people who were detected, shape (N,): the root of presence times both networks' agreement.
+
+    It is less where the detector is unsure, for parts of people look like people to the other network. Networks that
+    exchange left and right agree: on backs, the detector often does.
+    """
+    theirs = found.points[:, _COCO_LANDMARKS], found.confidence[:, _COCO_LANDMARKS], found.next_crops.sides
+    agreement = np.maximum(
+        *(
+            similarity((detected.points[:, order], detected.confidence[:, order], theirs[2]), theirs)
+            for order in (slice(None), _MIRRORED)
+        )
     )
-    return np.sqrt(detected) * np.minimum(first.presence, second.presence) * agreement
+    return np.sqrt(found.presence * agreement * np.minimum(detected.scores / _CERTAIN, 1.0))
 
 
 def _distinct(found: FoundLandmarks, scores: np.ndarray, min_score: float) -> np.ndarray:
@@ -183,7 +201,7 @@ def _distinct(found: FoundLandmarks, scores: np.ndarray, min_score: float) -> np
     rows = np.flatnonzero(scores >= min_score)
     some = found.select(rows)
     quality = scores[rows] * some.confidence.mean(axis=1)
-    kept = first_of_each(some.points, some.confidence, some.next_crops.sides, some.crops.pictures, quality)
+    kept = first_of_each(some.points, some.confidence, some.next_crops.sides, some.crops.pictures, quality, _HEAD)
     return rows[kept]
 
 
