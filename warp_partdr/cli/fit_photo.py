@@ -76,5 +76,5 @@ def fit_everyone(request: FitRequest) -> None:
 
 def _confidence_words(person: Mapping[str, Any]) -> str:
     """Words for the confidence in a person's body, and for the limbs that are guessed."""
-    words = "confidence unknown" if person["confidence"] is None else f"confidence {person['confidence']:.2f}"
+    words = f"confidence {person['confidence']:.2f}"
     return f"{words}, guessed: {' and '.join(person['guessed'])}" if person["guessed"] else words

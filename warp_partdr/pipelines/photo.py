@@ -55,14 +55,14 @@ class PhotoFit:
         owners: Person at each pixel: 1 for the first of ``people``, 0 for nobody, shape (H, W), int32.
         sources: Names of the networks that gave the "keypoints" and "parts" of each body, by the index of the person.
             ``PACKAGED`` is the packaged network, whose parts are a mask. None stands for parts that were not used.
-        confidences: Confidence in each body, by the index of the person; None where no label network took part.
+        confidences: Confidence in each body, by the index of the person.
     """
 
     people: tuple[FoundPerson, ...]
     fits: dict[int, MeshFit]
     owners: np.ndarray
     sources: dict[int, dict[str, str | None]]
-    confidences: dict[int, BodyConfidence | None]
+    confidences: dict[int, BodyConfidence]
 
     def hidden_by(self, index: int) -> list[int]:
         """Indices of the people whose masks cover a person's body."""
@@ -144,10 +144,7 @@ def fit_photo(
     fits = refine_people(results, model, options=options.mesh, progress=progress)
     scores = [{"score": found[index].score} for index in chosen]
     confidences = judge_fits([fit.ellipbody for fit in fits], scores)
-    judged = [
-        fit if confidence is None else fit.with_warnings(confidence.warnings)
-        for fit, confidence in zip(fits, confidences, strict=True)
-    ]
+    judged = [fit.with_warnings(each.warnings) for fit, each in zip(fits, confidences, strict=True)]
     return PhotoFit(
         tuple(found),
         dict(zip(chosen, judged, strict=True)),

@@ -68,8 +68,7 @@ def save_photo_fit(
     small = at_overlay_size(photo)  # once for all people, because it takes long
     overlay = small
     for index in sorted(fit.fits, key=lambda index: -placements[index].distance):  # the farthest first
-        confidence = fit.confidences[index]
-        pale = None if confidence is None else guessed_parts(confidence.guessed)
+        pale = guessed_parts(fit.confidences[index].guessed)
         overlay = np.asarray(draw_detailed(fit.fits[index].body, fit.fits[index].camera, size, overlay, pale))
     for index, mesh in fit.fits.items():
         own, found = folder / _name(index), mesh.ellipbody

@@ -73,10 +73,8 @@ class BodyConfidence:
         return "; ".join(f"{' and '.join(names)} {why}, guessed" for why, names in groups.items())
 
 
-def confidence_record(confidence: BodyConfidence | None) -> dict[str, Any]:
-    """Numbers and words about a body for JSON; "confidence" is None where no label network took part."""
-    if confidence is None:
-        return {"confidence": None, "limbs": {}, "guessed": []}
+def confidence_record(confidence: BodyConfidence) -> dict[str, Any]:
+    """Numbers and words about a body for JSON."""
     limbs = confidence.limbs.items()
     return {
         "confidence": round(confidence.probability, 3),
@@ -88,9 +86,7 @@ def confidence_record(confidence: BodyConfidence | None) -> dict[str, Any]:
     }
 
 
-def judge_fits(
-    fits: Sequence[FitResult], further: Sequence[Mapping[str, float]] | None = None
-) -> list[BodyConfidence | None]:
+def judge_fits(fits: Sequence[FitResult], further: Sequence[Mapping[str, float]] | None = None) -> list[BodyConfidence]:
     """Judge fitted bodies.
 
     Args:
@@ -98,45 +94,36 @@ def judge_fits(
         further: Measures of each person that the fit does not know, by name: the detector's "score".
 
     Returns:
-        Confidence of each; None where no label network took part, as after a search.
+        Confidence in each body.
 
     Example:
         >>> from warp_partdr import fit_body, read_keypoints
         >>> keypoints = read_keypoints("warp_partdr/assets/example/keypoints.json")[0]
         >>> (confidence,) = judge_fits([fit_body(keypoints)])
-        >>> confidence is not None and confidence.probability > 0.5
+        >>> confidence.probability > 0.5
         True
     """
-    found: list[BodyConfidence | None] = [None] * len(fits)
-    stated = [row for row, fit in enumerate(fits) if fit.uncertainty is not None]
-    if not stated:
-        return found
-    observations = [fits[row].observation for row in stated]
-    for rows, batch in batch_observations(observations):
-        own = [stated[row] for row in rows]
-        spreads = [fits[row].uncertainty for row in own]
-        probabilities, limbs = judge_bodies(
-            BodyParameters.joined([fits[row].parameters for row in own]),
-            batch,
-            Uncertainty.joined([each for each in spreads if each is not None]),
-            _columns([further[row] for row in own]) if further is not None else {},
-        )
-        for index, row in enumerate(own):
-            sights = _sights(fits[row])
-            found[row] = BodyConfidence(
-                float(probabilities[index]),
-                {
-                    limb.name: LimbConfidence(float(limbs[index, column]), sights[column])
-                    for column, limb in enumerate(LIMBS)
-                },
+    found: dict[int, BodyConfidence] = {}
+    for searched in (False, True):  # after a search, no network stated its uncertainty
+        some = [row for row, fit in enumerate(fits) if (fit.uncertainty is None) == searched]
+        for rows, batch in batch_observations([fits[row].observation for row in some]):
+            own = [some[row] for row in rows]
+            stated = [each for row in own if (each := fits[row].uncertainty) is not None]
+            probabilities, limbs = judge_bodies(
+                BodyParameters.joined([fits[row].parameters for row in own]),
+                batch,
+                Uncertainty.joined(stated) if stated else None,
+                _columns([further[row] for row in own]) if further is not None else {},
             )
-    return found
+            for row, probability, by_limb in zip(own, probabilities.tolist(), limbs.tolist(), strict=True):
+                found[row] = _confidence(fits[row], probability, by_limb)
+    return [found[row] for row in range(len(fits))]
 
 
 def judge_bodies(
     bodies: BodyParameters,
     observations: Observations,
-    uncertainty: Uncertainty,
+    uncertainty: Uncertainty | None,
     further: Mapping[str, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Judge N bodies side by side.
@@ -144,13 +131,19 @@ def judge_bodies(
     Args:
         bodies: N bodies in the crops of their people.
         observations: Keypoints and labels in these crops.
-        uncertainty: Uncertainty that the label network stated.
+        uncertainty: Uncertainty that the label network stated; None after a search.
         further: Further measures by name, shape (N,) each.
 
     Returns:
         Probabilities that the bodies are right, shape (N,), and their limbs, shape (N, 5).
     """
     return packaged_model().judge(measure_bodies(bodies, observations, uncertainty), further or {})
+
+
+def _confidence(fit: FitResult, probability: float, limbs: Sequence[float]) -> BodyConfidence:
+    sights = _sights(fit)
+    own = {limb.name: LimbConfidence(each, sight) for limb, each, sight in zip(LIMBS, limbs, sights, strict=True)}
+    return BodyConfidence(probability, own)
 
 
 def _columns(rows: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:

@@ -11,6 +11,7 @@ from ...body.labels import IGNORE
 from ...body.lens import place_bodies
 from ...body.parameters import BodyParameters
 from ...body.posing import LandmarkGather
+from ...body.template import JOINT_NAMES
 from ...inputs.observation import resize_nearest
 from ...inputs.observations import Observations
 from ...networks.regression.uncertainty import Uncertainty
@@ -26,52 +27,66 @@ class BodyMeasures:
     """Measures of N bodies.
 
     Attributes:
-        depths: Uncertainty of the depths that the label network stated, mean over joints [m], shape (N,).
-        keypoints: Distance of the body's joints from the keypoints of shoulders, elbows, wrists, hips, knees and
-            ankles, mean over all that are there, as a share of the crop's side, shape (N,).
+        seen: Mean confidence in the keypoints of shoulders, elbows, wrists, hips, knees and ankles, shape (N,).
+        depths: Uncertainty of the depths of these joints that the label network stated, mean weighted by the
+            confidence in their keypoints [m], shape (N,); None without a network.
+        keypoints: Distance of these joints from their keypoints, mean weighted likewise, as a share of the crop's side,
+            shape (N,).
         labels: Share of the pixels of the body or the person's labels that both have, shape (N,); None without labels.
-        limb_depths: Uncertainty of depths of each limb of ``LIMBS`` [m], shape (N, 5).
+        limb_depths: Uncertainty of depths of each limb of ``LIMBS`` [m], shape (N, 5); None without a network.
         limb_keypoints: Least confidence in a keypoint of each limb, 0 where the format has none, shape (N, 5).
     """
 
-    depths: np.ndarray
+    seen: np.ndarray
+    depths: np.ndarray | None
     keypoints: np.ndarray
     labels: np.ndarray | None
-    limb_depths: np.ndarray
+    limb_depths: np.ndarray | None
     limb_keypoints: np.ndarray
 
     def columns(self) -> dict[str, np.ndarray]:
         """Measures of bodies by name, on the scales that the model of confidence takes them, shape (N,) each."""
-        found = {"depths": _log(self.depths), "keypoints": _log(self.keypoints)}
+        found = {"seen": self.seen, "keypoints": _log(self.keypoints)}
+        if self.depths is not None:
+            found["depths"] = _log(self.depths)
         return found if self.labels is None else found | {"labels": self.labels}
 
     def limb_columns(self) -> dict[str, np.ndarray]:
         """Measures of limbs likewise, shape (N, 5) each."""
-        return {"depths": _log(self.limb_depths), "keypoints": self.limb_keypoints}
+        found = {"keypoints": self.limb_keypoints}
+        return found if self.limb_depths is None else found | {"depths": _log(self.limb_depths)}
 
 
 @torch.no_grad()
-def measure_bodies(bodies: BodyParameters, observations: Observations, uncertainty: Uncertainty) -> BodyMeasures:
+def measure_bodies(bodies: BodyParameters, observations: Observations, uncertainty: Uncertainty | None) -> BodyMeasures:
     """Measure bodies of N people.
 
     Args:
         bodies: N bodies in the crops of their people.
         observations: Keypoints and labels in these crops.
-        uncertainty: Uncertainty that the label network stated about its bodies, from which the fits started.
+        uncertainty: Uncertainty that the label network stated about its bodies, from which the fits started; None after
+            a search.
     """
     posed, camera = place_bodies(bodies, bodies.posed(), observations.lens, 2)
     points = camera.project(LandmarkGather(observations.marks, posed.joints.device)(posed))[..., :2] - 1
     distances = (points - observations.points).norm(dim=-1) / 2
-    rows = [observations.landmarks.index(name) for name in BODY_LANDMARKS if name in observations.landmarks]
-    there = torch.from_numpy(observations.visible[:, rows]).to(distances)
+    names = [name for name in BODY_LANDMARKS if name in observations.landmarks]
+    rows = [observations.landmarks.index(name) for name in names]
     confidence = observations.confidence
+    weights = confidence[:, rows] + _LEAST  # where nothing is seen, all count alike
     limbs = [limb.rows(observations.landmarks) for limb in LIMBS]
     least = [confidence[:, own].amin(1) if own else torch.zeros_like(confidence[:, 0]) for own in limbs]
+    depths = limb_depths = None
+    if uncertainty is not None:
+        own_depths = uncertainty.depths[:, [JOINT_NAMES.index(name) - 1 for name in names]]
+        depths = _numbers((own_depths * weights).sum(1) / weights.sum(1))
+        limb_depths = _numbers(mean_over(uncertainty.depths, limb_columns()))
     return BodyMeasures(
-        depths=_numbers(uncertainty.depths.mean(1)),
-        keypoints=_numbers((distances[:, rows] * there).sum(1) / there.sum(1).clamp_min(1)),
+        seen=_numbers(confidence[:, rows].mean(1)),
+        depths=depths,
+        keypoints=_numbers((distances[:, rows] * weights).sum(1) / weights.sum(1)),
         labels=None if observations.labels is None else _numbers(_shared_pixels(bodies, observations)),
-        limb_depths=_numbers(mean_over(uncertainty.depths, limb_columns())),
+        limb_depths=limb_depths,
         limb_keypoints=_numbers(torch.stack(least, dim=1)),
     )
 

@@ -39,17 +39,13 @@ class ConfidenceModel:
 
     Attributes:
         bodies: One regression for each set of measures that may be there, the largest set first.
-        limbs: Regression of each kind of limb.
+        limbs: Regressions of each kind of limb, likewise.
         least: Confidence below which a body is warned of.
     """
 
     bodies: tuple[Logistic, ...]
-    limbs: Mapping[str, Logistic]
+    limbs: Mapping[str, tuple[Logistic, ...]]
     least: float
-
-    def body_logits(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Logarithms of the odds that bodies are right, shape (N,)."""
-        return next(each for each in self.bodies if columns.keys() >= set(each.measures)).logits(columns)
 
     def judge(self, measures: BodyMeasures, further: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Probabilities that bodies (N,) and their limbs (N, 5) are right.
@@ -58,13 +54,18 @@ class ConfidenceModel:
             measures: Measures of N bodies.
             further: Measures by name that only some fits have, such as the detector's score, shape (N,) each.
         """
-        logits = self.body_logits({**measures.columns(), **further})
+        logits = _logits(self.bodies, {**measures.columns(), **further})
         columns = measures.limb_columns() | {"body": np.repeat(logits[:, None], len(LIMBS), 1)}
-        limbs = np.zeros_like(measures.limb_depths)
+        limbs = np.zeros_like(measures.limb_keypoints)
         for column, limb in enumerate(LIMBS):
             own = {name: values[:, column] for name, values in columns.items()}
-            limbs[:, column] = _probabilities(self.limbs[limb.kind].logits(own))
+            limbs[:, column] = _probabilities(_logits(self.limbs[limb.kind], own))
         return _probabilities(logits), limbs
+
+
+def _logits(regressions: Sequence[Logistic], columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Logarithms of the odds by the first regression whose measures are all there."""
+    return next(each for each in regressions if columns.keys() >= set(each.measures)).logits(columns)
 
 
 def _probabilities(logits: np.ndarray) -> np.ndarray:
@@ -83,7 +84,7 @@ def read_model(text: str) -> ConfidenceModel:
         raise ValueError(f"format: {content['format']!r}; expected {FORMAT!r}")
     return ConfidenceModel(
         _logistics(content["bodies"]),
-        {kind: each for kind, one in content["limbs"].items() for each in _logistics([one])},
+        {kind: _logistics(rows) for kind, rows in content["limbs"].items()},
         content["least"],
     )
 
