@@ -54,9 +54,9 @@ def test_a_fit_without_labels_draws_nothing():
     keypoints, _ = seen(label_set("body14"))
     last = explain(keypoints)[-1]
     assert last.what == "part labels"
-    assert last.left_out == "L_seg; outline"
+    assert last.left_out == "L_seg"
     searched = explain(keypoints, options=FitOptions.at("balanced", "search"))
-    assert "labels, fine; outline" in searched[-1].left_out
+    assert "labels, fine" in searched[-1].left_out
     choices = {choice.what: choice for choice in searched}
     assert choices["start"].left_out == "the label network"
     assert choices["camera"].left_out.startswith("distance")
