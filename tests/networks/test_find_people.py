@@ -147,7 +147,7 @@ def test_a_score_is_lower_where_the_networks_disagree() -> None:
     (moved,) = _scores(replace(detected, points=detected.points + 0.1 * side), found)
     assert moved < 0.5 * agreed
     (unsure,) = _scores(replace(detected, scores=detected.scores * 0 + 0.075), found)
-    assert unsure == pytest.approx(agreed / 2)
+    assert unsure == pytest.approx(agreed * 0.25 ** (2 / 3))
 
 
 def test_a_film_follows_people_without_the_detector(monkeypatch):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from warp_partdr.networks.detection.detector import SMALLEST, tiles
+from warp_partdr import skeleton
+from warp_partdr.networks.detection.detector import SMALLEST, Detections, detector_views, tiles
 from warp_partdr.networks.detection.same_person import first_of_each, similarity
 
 
@@ -40,3 +41,40 @@ def test_landmarks_that_coincide_are_one_person(rng):
     np.testing.assert_allclose(similarity(one, one), 1)
     moved = (people[:1] + np.array([0, 0.05 * 250]), confidence[:1], sides[:1])
     np.testing.assert_allclose(similarity(one, moved), np.exp(-0.5))
+
+
+def test_looks_at_one_head_are_of_one_person(rng: np.random.Generator) -> None:
+    points = rng.uniform(0, 200, (33, 2))
+    part = points.copy()
+    part[11:] += 60  # limbs that were guessed
+    people, confidence = np.stack([part, points]), np.full((2, 33), 0.9)
+    looks = (people, confidence, np.full(2, 250.0), np.zeros(2, int), np.array([0.5, 0.9]))
+    np.testing.assert_array_equal(first_of_each(*looks), [0, 1])
+    np.testing.assert_array_equal(first_of_each(*looks, slice(0, 11)), [1])
+
+
+def test_crops_are_turned_as_hips_and_shoulders_stand() -> None:
+    """Somebody 100 px from hips to shoulders, who lies with the head to the right."""
+    names = skeleton("coco17").landmarks
+    points = np.full((1, 17, 2), 100.0)
+    for name, x in (("shoulder", 200.0), ("hip", 100.0), ("ankle", -100.0)):
+        for y, side in ((90, "left"), (110, "right")):
+            points[0, names.index(f"{side}_{name}")] = (x, y)
+    seen = np.full((1, 17), 0.9)
+    crops = Detections(points, seen, np.ones(1), np.zeros(1, int)).crops()
+    np.testing.assert_allclose(crops.centres, [[100, 100]])
+    np.testing.assert_allclose(crops.angles, [np.pi / 2])
+    radius = 1.15 * np.hypot(200, 10)
+    np.testing.assert_allclose(crops.sides, [2 * 1.25 * radius])
+    seen[0, [names.index("left_ankle"), names.index("right_ankle")]] = 0.05  # out of the picture, perhaps
+    crops = Detections(points, seen, np.ones(1), np.zeros(1, int)).crops()
+    np.testing.assert_allclose(crops.sides, [2 * 1.25 * 1.75 * 100])
+
+
+def test_the_whole_picture_is_looked_at_turned_too() -> None:
+    views = detector_views((480, 640), 2, 3)
+    upright = tiles((480, 640), 2, 3)
+    assert len(views) == len(upright) + 3
+    np.testing.assert_allclose(np.sort(views.angles[len(upright) :] % (2 * np.pi)), [np.pi / 2, np.pi, 1.5 * np.pi])
+    assert (views.sides[len(upright) :] == 640).all()
+    assert (views.pictures == 3).all()

@@ -1,9 +1,10 @@
 """Detection of people in pictures: keypoints and masks of everyone, by the packaged networks.
 
-``find_people`` is the entry. A detector (BlazePose's, at 224 x 224) looks at the whole picture and at overlapping
-tiles; its points place a turned square crop on each person. A second network (256 x 256) finds 33 landmarks and a mask
-there, and two points more that place a better crop, for a second look. People found twice are merged. A larger network,
-"heavy", may then give landmarks that are nearer to the truth. Weights are MediaPipe's (Apache-2.0, see
+``find_people`` is the entry. A detector (MoveNet MultiPose, at 256 x 256) looks at the whole picture, upright and
+turned by quarters of a circle, and at overlapping tiles; its 17 keypoints place a turned square crop on each person. A
+second network (BlazePose, 256 x 256) finds 33 landmarks and a mask there, and two points more that place a better crop,
+for a second look. Whoever both networks see alike is a person, and people found twice are merged. A larger network,
+"heavy", may then give landmarks that are nearer to the truth. Weights are Google's (Apache-2.0, see
 ``assets/people_detector.md``), run by plain torch.
 """
 
