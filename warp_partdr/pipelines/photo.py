@@ -33,6 +33,7 @@ from ..networks.predictors.keypoints import find_keypoints
 from ..networks.predictors.networks import KeypointNetwork, PartNetwork
 from ..networks.predictors.parts import PeopleParts
 from ..solve.confidence.judge import BodyConfidence, judge_fits
+from ..solve.confidence.measures import detection_measures
 from ..solve.ellipsoids.fitting import fit_evidence
 from ..solve.ellipsoids.options import FitOptions
 from ..solve.ellipsoids.result import FitResult
@@ -142,8 +143,7 @@ def fit_photo(
         result = fit_evidence(readings, options, device=device, camera=camera)
         results.append(replace(result, warnings=(*warnings, *result.warnings)))
     fits = refine_people(results, model, options=options.mesh, progress=progress)
-    scores = [{"score": found[index].score} for index in chosen]
-    confidences = judge_fits([fit.ellipbody for fit in fits], scores)
+    confidences = judge_fits([fit.ellipbody for fit in fits], [detection_measures(found[index]) for index in chosen])
     judged = [fit.with_warnings(each.warnings) for fit, each in zip(fits, confidences, strict=True)]
     return PhotoFit(
         tuple(found),

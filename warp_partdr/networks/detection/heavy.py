@@ -20,6 +20,13 @@ from .look import NUM_LANDMARKS, place_landmarks, read_landmarks
 from .person import SKELETON, FoundPerson
 from .same_person import first_of_each, similarity
 
+_JOINTS = [
+    skeleton(SKELETON).landmarks.index(f"{side}_{name}")
+    for side in ("left", "right")
+    for name in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+]
+_LEAST_WEIGHT = 1e-3  # so that all joints count alike where none is seen
+
 
 def with_heavy_landmarks(
     network: OperatorGraph, pyramids: Sequence[Pyramid], everyone: Sequence[Sequence[FoundPerson]]
@@ -38,7 +45,9 @@ def with_heavy_landmarks(
         return [list(people) for people in everyone]
     pictures = np.repeat(np.arange(len(everyone)), [len(people) for people in everyone])
     crops = replace(join_crops([person.crop for person in found]), pictures=pictures)
-    points, confidence, next_crops = place_landmarks(see_landmarks(network, pyramids, crops), crops)
+    own, turned = look_twice(network, pyramids, crops)
+    points, confidence, next_crops = place_landmarks((own + turned) / 2, crops)
+    apart = _mirror_distances(own, turned, confidence)
     before = (
         np.stack([person.keypoints.points for person in found]),
         np.stack([person.keypoints.confidence for person in found]),
@@ -47,7 +56,8 @@ def with_heavy_landmarks(
     kept = similarity(before, (points, confidence, next_crops.sides))
     for row in first_of_each(points, confidence, next_crops.sides, pictures, kept).tolist():
         keypoints = Keypoints2D(SKELETON, points[row].astype(np.float32), confidence[row].astype(np.float32))
-        found[row] = replace(found[row], keypoints=keypoints, next_crop=next_crops[row : row + 1])
+        next_crop, distance = next_crops[row : row + 1], float(apart[row])
+        found[row] = replace(found[row], keypoints=keypoints, next_crop=next_crop, mirror_distance=distance)
     rest = iter(found)
     return [[next(rest) for _ in people] for people in everyone]
 
@@ -64,16 +74,37 @@ def see_landmarks(
         mirror: True returns the means of the landmarks in a crop and in its mirror image, which lie nearer to the
             truth.
     """
+    if mirror:
+        own, turned = look_twice(network, pyramids, crops)
+        return (own + turned) / 2
+    return _look(network, pyramids, crops, mirrored=False)
+
+
+def look_twice(
+    network: OperatorGraph, pyramids: Sequence[Pyramid], crops: TurnedCrops
+) -> tuple[np.ndarray, np.ndarray]:
+    """Landmarks in crops, and those in the crops' mirror images, mirrored back, each as of ``see_landmarks``."""
+    return _look(network, pyramids, crops, mirrored=False), _look(network, pyramids, crops, mirrored=True)
+
+
+def _look(network: OperatorGraph, pyramids: Sequence[Pyramid], crops: TurnedCrops, *, mirrored: bool) -> np.ndarray:
     hips, top = NUM_LANDMARKS, NUM_LANDMARKS + 1
-    mirrored = torch.tensor([*skeleton(SKELETON).mirror.tolist(), hips, top])
+    order = torch.tensor([*skeleton(SKELETON).mirror.tolist(), hips, top])
 
     def ask(part: TurnedCrops) -> torch.Tensor:
         pictures = cut_crops(pyramids, part, network.size, beyond="border")
-        seen = read_landmarks(network(pictures), network.size)[:, : len(mirrored)]
-        if not mirror:
-            return seen
-        turned = read_landmarks(network(pictures.flip(-1)), network.size)[:, mirrored.to(seen.device)]
+        if not mirrored:
+            return read_landmarks(network(pictures), network.size)[:, : len(order)]
+        turned = read_landmarks(network(pictures.flip(-1)), network.size)[:, order.to(pictures.device)]
         turned[..., 0] = 1 - turned[..., 0]
-        return (seen + turned) / 2
+        return turned
 
     return torch.cat(work_on_crops(ask, crops, pyramids[0].device)).cpu().numpy()
+
+
+def _mirror_distances(own: np.ndarray, turned: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+    """Distances of ``FoundPerson.mirror_distance``, shape (N,), from both looks (N, 35, 5)."""
+    distances = np.linalg.norm(own[:, _JOINTS, :2] - turned[:, _JOINTS, :2], axis=-1)
+    weights = confidence[:, _JOINTS] + _LEAST_WEIGHT
+    found: np.ndarray = (distances * weights).sum(axis=1) / weights.sum(axis=1)
+    return found

@@ -26,6 +26,8 @@ class FoundPerson:
         mask: Probability that a pixel of the crop shows the person, 0 beyond the picture, shape (256, 256), float32,
             on the device that found it; ``draw_mask`` and ``instance_map`` bring it into the picture.
         next_crop: The crop that the landmarks place about the person, for the next picture of a film.
+        mirror_distance: Distance between joints as they are found in the crop and in its mirror image, mean weighted by
+            their confidence, as a share of the crop's side; None if the mirror image was not looked at.
     """
 
     keypoints: Keypoints2D
@@ -34,6 +36,7 @@ class FoundPerson:
     crop: TurnedCrops
     mask: torch.Tensor
     next_crop: TurnedCrops
+    mirror_distance: float | None = None
 
     @property
     def seen(self) -> bool:

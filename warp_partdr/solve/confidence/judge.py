@@ -91,7 +91,7 @@ def judge_fits(fits: Sequence[FitResult], further: Sequence[Mapping[str, float]]
 
     Args:
         fits: Fits of ellipsoids, or EllipBodies that were measured from a mesh (``MeshFit.ellipbody``).
-        further: Measures of each person that the fit does not know, by name: the detector's "score".
+        further: Measures of each person that the fit does not know, of ``detection_measures``.
 
     Returns:
         Confidence in each body.

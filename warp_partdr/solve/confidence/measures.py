@@ -1,24 +1,25 @@
-"""Measures that separate right bodies from wrong ones: what the network stated, and how well the body fits."""
+"""Measures that separate right bodies from wrong ones: the network's uncertainty, and how well keypoints agree.
+
+How well the drawn body covers the labels adds nothing to them, and a person's height alone would warn of children.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from ...body.labels import IGNORE
 from ...body.lens import place_bodies
 from ...body.parameters import BodyParameters
 from ...body.posing import LandmarkGather
 from ...body.template import JOINT_NAMES
-from ...inputs.observation import resize_nearest
 from ...inputs.observations import Observations
+from ...networks.detection.person import FoundPerson
 from ...networks.regression.uncertainty import Uncertainty
-from ...render.ellipsoids import draw_ellipsoids
 from .limbs import BODY_LANDMARKS, LIMBS, limb_columns, mean_over
 
-_DRAWN = 128  # [px], side of the crop in which bodies are compared with labels
 _LEAST = 1e-4  # of what is a logarithm, so that it stays finite
 
 
@@ -32,7 +33,6 @@ class BodyMeasures:
             confidence in their keypoints [m], shape (N,); None without a network.
         keypoints: Distance of these joints from their keypoints, mean weighted likewise, as a share of the crop's side,
             shape (N,).
-        labels: Share of the pixels of the body or the person's labels that both have, shape (N,); None without labels.
         limb_depths: Uncertainty of depths of each limb of ``LIMBS`` [m], shape (N, 5); None without a network.
         limb_keypoints: Least confidence in a keypoint of each limb, 0 where the format has none, shape (N, 5).
     """
@@ -40,7 +40,6 @@ class BodyMeasures:
     seen: np.ndarray
     depths: np.ndarray | None
     keypoints: np.ndarray
-    labels: np.ndarray | None
     limb_depths: np.ndarray | None
     limb_keypoints: np.ndarray
 
@@ -49,7 +48,7 @@ class BodyMeasures:
         found = {"seen": self.seen, "keypoints": _log(self.keypoints)}
         if self.depths is not None:
             found["depths"] = _log(self.depths)
-        return found if self.labels is None else found | {"labels": self.labels}
+        return found
 
     def limb_columns(self) -> dict[str, np.ndarray]:
         """Measures of limbs likewise, shape (N, 5) each."""
@@ -85,22 +84,17 @@ def measure_bodies(bodies: BodyParameters, observations: Observations, uncertain
         seen=_numbers(confidence[:, rows].mean(1)),
         depths=depths,
         keypoints=_numbers((distances[:, rows] * weights).sum(1) / weights.sum(1)),
-        labels=None if observations.labels is None else _numbers(_shared_pixels(bodies, observations)),
         limb_depths=limb_depths,
         limb_keypoints=_numbers(torch.stack(least, dim=1)),
     )
 
 
-def _shared_pixels(bodies: BodyParameters, observations: Observations) -> torch.Tensor:
-    """Pixels that body and labels both have, over those that either has, shape (N,); ignored pixels do not count."""
-    assert observations.labels is not None
-    target = resize_nearest(observations.labels, _DRAWN)
-    placed, camera = place_bodies(bodies, bodies.posed(), observations.lens, _DRAWN)
-    drawn = draw_ellipsoids(placed, camera, (_DRAWN, _DRAWN)).parts > 0
-    known = target != IGNORE
-    person = (target > 0) & known
-    both, either = (drawn & person).sum((1, 2)), ((drawn | person) & known).sum((1, 2))
-    return both / either.clamp_min(1)
+def detection_measures(person: FoundPerson) -> dict[str, float]:
+    """Measures of a person who was found in a picture, by name, on the scales that the model takes them."""
+    measures = {"score": person.score}
+    if person.mirror_distance is not None:
+        measures["mirror"] = math.log(max(person.mirror_distance, _LEAST))
+    return measures
 
 
 def _numbers(values: torch.Tensor) -> np.ndarray:
