@@ -19,7 +19,7 @@ from warp_partdr.networks.detection.crops import Pyramid
 from warp_partdr.networks.detection.detector import detect_people
 from warp_partdr.networks.detection.look import look
 from warp_partdr.networks.detection.masks import draw_mask, instance_map
-from warp_partdr.networks.detection.people import _scores, find_people, find_people_in
+from warp_partdr.networks.detection.people import _agreement_scores, find_people, find_people_in
 from warp_partdr.networks.detection.person import FoundPerson
 
 MAX_ERROR = 0.01  # of keypoints, as a share of the person's height, against MediaPipe's own
@@ -139,14 +139,14 @@ def test_a_score_is_lower_where_the_networks_disagree() -> None:
     pyramids = [Pyramid(photo, "cpu")]
     detected = detect_people(networks, pyramids, [0], 0.5, 1)
     found = look(networks, pyramids, detected.crops())
-    (agreed,) = _scores(detected, found)
+    (agreed,) = _agreement_scores(detected, found)
     mirrored = skeleton("coco17").mirror
     exchanged = replace(detected, points=detected.points[:, mirrored], confidence=detected.confidence[:, mirrored])
-    assert _scores(exchanged, found) == pytest.approx(agreed)
+    assert _agreement_scores(exchanged, found) == pytest.approx(agreed)
     side = float(found.next_crops.sides[0])
-    (moved,) = _scores(replace(detected, points=detected.points + 0.1 * side), found)
+    (moved,) = _agreement_scores(replace(detected, points=detected.points + 0.1 * side), found)
     assert moved < 0.5 * agreed
-    (unsure,) = _scores(replace(detected, scores=detected.scores * 0 + 0.075), found)
+    (unsure,) = _agreement_scores(replace(detected, scores=detected.scores * 0 + 0.075), found)
     assert unsure == pytest.approx(agreed * 0.25 ** (2 / 3))
 
 

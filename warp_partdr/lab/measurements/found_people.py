@@ -143,12 +143,12 @@ class MarkedPhoto:
         """Compare people who were found in a picture of size (H, W) with those who are there."""
         extent = np.array([size[1], size[0]])
         boxes = np.array([_keypoint_box(person, extent) for person in people]).reshape(-1, 4)
-        shared = _overlaps(boxes, self.people)
+        shared = _box_overlaps(boxes, self.people)
         found: dict[int, int] = {}  # marked person of each who was found
         for row, column in zip(*np.unravel_index(np.argsort(-shared, axis=None), shared.shape), strict=True):
             if shared[row, column] > _OVERLAP and row not in found and column not in found.values():
                 found[int(row)] = int(column)
-        elsewhere = _overlaps(boxes, self.ignored, of_ours=True).max(axis=1, initial=0.0) > _IGNORED
+        elsewhere = _box_overlaps(boxes, self.ignored, of_ours=True).max(axis=1, initial=0.0) > _IGNORED
         false = tuple(
             round(person.score, 2) for row, person in enumerate(people) if row not in found and not elsewhere[row]
         )
@@ -161,7 +161,7 @@ def _keypoint_box(person: FoundPerson, extent: np.ndarray) -> np.ndarray:
     return np.concatenate([points.min(axis=0), points.max(axis=0)])
 
 
-def _overlaps(ours: np.ndarray, theirs: np.ndarray, *, of_ours: bool = False) -> np.ndarray:
+def _box_overlaps(ours: np.ndarray, theirs: np.ndarray, *, of_ours: bool = False) -> np.ndarray:
     """Intersection of boxes (N, 4) and (M, 4) over their union, or over ours, shape (N, M)."""
     low = np.maximum(ours[:, None, :2], theirs[None, :, :2])
     high = np.minimum(ours[:, None, 2:], theirs[None, :, 2:])

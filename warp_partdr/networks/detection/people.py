@@ -27,7 +27,7 @@ _TOGETHER = 64  # people whose masks are made at a time
 _FEWEST, _MOST = 2, 4  # levels where the pictures decide
 _DETECTED = 0.15  # least score of a person whom the detector sees
 _CERTAIN = 0.3  # score of the detector from which on it takes nothing off a person's score
-_STAYED = 0.95  # least score of the second look, that of the first being 1
+_KEPT = 0.95  # least score of the second look, that of the first being 1
 _POWER = 2 / 3  # of the product of all evidence; it brings the best limit, on photos, to 0.5
 _FIRST = 0.4  # least score of the first look at a person, as a share of the least score
 _SMALL = 1.4  # side of the crop about the smallest person that a level finds, in quarters of the level's tiles
@@ -156,15 +156,15 @@ def _find(
     new = [index for index, people in enumerate(before) if not people]
     detected = detect_people(networks, pyramids, new, _DETECTED, levels)
     first = look(networks, pyramids, detected.crops())
-    scores = _scores(detected, first)
+    scores = _agreement_scores(detected, first)
     rows = _distinct(first, scores, _FIRST * min_score)
     detected, first, scores = detected[rows], first.select(rows), scores[rows]
     followed = [_moved(person.next_crop, index) for index, people in enumerate(before) for person in people]
     found = look(networks, pyramids, join_crops([first.next_crops, *followed]))
     again, rest = np.arange(len(rows)), np.arange(len(rows), len(found.crops))
     second = found.select(again)
-    closer = _scores(detected, second)
-    stayed = closer >= _STAYED * scores  # else the second look went to a neighbour
+    closer = _agreement_scores(detected, second)
+    stayed = closer >= _KEPT * scores  # else the second look went to a neighbour
     found = join_landmarks([first.or_better(second, stayed), found.select(rest)])
     scores = np.concatenate([np.where(stayed, closer, scores), found.presence[rest]])
     rows = _distinct(found, scores, min_score)
@@ -181,7 +181,7 @@ def _find(
     return people_of
 
 
-def _scores(detected: Detections, found: FoundLandmarks) -> np.ndarray:
+def _agreement_scores(detected: Detections, found: FoundLandmarks) -> np.ndarray:
     """Confidence in people who were detected, shape (N,): of presence and of both networks' agreement.
 
     It is less where the detector is unsure, for parts of people look like people to the other network. Networks that
