@@ -67,7 +67,6 @@ def hand_made_maps(*people: tuple[int, int]) -> dict[str, torch.Tensor]:
 
 def test_keypoints_are_the_hot_cells_near_where_they_are_expected() -> None:
     maps = hand_made_maps((20, 30))
-    maps["heat"][0, :, 40, 20] = 9.0  # hotter, but outside the box
     pictures, scores, keypoints = read_people(maps, 0.15)
     assert pictures.tolist() == [0]
     np.testing.assert_allclose(keypoints[0, :, :2], [[STRIDE * 22.25, STRIDE * 31]] * NUM_KEYPOINTS)
@@ -75,6 +74,14 @@ def test_keypoints_are_the_hot_cells_near_where_they_are_expected() -> None:
     confidence = heat * np.exp(-1 / (0.3 * CELLS))
     np.testing.assert_allclose(keypoints[0, :, 2], confidence, rtol=1e-5)
     assert float(scores[0]) == pytest.approx(centre * confidence, rel=1e-5)
+
+
+def test_keypoints_are_in_the_box() -> None:
+    maps = hand_made_maps((20, 30))
+    maps["heat"][0, :, 31, 22] = -2.0
+    maps["heat"][0, :, 36, 22] = 9.0  # much hotter, just below the box
+    _, _, keypoints = read_people(maps, 0.15)
+    np.testing.assert_allclose(keypoints[0, :, :2], [[STRIDE * 22.25, STRIDE * 31]] * NUM_KEYPOINTS)
 
 
 def test_scores_count_the_keypoints_that_are_seen() -> None:

@@ -100,7 +100,7 @@ class MarkedPhoto:
         frame: Number of the frame, if the file is a film.
         held_out: True if rules must not be chosen on it.
         people: Left, top, right, bottom of each person, from 0 to 1 across the picture, shape (N, 4).
-        ignored: The same of those who don't count, shape (M, 4).
+        ignored: Boxes of those who don't count, shape (M, 4).
     """
 
     file: str

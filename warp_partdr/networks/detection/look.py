@@ -45,7 +45,7 @@ class FoundLandmarks:
         return FoundLandmarks(self.crops[rows], *arrays, self.next_crops[rows], self.masks[kept])
 
     def or_better(self, other: FoundLandmarks, better: np.ndarray) -> FoundLandmarks:
-        """The same people, those of a mask (N,) as the other looks say them."""
+        """People as these looks say them, or as the other looks do where a mask (N,) is true."""
         return join_landmarks([self, other]).select(np.arange(len(better)) + len(better) * better)
 
     def people(self, rows: np.ndarray, scores: np.ndarray, sizes: np.ndarray) -> list[FoundPerson]:
