@@ -59,7 +59,7 @@ def learn(*rows: Path) -> None:
     content = {
         "format": FORMAT,
         "bodies": bodies,
-        "limbs": _limbs(table, _logits(bodies[-1], columns), held_out),
+        "limbs": _limbs(table, _body_logits(bodies, columns), held_out),
         "least": round(limit, 2),
     }
     ASSET.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -109,6 +109,15 @@ def _regression(
 def _logits(regression: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> np.ndarray:
     pairs = zip(regression["weights"], regression["measures"], strict=True)
     found: np.ndarray = regression["bias"] + sum(weight * columns[name] for weight, name in pairs)
+    return found
+
+
+def _body_logits(bodies: Sequence[Mapping[str, Any]], columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Logarithms of each body's odds, by the first regression whose measures the body has."""
+    found = np.full(len(columns["keypoints"]), np.nan)
+    for regression in bodies:
+        own = _logits(regression, columns)
+        found = np.where(np.isnan(found), own, found)
     return found
 
 
