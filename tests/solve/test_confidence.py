@@ -20,7 +20,7 @@ from warp_partdr.networks.detection.person import FoundPerson
 from warp_partdr.solve.confidence.judge import BodyConfidence, LimbConfidence, Sight, confidence_record, judge_fits
 from warp_partdr.solve.confidence.limbs import LIMBS, guessed_parts
 from warp_partdr.solve.confidence.measures import BodyMeasures, detection_measures, measure_bodies
-from warp_partdr.solve.confidence.model import FORMAT, packaged_model, read_model
+from warp_partdr.solve.confidence.model import FORMAT, packaged_model, read_confidence_model
 from warp_partdr.solve.ellipsoids.fitting import fit_body
 from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.result import FitResult
@@ -169,9 +169,9 @@ def test_the_model_takes_the_measures_that_are_there() -> None:
 
 def test_only_its_own_format_is_read() -> None:
     text = resources.files("warp_partdr").joinpath("assets", "body_confidence.json").read_text("utf-8")
-    assert read_model(text).least == packaged_model().least
+    assert read_confidence_model(text).least == packaged_model().least
     with pytest.raises(ValueError, match="format: 'other'; expected"):
-        read_model(text.replace(FORMAT, "other"))
+        read_confidence_model(text.replace(FORMAT, "other"))
 
 
 def test_a_detector_s_measures_are_those_of_the_person(person_found: FoundPerson) -> None:

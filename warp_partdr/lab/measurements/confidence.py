@@ -134,10 +134,10 @@ def measure_confidence(
     rows = [row for index in tracked(people) for row in confidence_rows(index, device)]
     if save is not None:
         save_rows(save, rows)
-    yield from describe(rows)
+    yield from describe_confidence(rows)
 
 
-def describe(rows: list[ConfidenceRow]) -> Iterator[FigureTable | str]:
+def describe_confidence(rows: list[ConfidenceRow]) -> Iterator[FigureTable | str]:
     """Tables of how well confidence tells right bodies from wrong ones, and whether it is calibrated."""
     stated = np.array([row.stated for row in rows])
     largest = np.array([max(row.errors) for row in rows])

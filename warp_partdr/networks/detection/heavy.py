@@ -77,17 +77,19 @@ def see_landmarks(
     if mirror:
         own, turned = look_twice(network, pyramids, crops)
         return (own + turned) / 2
-    return _look(network, pyramids, crops, mirrored=False)
+    return _see_crops(network, pyramids, crops, mirrored=False)
 
 
 def look_twice(
     network: OperatorGraph, pyramids: Sequence[Pyramid], crops: TurnedCrops
 ) -> tuple[np.ndarray, np.ndarray]:
     """Landmarks in crops, and those in the crops' mirror images, mirrored back, each as of ``see_landmarks``."""
-    return _look(network, pyramids, crops, mirrored=False), _look(network, pyramids, crops, mirrored=True)
+    return _see_crops(network, pyramids, crops, mirrored=False), _see_crops(network, pyramids, crops, mirrored=True)
 
 
-def _look(network: OperatorGraph, pyramids: Sequence[Pyramid], crops: TurnedCrops, *, mirrored: bool) -> np.ndarray:
+def _see_crops(
+    network: OperatorGraph, pyramids: Sequence[Pyramid], crops: TurnedCrops, *, mirrored: bool
+) -> np.ndarray:
     hips, top = NUM_LANDMARKS, NUM_LANDMARKS + 1
     order = torch.tensor([*skeleton(SKELETON).mirror.tolist(), hips, top])
 

@@ -28,8 +28,8 @@ class LimbConfidence:
 
     Attributes:
         probability: Probability that its joints lie, on average, within 20 cm of the truth.
-        sight: "seen"; "hidden", where no keypoint shows the limb; or "outside" the picture. A limb that is not seen is
-            guessed.
+        sight: State of the limb: "seen"; "hidden", where no keypoint shows it; or "outside" the picture. A limb that is
+            not seen is guessed.
     """
 
     probability: float
@@ -113,7 +113,7 @@ def judge_fits(fits: Sequence[FitResult], further: Sequence[Mapping[str, float]]
                 BodyParameters.joined([fits[row].parameters for row in own]),
                 batch,
                 Uncertainty.joined(stated) if stated else None,
-                _columns([further[row] for row in own]) if further is not None else {},
+                _shared_measures([further[row] for row in own]) if further is not None else {},
             )
             for row, probability, by_limb in zip(own, probabilities.tolist(), limbs.tolist(), strict=True):
                 found[row] = _confidence(fits[row], probability, by_limb)
@@ -146,7 +146,7 @@ def _confidence(fit: FitResult, probability: float, limbs: Sequence[float]) -> B
     return BodyConfidence(probability, own)
 
 
-def _columns(rows: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
+def _shared_measures(rows: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
     """Measures that all people have, as columns."""
     names = set.intersection(*map(set, rows))
     return {name: np.array([row[name] for row in rows]) for name in names}

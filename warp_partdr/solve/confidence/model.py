@@ -73,7 +73,7 @@ def _probabilities(logits: np.ndarray) -> np.ndarray:
     return found
 
 
-def read_model(text: str) -> ConfidenceModel:
+def read_confidence_model(text: str) -> ConfidenceModel:
     """Read a model that ``scripts/learn_confidence.py`` wrote.
 
     Raises:
@@ -96,4 +96,5 @@ def _logistics(rows: Sequence[Mapping[str, Any]]) -> tuple[Logistic, ...]:
 @lru_cache(maxsize=1)
 def packaged_model() -> ConfidenceModel:
     """Packaged model; docs/evaluation.md says how it was learned and measured."""
-    return read_model(resources.files("warp_partdr").joinpath("assets", "body_confidence.json").read_text("utf-8"))
+    path = resources.files("warp_partdr").joinpath("assets", "body_confidence.json")
+    return read_confidence_model(path.read_text("utf-8"))
