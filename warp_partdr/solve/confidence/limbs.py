@@ -11,8 +11,8 @@ from ...body.template import JOINT_NAMES, PART_NAMES
 
 
 @dataclass(frozen=True)
-class Limb:
-    """Limb of a body.
+class BodyLimb:
+    """BodyLimb of a body.
 
     Attributes:
         name: Name, such as "left arm".
@@ -33,19 +33,19 @@ class Limb:
         return [names.index(name) for name in self.landmarks if name in names]
 
 
-def _side(side: str) -> tuple[Limb, Limb]:
+def _side(side: str) -> tuple[BodyLimb, BodyLimb]:
     def named(*names: str) -> tuple[str, ...]:
         return tuple(f"{side}_{name}" for name in names)
 
     arm, leg = named("elbow", "wrist"), named("knee", "ankle")
     return (
-        Limb(f"{side} arm", "arm", arm, arm, named("upper_arm", "forearm", "hand")),
-        Limb(f"{side} leg", "leg", leg, leg, named("upper_leg", "lower_leg", "foot")),
+        BodyLimb(f"{side} arm", "arm", arm, arm, named("upper_arm", "forearm", "hand")),
+        BodyLimb(f"{side} leg", "leg", leg, leg, named("upper_leg", "lower_leg", "foot")),
     )
 
 
 _FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear", "head", "head_top")
-LIMBS = (Limb("head", "head", _FACE, ("head", "head_top"), ("neck", "head")), *_side("left"), *_side("right"))
+LIMBS = (BodyLimb("head", "head", _FACE, ("head", "head_top"), ("neck", "head")), *_side("left"), *_side("right"))
 # Keypoints at joints of the trunk and the limbs, whose distance from the body tells how well it was fitted. A face has
 # too many of them, close together.
 BODY_LANDMARKS = tuple(
