@@ -205,7 +205,7 @@ def test_the_page_is_whole_and_needs_nothing_else(run: Run) -> None:
     assert len(page.images) == 3
     assert "http" not in text.replace("http-equiv", "")
     plots = re.findall(r"<svg.*?</svg>", text, re.DOTALL)
-    assert len(plots) == 6
+    assert len(plots) == 7
     for plot in plots:
         bars = ElementTree.fromstring(plot).findall("rect")
         assert sum(int(bar[0].text.rpartition(": ")[2].replace(",", "")) for bar in bars) in (1, 5)

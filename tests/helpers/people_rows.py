@@ -49,6 +49,7 @@ def body_row(picture: str, distance: float | None = None, **changes: Any) -> Row
         "joints": posed.joints[0].numpy(),
         "joints_2d": seen,
         "joint_spreads": np.full(20, 0.05),
+        "confidence": 0.8,
         **changes,
     }
 

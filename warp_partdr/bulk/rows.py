@@ -14,6 +14,7 @@ with its ``error``; a person who can't be fitted has ``error``, too, and no body
 | score, box | (), (4) | confidence that there is a person; left, top, right, bottom [px] |
 | keypoints | (J, 3) | x, y [px] and confidence, in the order of ``skeleton``'s keypoints |
 | keypoint_error | | mean distance of sure keypoints from the body, as a share of the person's height |
+| confidence | | probability that the body is right (docs/evaluation.md) |
 | energy | | of the last stage of the fit; none without refinement |
 | warnings | | sentences about faults of the input or of the body |
 | global_orient, rotations, translation | (3, 3), (20, 3, 3), (3) | as ``body.npz``, in the camera frame |
@@ -59,6 +60,7 @@ from ..inputs.observation import REFERENCE_SIZE
 from ..models.clothes import CLOTHED
 from ..models.measuring import statures
 from ..models.model import DetailedModel
+from ..solve.confidence.judge import judge_bodies, judge_fits
 from ..solve.ellipsoids.batch_fits import BatchFits
 from ..solve.ellipsoids.result import FitResult
 from ..solve.mesh.mesh_stage import MeshFit
@@ -187,6 +189,7 @@ def columns(form: str | Skeleton, model: DetailedModel | None = None) -> tuple[C
         Column("box", "float32", (4,), "px", ("left", "top", "right", "bottom")),
         Column("keypoints", "float32", (len(points), 3), "px", points.landmarks),
         Column("keypoint_error", "float32"),
+        Column("confidence", "float32"),
         Column("energy", "float32"),
         Column("warnings", "strings"),
         *body,
@@ -252,6 +255,7 @@ def describe_bodies(fits: Sequence[FitResult] | Sequence[MeshFit]) -> list[RowPa
         "camera_perspective": np.full(len(fits), lenses is not None),
         "camera_guessed": np.full(len(fits), known.lens_assumed),
         "keypoint_error": _keypoint_errors(known, projected.cpu().numpy()),
+        "confidence": known.confidences,
         "energy": known.energies,
         "warnings": known.warnings,
     }
@@ -274,6 +278,7 @@ class _Known:
     skeleton: str | Skeleton
     points: np.ndarray  # keypoints (N, J, 2) [px]
     confidence: np.ndarray
+    confidences: Sequence[float]
     energies: Sequence[float | None]
     warnings: list[list[str]]
 
@@ -290,6 +295,7 @@ def _known_of(fits: Sequence[FitResult] | Sequence[MeshFit]) -> _Known:
             fits.people.skeleton,
             fits.people.points,
             fits.people.confidence,
+            judge_bodies(fits.parameters, fits.observations, fits.uncertainty)[0].tolist(),
             fits.losses() or [None] * len(fits),
             [list(fits.warnings(row)) for row in range(len(fits))],
         )
@@ -305,6 +311,7 @@ def _known_of(fits: Sequence[FitResult] | Sequence[MeshFit]) -> _Known:
         keypoints[0].skeleton,
         np.stack([each.points for each in keypoints]),
         np.stack([each.confidence for each in keypoints]),
+        [each.probability for each in judge_fits(results)],
         [sum(each.energy.values()) if each.energy else None for each in results],
         [list(each.warnings) for each in results],
     )

@@ -94,6 +94,7 @@ SCORES = (
         "keypoint_error", "Distance of keypoints from the body", "% of height", ("keypoint_error",),
         _plain("keypoint_error"), 100.0,
     ),
+    PersonScore("confidence", "Confidence in the body", "%", ("confidence",), _plain("confidence"), 100.0, "low"),
     PersonScore("energy", "Energy of the last stage", "", ("energy",), _plain("energy")),
     PersonScore("score", "Confidence that there is a person", "%", ("score",), _plain("score"), 100.0, "low"),
     PersonScore("depth", "Uncertainty of depths, mean of joints", "cm", ("joint_spreads",), _spread, 100.0),

@@ -83,11 +83,11 @@ on stderr.
     table = datasets.load_dataset("parquet", data_files="people/*.parquet")
     joints = numpy.stack(table["joints"].drop_null().to_numpy()).reshape(-1, 21, 3)
 
-Columns: picture, person, people, error, height, width, annotation, score, box, keypoints, keypoint_error, energy,
-warnings; global_orient, translation, rotations, lengths, thicknesses (metres), camera_perspective, camera_scale,
-camera_translation as in body.npz, camera_guessed; joints (21, 3), joints_2d (21, 2), joint_spreads (20); with mesh
-also mesh_shape, mesh_rotations, mesh_translation, stature, clothes. The schema's metadata has versions, options and
-their SHA-256.
+Columns: picture, person, people, error, height, width, annotation, score, box, keypoints, keypoint_error, confidence,
+energy, warnings; global_orient, translation, rotations, lengths, thicknesses (metres), camera_perspective,
+camera_scale, camera_translation as in body.npz, camera_guessed; joints (21, 3), joints_2d (21, 2), joint_spreads (20);
+with mesh also mesh_shape, mesh_rotations, mesh_translation, stature, clothes. The schema's metadata has versions,
+options and their SHA-256.
 """
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..models.model import DetailedModel
 
 # The same names as in ``bulk.survey.RANKED`` and ``bulk.export.WRITERS``, which are not loaded for --help.
-ByName = StrEnum("ByName", ["keypoint_error", "energy", "score", "depth", "size"])
+ByName = StrEnum("ByName", ["keypoint_error", "confidence", "energy", "score", "depth", "size"])
 FormatName = StrEnum("FormatName", ["glb", "obj", "npz", "json", "usda", "usdz", "fbx"])
 
 _MOST_DRAWN = 1000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,7 @@ def fit_person(request: FitRequest) -> None:
     from ..kernels.launch import set_num_threads
     from ..results.result_sets import check_folder
     from ..results.save import image_size, save_fit
+    from ..solve.confidence.judge import judge_fits
     from ..solve.ellipsoids.fitting import fit_body
     from ..solve.mesh.mesh_stage import refine_mesh
     from .progress import FitProgress
@@ -72,7 +74,10 @@ def fit_person(request: FitRequest) -> None:
             except _FAULTS as error:
                 failure = error
         progress("writing results", 1, 1)
-        report = save_fit(result, request.out, photo=person.photo, mesh=None if mesh is None else mesh.body)
+        (confidence,) = judge_fits([result])
+        result = replace(result, warnings=(*result.warnings, *confidence.warnings))
+        registered = None if mesh is None else mesh.body
+        report = save_fit(result, request.out, photo=person.photo, mesh=registered, confidence=confidence)
     for warning in result.warnings:
         typer.echo(f"partdr: warning: {warning}", err=True)
     _summarise(report, request.out)

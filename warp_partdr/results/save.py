@@ -31,6 +31,7 @@ from ..models.model import detailed_mesh
 from ..models.registration import Registered
 from ..models.smpl_parameters import POSES, to_smplx
 from ..render.mesh import draw_mesh
+from ..solve.confidence.judge import BodyConfidence, confidence_record, judge_fits
 from ..solve.ellipsoids.result import FitResult
 from .body_file import BodyFile
 from .ellipbody_files import ellipbody_scene
@@ -54,6 +55,7 @@ def save_fit(
     photo: np.ndarray | None = None,
     sources: Mapping[str, str | None] | None = None,
     mesh: Registered | None = None,
+    confidence: BodyConfidence | None = None,
 ) -> dict[str, Any]:
     """Write body.npz, body.json, ellipbody.glb, overlay.png, parts.png, loss.png and report.json.
 
@@ -63,6 +65,7 @@ def save_fit(
         photo: Picture, shape (H, W, 3), uint8; None: there is none. If there are labels, it may have been scaled down.
         sources: Names of the networks that found "keypoints" and "parts", for the report, as ``PhotoFit`` has them.
         mesh: Detailed body of the same person (``MeshFit.body``). Its stature and girths are added to body.json.
+        confidence: Confidence in the body, for the report; None: that of ``judge_fits`` without a detector.
 
     Returns:
         Report, as report.json holds it.
@@ -74,7 +77,7 @@ def save_fit(
     check_photo(photo)
     evidence = result.evidence
     size = image_size(evidence.keypoints, evidence.picture, photo)
-    report = make_report(result)
+    report = make_report(result) | confidence_record(confidence or judge_fits([result])[0])
     if sources is not None:
         report["sources"] = dict(sources)
     comparison = None

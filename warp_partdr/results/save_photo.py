@@ -73,7 +73,14 @@ def save_photo_fit(
     for index, mesh in fit.fits.items():
         own, found = folder / _name(index), mesh.ellipbody
         background = small if found.evidence.picture is not None else photo
-        save_fit(found, own, photo=background, sources=fit.sources[index], mesh=mesh.body)
+        save_fit(
+            found,
+            own,
+            photo=background,
+            sources=fit.sources[index],
+            mesh=mesh.body,
+            confidence=fit.confidences[index],
+        )
         save_registered(
             mesh.body, own, found.camera, size, photo=small, evidence=found.evidence, clothes=mesh.clothes,
             seconds=round(found.stage_seconds["mesh"], 3), formats=formats,

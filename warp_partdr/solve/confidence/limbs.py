@@ -12,7 +12,7 @@ from ...body.template import JOINT_NAMES, PART_NAMES
 
 @dataclass(frozen=True)
 class BodyLimb:
-    """BodyLimb of a body.
+    """Limb of a body.
 
     Attributes:
         name: Name, such as "left arm".
