@@ -221,7 +221,10 @@ def test_what_contradicts_itself_is_told(run: Run, files: Path) -> None:
     told = "labels: left and right exchanged, say the keypoints; taken so"
     assert (code, complaint.splitlines()[0]) == (0, f"partdr: warning: {told}")
     assert "partdr:" not in said
-    assert told in json.loads(Path("out", "report.json").read_text())["warnings"]
+    report = json.loads(Path("out", "report.json").read_text())
+    assert told in report["warnings"]
+    assert f"confidence {report['confidence']:.2f}" in said
+    assert report["limbs"].keys() == {"head", "left_arm", "left_leg", "right_arm", "right_leg"}
 
 
 def test_a_photo_takes_its_keypoints_by_name_out_of_many(run: Run, files: Path) -> None:

@@ -52,7 +52,7 @@ def test_both_networks_are_loaded_from_folders(run: Run, files: Path, networks: 
     assert parts.startswith(f"parts from {networks}/segformer: SegformerForSemanticSegmentation, 0.014 million param")
     assert keypoints.startswith(f"keypoints from {networks}/vitpose: VitPoseForPoseEstimation, ")
     assert keypoints.endswith(", keypoints coco17")
-    assert person.startswith("person0: score 0.")
+    assert person.startswith("person0: confidence 0.")
     assert "people.json" in last
     assert {path.name for path in Path("out", "person0").iterdir()} == EVERY_FILE
     (told,) = json.loads(Path("out", "people.json").read_text())["people"]

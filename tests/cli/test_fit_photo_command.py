@@ -27,7 +27,7 @@ def test_a_photo_is_enough(run: Run, files: Path) -> None:
     code, said, complaint = run("fit whole.png --out out --device cpu")
     assert (code, complaint) == (0, "")
     first, last = said.splitlines()
-    assert first.startswith("person0: score 0.")
+    assert first.startswith("person0: confidence 0.")
     assert "about " in first
     assert first.endswith(" m away (the lens is assumed)")
     assert Path("out", "people.json").as_posix() in last

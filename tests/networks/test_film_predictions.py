@@ -91,7 +91,7 @@ def test_people_wait_for_one_another_but_pictures_do_not(found: tuple[Networks, 
     assert predictions.warnings == []
 
 
-@pytest.mark.parametrize(("index", "pixels", "share"), [(0, 0.01, 0.01), (COUNT - 1, 1.5, 0.05)])
+@pytest.mark.parametrize(("index", "pixels", "share"), [(0, 0.01, 0.01), (COUNT - 1, 3.0, 0.05)])
 def test_predictions_for_a_frame_are_those_for_a_photo(
     found: tuple[Networks, Any, FilmPredictions], film: Path, index: int, pixels: float, share: float
 ) -> None:

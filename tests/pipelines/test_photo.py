@@ -16,13 +16,17 @@ from warp_partdr import metrics
 from warp_partdr.cameras import Perspective, UsualLens
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.part_labels import read_photo
+from warp_partdr.models.model import detailed_mesh
 from warp_partdr.networks.detection import crops
 from warp_partdr.pipelines import photo as photo_fit
 from warp_partdr.pipelines.photo import PACKAGED, PhotoFit, fit_photo, mask_labels
+from warp_partdr.render.mesh import draw_mesh
+from warp_partdr.results.overlays import draw_detailed
 from warp_partdr.results.placements import place_on_ground
 from warp_partdr.results.result_sets import check_result
 from warp_partdr.results.save import DETAILED_FILES, RESULT_FILES, save_fit
 from warp_partdr.results.save_photo import PHOTO_FILES, save_photo_fit
+from warp_partdr.solve.confidence.limbs import guessed_parts
 from warp_partdr.solve.ellipsoids import fitting
 from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
@@ -166,6 +170,19 @@ def test_a_person_hidden_by_another_is_told(everyone):
     assert found.hidden_by(1) == []
 
 
+def test_guessed_limbs_are_pale(everyone) -> None:
+    """Nearer to the photo than the rest of the body, which stays as it is."""
+    photo, found = everyone
+    body, camera, size = found.fits[0].body, found.fits[0].camera, photo.shape[:2]
+    whole = np.asarray(draw_detailed(body, camera, size, photo)).astype(int)
+    pale = np.asarray(draw_detailed(body, camera, size, photo, guessed_parts(("left arm",)))).astype(int)
+    labels = draw_mesh(body.detailed.vertices, detailed_mesh(body.model), camera, size).labels[0].numpy()
+    arm = guessed_parts(("left arm",))[labels]
+    assert arm.sum() > 100
+    np.testing.assert_array_equal(pale[~arm], whole[~arm])
+    assert np.abs(pale - photo)[arm].mean() < 0.5 * np.abs(whole - photo)[arm].mean()
+
+
 def test_files_of_everyone_are_saved_and_older_ones_go(everyone, tmp_path):
     trimesh = pytest.importorskip("trimesh")
     photo, found = everyone
@@ -186,6 +203,8 @@ def test_files_of_everyone_are_saved_and_older_ones_go(everyone, tmp_path):
     assert first["sources"] == second["sources"] == {"keypoints": PACKAGED, "parts": PACKAGED}
     assert json.loads((tmp_path / "person1" / "report.json").read_text())["sources"] == second["sources"]
     assert first["score"] > 0.5
+    assert first["confidence"] == round(found.confidences[0].probability, 3)
+    assert json.loads((tmp_path / "person0" / "report.json").read_text())["confidence"] == first["confidence"]
     assert 1.5 < second["distance_m"] / first["distance_m"] < 2.7
     assert len(first["keypoints"]) == 33
     scene = trimesh.load(tmp_path / "scene.glb")

@@ -11,6 +11,7 @@ import typer
 from ..errors import InputError
 from .fit_request import FitRequest
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
+from .options import confidence_words
 from .register import BodyPicture, clothe, describe_detailed, describe_scores, read_model
 
 if TYPE_CHECKING:
@@ -166,5 +167,5 @@ def _summarise(report: dict[str, Any], out: Path) -> None:
     off = f"keypoints {report['keypoints']['mean_distance_px']:.1f} px off on average"
     off += f" ({100 * share:.1f} % of the person's height)" if share else ""
     scores = [describe_scores(report)] if "parts" in report else []
-    typer.echo("; ".join([f"{begun}, {report['seconds_total']:.1f} s", off, *scores]))
+    typer.echo("; ".join([f"{begun}, {report['seconds_total']:.1f} s", off, *scores, confidence_words(report)]))
     typer.echo(f"{out / 'overlay.png'} shows the body, {out / 'body.json'} its measurements")

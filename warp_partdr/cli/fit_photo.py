@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import typer
 
 from ..errors import InputError, told_as
 from .fit_request import FitRequest
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
-from .options import distance_words, read_photo_with_warnings
+from .options import confidence_words, distance_words, read_photo_with_warnings
 from .register import read_model
 
 
@@ -70,11 +67,5 @@ def fit_everyone(request: FitRequest) -> None:
             typer.echo(f"partdr: warning: {person['folder']}: {warning}", err=True)
         hidden = "".join(f", hidden by person{index}" for index in person["hidden_by"])
         away = distance_words(person["distance_m"], exact=camera is not None, assumed=camera is None)
-        typer.echo(f"{person['folder']}: {_confidence_words(person)}, {away}{hidden}")
+        typer.echo(f"{person['folder']}: {confidence_words(person)}, {away}{hidden}")
     typer.echo(f"{out / 'overlay.png'} shows all bodies, {out / 'people.json'} has their measurements")
-
-
-def _confidence_words(person: Mapping[str, Any]) -> str:
-    """Words for the confidence in a person's body, and for the limbs that are guessed."""
-    words = f"confidence {person['confidence']:.2f}"
-    return f"{words}, guessed: {' and '.join(person['guessed'])}" if person["guessed"] else words

@@ -429,6 +429,12 @@ def distance_words(metres: float, *, exact: bool, assumed: bool) -> str:
     return f"{'' if exact else 'about '}{metres:.1f} m away{lens}"
 
 
+def confidence_words(report: Mapping[str, Any]) -> str:
+    """Words about the confidence in a body, and the limbs that are guessed, from ``confidence_record``'s entries."""
+    words = f"confidence {report['confidence']:.2f}"
+    return f"{words}, guessed: {' and '.join(report['guessed'])}" if report["guessed"] else words
+
+
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
     """Make a command for Typer from a function that takes dataclasses: each of their fields becomes an option.
 
