@@ -311,7 +311,7 @@ def test_strange_names_of_files_are_rows(run: Run) -> None:
     assert run(f"dataset s --out out {HOW}")[1] == "out has 1 of 1 shards; nothing to do\n"
     code, said, _ = run("report out --pictures s --out page.html")
     assert code == 0
-    assert "1 of 1 photos could be read" in Path("page.html").read_text()
+    assert "3 of 3 photos could be read" in Path("page.html").read_text()
 
 
 def test_names_that_rows_would_not_tell_apart_are_refused() -> None:
