@@ -90,6 +90,14 @@ def test_bodies_side_by_side_are_judged_as_alone() -> None:
     assert judge_fits([]) == []
 
 
+def test_people_with_fewer_measures_take_none_from_others() -> None:
+    fit, measures = example_fit(), [{"score": 0.9}, {"score": 0.9, "mirror": -4.0}, {}]
+    together = judge_fits([fit, fit, fit], measures)
+    alone = [judge_fits([fit], [each])[0] for each in measures]
+    assert [each.probability for each in together] == pytest.approx([each.probability for each in alone], rel=1e-5)
+    assert len({each.probability for each in together}) == 3
+
+
 def test_a_body_that_fits_is_right_and_one_that_does_not_is_warned_of() -> None:
     right, wrong = judge_fits(
         [example_fit(), with_confidence(example_fit(), example_fit().observation.landmarks, 0.01)]

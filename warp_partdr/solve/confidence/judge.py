@@ -42,7 +42,8 @@ class BodyConfidence:
 
     Attributes:
         probability: Probability that the body is right: its joints lie, on average, within 10 cm of the truth in depth,
-            and within 10 cm across the picture, relative to the hips and for a person of 1.7 m.
+            and within 10 cm across the picture, for a person of 1.7 m. Only joints that the picture shows count, after
+            a move that brings their mean to the truth.
         limbs: Confidence in each limb, by its name: head, left arm, left leg, right arm, right leg.
     """
 
@@ -103,9 +104,13 @@ def judge_fits(fits: Sequence[FitResult], further: Sequence[Mapping[str, float]]
         >>> confidence.probability > 0.5
         True
     """
+    measures = further or [{} for _ in fits]
+    # In a batch, all people have the same measures. After a search, no network stated its uncertainty.
+    groups: dict[tuple[bool, frozenset[str]], list[int]] = {}
+    for row, fit in enumerate(fits):
+        groups.setdefault((fit.uncertainty is None, frozenset(measures[row])), []).append(row)
     found: dict[int, BodyConfidence] = {}
-    for searched in (False, True):  # after a search, no network stated its uncertainty
-        some = [row for row, fit in enumerate(fits) if (fit.uncertainty is None) == searched]
+    for (_, names), some in groups.items():
         for rows, batch in batch_observations([fits[row].observation for row in some]):
             own = [some[row] for row in rows]
             stated = [each for row in own if (each := fits[row].uncertainty) is not None]
@@ -113,7 +118,7 @@ def judge_fits(fits: Sequence[FitResult], further: Sequence[Mapping[str, float]]
                 BodyParameters.joined([fits[row].parameters for row in own]),
                 batch,
                 Uncertainty.joined(stated) if stated else None,
-                _shared_measures([further[row] for row in own]) if further is not None else {},
+                {name: np.array([measures[row][name] for row in own]) for name in names},
             )
             for row, probability, by_limb in zip(own, probabilities.tolist(), limbs.tolist(), strict=True):
                 found[row] = _confidence(fits[row], probability, by_limb)
@@ -144,12 +149,6 @@ def _confidence(fit: FitResult, probability: float, limbs: Sequence[float]) -> B
     sights = _sights(fit)
     own = {limb.name: LimbConfidence(each, sight) for limb, each, sight in zip(LIMBS, limbs, sights, strict=True)}
     return BodyConfidence(probability, own)
-
-
-def _shared_measures(rows: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
-    """Measures that all people have, as columns."""
-    names = set.intersection(*map(set, rows))
-    return {name: np.array([row[name] for row in rows]) for name in names}
 
 
 def _sights(fit: FitResult) -> list[Sight]:
