@@ -221,6 +221,12 @@ SKELETONS: dict[str, Skeleton] = {
     )
 }
 
+# Keypoints at joints of the trunk and the limbs. A face has too many of them, close together, to tell how well a body
+# was fitted.
+BODY_LANDMARKS = tuple(
+    f"{side}_{name}" for side in ("left", "right") for name in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+)
+
 # The joints that MPJPE and PA-MPJPE are computed over, and the two whose middle they are measured from.
 MPJPE_SKELETON = "lsp14"
 MPJPE_JOINTS = SKELETONS[MPJPE_SKELETON].landmarks

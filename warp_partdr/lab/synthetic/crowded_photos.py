@@ -157,7 +157,7 @@ def _cut_box(shown: np.ndarray, rng: np.random.Generator) -> tuple[int, int, int
 def _worsen(pixels: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, float]:
     """Make a picture smaller, paler, noisier and a JPEG; and the factor of its size."""
     zoom = float(np.exp(rng.uniform(np.log(0.2), 0.0)))
-    width, height = (max(int(side * zoom), 24) for side in (pixels.shape[1], pixels.shape[0]))
+    height, width = max(int(pixels.shape[0] * zoom), 24), max(int(pixels.shape[1] * zoom), 24)
     small = np.asarray(Image.fromarray(pixels).resize((width, height), Image.Resampling.BOX)).astype(np.float64)
     contrast, brightness = rng.uniform(0.3, 1.1), rng.uniform(-50, 50)
     values = (small - 128) * contrast + 128 + brightness + rng.normal(0, rng.uniform(0, 14), small.shape)

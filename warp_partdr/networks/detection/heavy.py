@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from ...body.skeletons import skeleton
+from ...body.skeletons import BODY_LANDMARKS, skeleton
 from ...inputs.keypoints import Keypoints2D
 from .crops import Pyramid, TurnedCrops, cut_crops, join_crops, work_on_crops
 from .graph import OperatorGraph
@@ -20,11 +20,7 @@ from .look import NUM_LANDMARKS, place_landmarks, read_landmarks
 from .person import SKELETON, FoundPerson
 from .same_person import first_of_each, similarity
 
-_JOINTS = [
-    skeleton(SKELETON).landmarks.index(f"{side}_{name}")
-    for side in ("left", "right")
-    for name in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-]
+_JOINTS = [skeleton(SKELETON).landmarks.index(name) for name in BODY_LANDMARKS]
 _LEAST_WEIGHT = 1e-3  # so that all joints count alike where none is seen
 
 
@@ -77,31 +73,35 @@ def see_landmarks(
     if mirror:
         own, turned = look_twice(network, pyramids, crops)
         return (own + turned) / 2
-    return _see_crops(network, pyramids, crops, mirrored=False)
+
+    def ask(part: TurnedCrops) -> torch.Tensor:
+        return _see_crops(network, cut_crops(pyramids, part, network.size, beyond="border"), mirrored=False)
+
+    return torch.cat(work_on_crops(ask, crops, pyramids[0].device)).cpu().numpy()
 
 
 def look_twice(
     network: OperatorGraph, pyramids: Sequence[Pyramid], crops: TurnedCrops
 ) -> tuple[np.ndarray, np.ndarray]:
     """Landmarks in crops, and those in the crops' mirror images, mirrored back, each as of ``see_landmarks``."""
-    return _see_crops(network, pyramids, crops, mirrored=False), _see_crops(network, pyramids, crops, mirrored=True)
-
-
-def _see_crops(
-    network: OperatorGraph, pyramids: Sequence[Pyramid], crops: TurnedCrops, *, mirrored: bool
-) -> np.ndarray:
-    hips, top = NUM_LANDMARKS, NUM_LANDMARKS + 1
-    order = torch.tensor([*skeleton(SKELETON).mirror.tolist(), hips, top])
 
     def ask(part: TurnedCrops) -> torch.Tensor:
         pictures = cut_crops(pyramids, part, network.size, beyond="border")
-        if not mirrored:
-            return read_landmarks(network(pictures), network.size)[:, : len(order)]
-        turned = read_landmarks(network(pictures.flip(-1)), network.size)[:, order.to(pictures.device)]
-        turned[..., 0] = 1 - turned[..., 0]
-        return turned
+        return torch.stack([_see_crops(network, pictures, mirrored=mirrored) for mirrored in (False, True)], dim=1)
 
-    return torch.cat(work_on_crops(ask, crops, pyramids[0].device)).cpu().numpy()
+    both = torch.cat(work_on_crops(ask, crops, pyramids[0].device)).cpu().numpy()
+    return both[:, 0], both[:, 1]
+
+
+def _see_crops(network: OperatorGraph, pictures: torch.Tensor, *, mirrored: bool) -> torch.Tensor:
+    """Landmarks in pictures of crops, shape (N, 35, 5), or in their mirror images, mirrored back."""
+    hips, top = NUM_LANDMARKS, NUM_LANDMARKS + 1
+    order = torch.tensor([*skeleton(SKELETON).mirror.tolist(), hips, top])
+    if not mirrored:
+        return read_landmarks(network(pictures), network.size)[:, : len(order)]
+    turned = read_landmarks(network(pictures.flip(-1)), network.size)[:, order.to(pictures.device)]
+    turned[..., 0] = 1 - turned[..., 0]
+    return turned
 
 
 def _mirror_distances(own: np.ndarray, turned: np.ndarray, confidence: np.ndarray) -> np.ndarray:

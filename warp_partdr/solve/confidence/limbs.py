@@ -46,11 +46,6 @@ def _side(side: str) -> tuple[BodyLimb, BodyLimb]:
 
 _FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear", "head", "head_top")
 LIMBS = (BodyLimb("head", "head", _FACE, ("head", "head_top"), ("neck", "head")), *_side("left"), *_side("right"))
-# Keypoints at joints of the trunk and the limbs, whose distance from the body tells how well it was fitted. A face has
-# too many of them, close together.
-BODY_LANDMARKS = tuple(
-    f"{side}_{name}" for side in ("left", "right") for name in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-)
 
 
 def limb_columns() -> list[list[int]]:

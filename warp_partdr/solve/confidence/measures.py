@@ -14,11 +14,12 @@ import torch
 from ...body.lens import place_bodies
 from ...body.parameters import BodyParameters
 from ...body.posing import LandmarkGather
+from ...body.skeletons import BODY_LANDMARKS
 from ...body.template import JOINT_NAMES
 from ...inputs.observations import Observations
 from ...networks.detection.person import FoundPerson
 from ...networks.regression.uncertainty import Uncertainty
-from .limbs import BODY_LANDMARKS, LIMBS, limb_columns, mean_over
+from .limbs import LIMBS, limb_columns, mean_over
 
 _LEAST = 1e-4  # of what is a logarithm, so that it stays finite
 
