@@ -15,7 +15,7 @@ from warp_partdr.lab.measurements.confidence import (
     describe_confidence,
     save_rows,
 )
-from warp_partdr.lab.synthetic.crowded_photos import KINDS, make_crowded_photo
+from warp_partdr.lab.synthetic.hard_photos import KINDS, make_hard_photo
 from warp_partdr.lab.tables import FigureTable
 
 
@@ -33,7 +33,7 @@ def row(photo: int, *, right: bool, rng: np.random.Generator) -> ConfidenceRow:
 def test_photos_are_the_same_each_time_and_show_their_people() -> None:
     kinds = set()
     for index in range(5):
-        photo, again = make_crowded_photo(index), make_crowded_photo(index)
+        photo, again = make_hard_photo(index), make_hard_photo(index)
         np.testing.assert_array_equal(photo.pixels, again.pixels)
         kinds.add(photo.kind)
         assert len(photo.people) == {"stranger": 2, "crowd": 4}.get(photo.kind, 1)

@@ -14,26 +14,22 @@ from typing import Any
 
 import numpy as np
 
-from ...body.skeletons import MPJPE_JOINTS, skeleton
+from ...body.skeletons import MPJPE_JOINTS
 from ...errors import InputError
 from ...inputs.observations import Observations
-from ...pipelines.photo import PhotoFit, fit_photo
+from ...pipelines.photo import fit_photo
 from ...solve.confidence.limbs import LIMBS
 from ...solve.confidence.measures import detection_measures, measure_bodies
 from ...solve.confidence.model import packaged_model
 from ..options import Device, People, tracked
-from ..synthetic.crowded_photos import CrowdedPhoto, PhotographedPerson, make_crowded_photo
+from ..synthetic.hard_photos import make_hard_photo
 from ..tables import FigureTable
+from .photo_truth import match_people, seen_errors
 
 RIGHT, WRONG = 0.1, 0.2  # [m], largest error of a right body, and least of a wrong one
 LIMB_RIGHT = 0.2  # [m], largest mean distance of a right limb's joints from the truth
 HELD_OUT = 5  # every so-many-th photo teaches nothing
 LEARNED_FROM = 40_000  # first photo that taught the model
-_STATURE = 1.7  # [m], to which errors are scaled
-_FEWEST = 3  # joints that must be seen; else all count
-_SAME = 0.2  # of the height, largest median distance of a found person's keypoints from the true ones
-_BODY = tuple(skeleton("coco17").landmarks[5:])
-_LIMB_JOINTS = {"head": ("neck", "head_top")}
 
 
 @dataclass(frozen=True)
@@ -61,19 +57,19 @@ class ConfidenceRow:
 
 def confidence_rows(index: int, device: str) -> Iterator[ConfidenceRow]:
     """Bodies that are found in photo ``index``."""
-    photo = make_crowded_photo(index)
+    photo = make_hard_photo(index)
     try:
         fit = fit_photo(photo.pixels, device=device, min_score=0.4)
     except InputError:
         return
-    same = _matches(fit, photo)
+    same = match_people(fit, photo)
     for person, mesh in fit.fits.items():
         last = mesh.ellipbody
         measured = measure_bodies(last.parameters, Observations.of([last.observation]), last.uncertainty)
         measures = {name: float(values[0]) for name, values in measured.columns().items()}
         depth, across, limbs = np.inf, np.inf, np.full(len(LIMBS), np.inf)
         if person in same:
-            depth, across, limbs = _errors(mesh.landmarks(MPJPE_JOINTS), photo.people[same[person]])
+            depth, across, limbs = seen_errors(mesh.landmarks(MPJPE_JOINTS), photo.people[same[person]])
         yield ConfidenceRow(
             index,
             photo.kind,
@@ -83,42 +79,6 @@ def confidence_rows(index: int, device: str) -> Iterator[ConfidenceRow]:
             (depth, across),
             limbs,
         )
-
-
-def _matches(fit: PhotoFit, photo: CrowdedPhoto) -> dict[int, int]:
-    """Index of the true person for each found one, the nearest pairs first."""
-    format_rows = [fit.people[0].keypoints.format.landmarks.index(name) for name in skeleton("coco17").landmarks]
-    distances = np.array(
-        [
-            [
-                np.median(np.linalg.norm(found.keypoints.points[format_rows] - true.keypoints, axis=1)) / true.height
-                for true in photo.people
-            ]
-            for found in fit.people
-        ]
-    )
-    same: dict[int, int] = {}
-    for flat in np.argsort(distances, axis=None).tolist():
-        found, true = divmod(flat, len(photo.people))
-        if distances[found, true] < _SAME and found not in same and true not in same.values():
-            same[found] = true
-    return same
-
-
-def _errors(joints: np.ndarray, person: PhotographedPerson) -> tuple[float, float, np.ndarray]:
-    """Mean errors of seen joints in depth and across the picture, and of each limb's joints, shape (5,) [m]."""
-    differences = (joints - person.joints) * (_STATURE / person.stature)
-    names = list(MPJPE_JOINTS)
-    body = [names.index(name) for name in _BODY]
-    seen = person.seen[5:] if person.seen[5:].sum() >= _FEWEST else np.ones(len(_BODY), dtype=bool)
-    differences = differences - differences[body][seen].mean(axis=0)
-    shown = differences[body][seen]
-    limbs = [
-        np.linalg.norm(differences[[names.index(name) for name in _LIMB_JOINTS.get(limb.name, limb.joints)]], axis=1)
-        for limb in LIMBS
-    ]
-    depth, across = float(np.abs(shown[:, 2]).mean()), float(np.linalg.norm(shown[:, :2], axis=1).mean())
-    return depth, across, np.array([each.mean() for each in limbs])
 
 
 def measure_confidence(

@@ -18,8 +18,9 @@ from ...interop.torch_threads import one_torch_thread
 from ...models.anny import anny
 from ...models.measuring import statures
 from ...render.mesh import draw_mesh
+from ...render.part_mesh import PartMesh
 from . import people
-from .garments import draw_outfit, dress
+from .garments import Worn, around_legs, draw_outfit, dress
 from .population import QUANTILES, population
 from .pose_recipes import POSES, TILTED_POSES, draw_pose
 from .poses import mean_body
@@ -46,6 +47,7 @@ _TILT = (45.0, 20.0)  # [degrees], how far a tilted camera looks up or down, and
 _OFFSET = 0.03  # of the picture's size: how far the person is off its middle, at most
 _CUT = 0.15  # share of people of whom the border cuts off
 _CUT_SHARE = (0.05, 0.2)  # of their height or width
+_AGE = QUANTILES.index("age")
 _PLACINGS = 4  # steps: who stands aside is seen from aside
 # Of the seeds of a person's clothes and of their keypoints' format, whose draws leave all others as they are.
 _CLOTHES, _FORMAT = 18, 19
@@ -64,6 +66,23 @@ def _rows(form: Skeleton) -> list[int]:
 
 
 @dataclass(frozen=True)
+class PersonRequest:
+    """Properties of a person that are asked for instead of drawn.
+
+    Attributes:
+        pose: Kind of pose, "prior" or a name that ``draw_pose`` knows. If it is None, the person's index decides.
+        age: Range of the quantile of age; children of 3 to 12 years have 0 to 0.06.
+        tube: True dresses the person in a skirt or a coat that hangs around both legs, and in what else is drawn.
+        distance: Range of the distance of a perspective camera that looks beside the person [m].
+    """
+
+    pose: str | None = None
+    age: tuple[float, float] | None = None
+    tube: bool = False
+    distance: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
 class Person:
     """A person and the whole truth."""
 
@@ -77,6 +96,8 @@ class Person:
     joints: np.ndarray  # LSP's 14 joints, camera frame [m], shape (14, 3)
     vertices: np.ndarray  # Anny's, camera frame [m], shape (V, 3), float32
     camera: Camera  # that drew the labels, B = 1
+    shape: torch.Tensor  # Anny's shape values, shape (1, 20)
+    shown: tuple[np.ndarray, PartMesh]  # vertices [m] and faces that the labels show, of the body or of its clothes
 
     def keypoints(self, form: Skeleton = COCO) -> np.ndarray:
         """Keypoints where the data set of ``form``, COCO or one of ``OTHER_FORMATS``, marks them [px], shape (J, 2)."""
@@ -103,10 +124,23 @@ def draw_quantiles(index: int) -> tuple[np.ndarray, np.random.Generator]:
     return rng.random(len(QUANTILES)), rng
 
 
-def draw_shape(index: int) -> tuple[torch.Tensor, np.random.Generator]:
-    """A person's shape values, shape (1, 20), and the source of chance that goes on from there."""
+def draw_shape(index: int, age: tuple[float, float] | None = None) -> tuple[torch.Tensor, np.random.Generator]:
+    """A person's shape values, shape (1, 20), and the source of chance that goes on from there.
+
+    A range of the quantile of ``age`` replaces the range from 0 to 1.
+    """
     quantiles, rng = draw_quantiles(index)
+    if age is not None:
+        quantiles[_AGE] = age[0] + (age[1] - age[0]) * quantiles[_AGE]
     return population().shapes(torch.from_numpy(quantiles)[None].float()), rng
+
+
+def _tube_outfit(rng: np.random.Generator) -> tuple[Worn, ...]:
+    """Outfit with a skirt or a coat."""
+    while True:
+        outfit = draw_outfit(rng)
+        if around_legs(outfit)[0] > 0:
+            return outfit
 
 
 def draw_format(index: int, others: float) -> Skeleton:
@@ -117,17 +151,19 @@ def draw_format(index: int, others: float) -> Skeleton:
 
 @lru_cache(maxsize=NUM_PEOPLE)
 @one_torch_thread()  # or sums, and so the last bits, would depend on their number
-def make_person(index: int, setting: Setting = "usual") -> Person:
+def make_person(index: int, setting: Setting = "usual", request: PersonRequest = PersonRequest()) -> Person:
     """Person 0 to 199; each has a seed of its own.
 
     "near": the same before a perspective camera that is near and looks beside, as in a crop of a wide picture; "far":
     the same before one that is far away;
     "tilted": the same bodies upright, lying, reclining and seated, before a camera that looks up, down and askew;
     "clothed": as "usual" but for the labels, which show clothes. All else is of the body beneath.
+
+    A ``request`` replaces what would be drawn.
     """
-    beside, tilted = _BESIDE.get(setting), setting == "tilted"
-    shape, rng = draw_shape(index)
-    kind = pose_kind(index, setting)
+    beside, tilted = request.distance or _BESIDE.get(setting), setting == "tilted"
+    shape, rng = draw_shape(index, request.age)
+    kind = request.pose or pose_kind(index, setting)
     pose = draw_pose(kind, rng)
     degrees = rng.uniform(np.negative(_TILT), _TILT) if tilted else (rng.uniform(*_PITCH), 0.0)
     values = (pose.up, pose.yaw, *np.radians(degrees))
@@ -148,10 +184,13 @@ def make_person(index: int, setting: Setting = "usual") -> Person:
         camera, size = _cut_out(vertices + offset, weak, rng)
     else:
         offset, camera, size = _photograph(vertices, rng)
-    shown = drawn = draw_mesh(torch.from_numpy(vertices + offset)[None], people.anny_mesh(), camera, size)
-    if setting == "clothed":
-        clothes, mesh = dress(body, shape, draw_outfit(np.random.default_rng([SEED, index, _CLOTHES])))
-        shown = draw_mesh(torch.from_numpy(clothes + offset)[None], mesh, camera, size)
+    outermost, mesh = vertices + offset, people.anny_mesh()
+    shown = drawn = draw_mesh(torch.from_numpy(outermost)[None], mesh, camera, size)
+    if setting == "clothed" or request.tube:
+        own = np.random.default_rng([SEED, index, _CLOTHES])
+        clothes, mesh = dress(body, shape, _tube_outfit(own) if request.tube else draw_outfit(own))
+        outermost = clothes + offset
+        shown = draw_mesh(torch.from_numpy(outermost)[None], mesh, camera, size)
 
     def landmarks(names: tuple[str, ...]) -> torch.Tensor:
         return model.landmarks(body, names) + torch.from_numpy(offset)
@@ -171,6 +210,8 @@ def make_person(index: int, setting: Setting = "usual") -> Person:
         joints=landmarks(MPJPE_JOINTS)[0].numpy(),
         vertices=vertices + offset,
         camera=camera,
+        shape=shape,
+        shown=(outermost, mesh),
     )
 
 

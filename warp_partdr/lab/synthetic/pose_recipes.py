@@ -187,9 +187,24 @@ def _reclining(rng: np.random.Generator) -> _Recipe:
     return _Recipe(arms[0] | legs[0], arms[1] | legs[1], trunk=rng.uniform(0, 15), lean=rng.uniform(-75, -25))
 
 
+def _riding(rng: np.random.Generator) -> _Recipe:
+    """Pose of a rider who is seen from a side."""
+    legs = [_leg(rng.uniform(45, 75), rng.uniform(18, 32), rng.uniform(45, 85), -10) for _ in range(2)]
+    arms = [_arm(75, rng.uniform(15, 35), rng.uniform(10, 40), rng.uniform(50, 85)) for _ in range(2)]
+    aside = rng.choice([-1.0, 1.0]) * rng.uniform(55, 125)
+    return _Recipe(arms[0] | legs[0], arms[1] | legs[1], trunk=rng.uniform(0, 10), yaw=(aside, aside))
+
+
+def _on_one_leg(rng: np.random.Generator) -> _Recipe:
+    """Pose with a lower leg that is hidden behind the thigh."""
+    raised = _leg(rng.uniform(-10, 25), rng.uniform(0, 10), rng.uniform(75, 120), 20)
+    first, _ = _at_ease(rng)
+    return _Recipe(_hanging(rng) | raised, _hanging(rng) | first, trunk=rng.uniform(-2, 8), yaw=(-35, 35))
+
+
 LYING = "lying"  # any pose of the prior, on its back, front or side
 TILTED_POSES = ("prior", LYING, "reclining", "sitting")
-_RECIPES = POSES | {"reclining": _reclining}
+_RECIPES = POSES | {"reclining": _reclining, "riding": _riding, "on one leg": _on_one_leg}
 
 
 def draw_pose(kind: str, rng: np.random.Generator) -> Pose:
