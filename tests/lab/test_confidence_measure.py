@@ -15,7 +15,6 @@ from warp_partdr.lab.measurements.confidence import (
     describe_confidence,
     save_rows,
 )
-from warp_partdr.lab.synthetic.hard_photos import KINDS, make_hard_photo
 from warp_partdr.lab.tables import FigureTable
 
 
@@ -28,21 +27,6 @@ def row(photo: int, *, right: bool, rng: np.random.Generator) -> ConfidenceRow:
     limbs = {name: sign * way + rng.normal(size=5) for name, way in (("depths", -1), ("keypoints", 1))}
     error = 0.05 if right else 0.3
     return ConfidenceRow(photo, "plain", 0.9 if right else 0.1, measures, limbs, (error, 0.02), np.full(5, error))
-
-
-def test_photos_are_the_same_each_time_and_show_their_people() -> None:
-    kinds = set()
-    for index in range(5):
-        photo, again = make_hard_photo(index), make_hard_photo(index)
-        np.testing.assert_array_equal(photo.pixels, again.pixels)
-        kinds.add(photo.kind)
-        assert len(photo.people) == {"stranger": 2, "crowd": 4}.get(photo.kind, 1)
-        height, width = photo.pixels.shape[:2]
-        for person in photo.people:
-            inside = ((person.keypoints >= 0) & (person.keypoints <= [width, height])).all(axis=1)
-            assert not (person.seen & ~inside).any()
-        assert photo.people[0].seen.any()
-    assert kinds <= set(KINDS)
 
 
 def test_a_body_s_errors_are_those_of_the_joints_that_are_seen() -> None:

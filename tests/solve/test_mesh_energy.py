@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
+from warp_partdr.body.labels import IGNORE, LabelSet, label_set
+from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.inputs.scene import Scene
 from warp_partdr.lab.synthetic.scene_people import LABELS, make_views
 from warp_partdr.models.anny import anny
@@ -103,3 +106,27 @@ def test_moves_of_bodies_come_before_those_of_people(observed_bodies) -> None:
     assert float(moved.shape[0, 0] - people.shape[0, 0]) == pytest.approx(first, abs=1e-3)
     assert rates[:first].unique().tolist() == [1.0]
     assert rates[first:].unique().tolist() == pytest.approx([0.3, 5.0])
+
+
+def test_a_mask_of_one_picture_counts_less_and_keypoints_more() -> None:
+    mask = label_set("full1")
+    shown = make_views(3, 1).scene
+    scene = Scene(shown.views, [replace(each, parts=as_mask(each.parts, mask)) for each in shown.observations])
+    seen = observe_scene(scene, "cpu")
+    energy = mesh_energy(anny(), QUICK.mesh, mask)
+    with torch.no_grad():
+        alone = energy.factors(gather_starts(energy, anny(), seen))
+        film = Scene(scene.views, [replace(seen[0].source, frame=frame) for frame in range(2)])
+        frames = [replace(seen[0], source=observation) for observation in film.observations]
+        plan = plan_scene(film, frames, anny(), QUICK)
+        moving = plan.energy.factors(gather_scene(plan, frames))
+    drawn = QUICK.mesh.drawn_seg
+    assert (alone["proj"], alone["seg"]) == pytest.approx((2 * QUICK.mesh.proj, 0.3 * drawn))
+    assert (moving["proj"], moving["seg"]) == pytest.approx((QUICK.mesh.proj, drawn))
+
+
+def as_mask(parts: PartLabels | None, mask: LabelSet) -> PartLabels:
+    """Mask of the person whom part labels show."""
+    assert parts is not None
+    groups = np.where((parts.groups > 0) & (parts.groups != IGNORE), 1, parts.groups).astype(np.uint8)
+    return PartLabels(mask, groups)

@@ -21,8 +21,8 @@ from ...metrics import pa_mpjpe
 from ...models.anny import anny
 from ...models.measuring import BODY_MEASURES, measure_body
 from ...pipelines.photo import fit_photo
-from ...solve.mesh.mesh_stage import MeshFit
 from ...solve.confidence.model import packaged_model
+from ...solve.mesh.mesh_stage import MeshFit
 from ..options import Device, People, tracked
 from ..synthetic.hard_photos import KINDS, PhotographedPerson, make_hard_photo
 from ..tables import FigureTable, estimate_mean

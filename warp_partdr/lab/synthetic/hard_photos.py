@@ -9,24 +9,24 @@ import numpy as np
 import torch
 from PIL import Image
 
-from .partbench_people import COCO, SEED, Person, PersonRequest, make_person
+from .partbench_people import AS_DRAWN, COCO, SEED, Person, PersonRequest, make_person
 from .photo_things import Paint, Thing, bench_thing, chair_thing, mount_thing
 from .rng import TorchRng
 from .shading import shade_people
 
 # What each kind asks of its first person.
 _REQUESTS = {
-    "plain": PersonRequest(),
-    "table": PersonRequest(),
-    "cut": PersonRequest(),
-    "stranger": PersonRequest(),
-    "crowd": PersonRequest(),
-    "poor": PersonRequest(),
+    "plain": AS_DRAWN,
+    "table": AS_DRAWN,
+    "cut": AS_DRAWN,
+    "stranger": AS_DRAWN,
+    "crowd": AS_DRAWN,
+    "poor": AS_DRAWN,
     "half body": PersonRequest(pose="standing at ease"),
     "skirt": PersonRequest(tube=True),
     "near": PersonRequest(distance=(0.8, 1.6)),
-    "child": PersonRequest(),
-    "overlap": PersonRequest(),
+    "child": AS_DRAWN,
+    "overlap": AS_DRAWN,
     "wheelchair": PersonRequest(pose="sitting"),
     "rider": PersonRequest(pose="riding"),
     "on one leg": PersonRequest(pose="on one leg"),
@@ -39,7 +39,7 @@ _OTHERS = 100_000  # index of the first person who stands beside another
 _ALSO = {"table": 0.1, "poor": 0.2}  # chances that a photo of another kind has this, too
 _FRONT = 0.6  # chance that a further person stands before the others
 _OVERLAP = 0.35  # of their widths, largest distance between the middles of people who overlap
-_LARGEST_CHANGE = 4.0  # of a picture's size, where a child is made as large as it is beside an adult
+_LARGEST_CHANGE = 8.0  # of a picture's size, where a child is made as large as it is beside an adult
 _THING = 99  # owner of pixels that show a thing
 _NEAR = (-3, 0, 3)  # [px], where a keypoint's person may show
 _SMALLEST = 40  # [px], least side of what the border leaves
@@ -78,13 +78,14 @@ class HardPhoto:
 
 
 class _Canvas:
-    """Picture that grows: its pixels, the owner of each, counted from 1 on, and keypoints of the people."""
+    """Picture that grows: its pixels, the owner of each, counted from 1 on, and keypoints and heights of the people."""
 
     def __init__(self, person: Person, pixels: np.ndarray) -> None:
         self.pixels = pixels.copy()
         self.owners = (person.parts > 0).astype(np.int64)
         self.people = [person]
         self.keypoints = [person.keypoints(COCO)]
+        self.heights = [person.height]
 
     def add_person(
         self,
@@ -131,6 +132,7 @@ class _Canvas:
         self.pixels[rows + down, columns + right] = pixels[rows, columns]
         self.owners[rows + down, columns + right] = len(self.people)
         self.keypoints.append(zoom * person.keypoints(COCO) + np.array([right, down]))
+        self.heights.append(zoom * person.height)
 
     def add_thing(self, thing: Thing) -> None:
         """Add a thing before the people."""
@@ -178,9 +180,17 @@ def make_hard_photo(index: int, kind: str | None = None) -> HardPhoto:
     if kind == "poor" or rng.random() < _ALSO["poor"]:
         pixels, zoom = _worsen(pixels, rng)
     people = []
-    for each, points, shown, there in zip(canvas.people, keypoints, seen, within, strict=True):
-        height = each.height * zoom
-        people.append(PhotographedPerson(points * zoom, shown & there, each.joints, each.stature, height, each.shape))
+    for row, each in enumerate(canvas.people):
+        people.append(
+            PhotographedPerson(
+                keypoints[row] * zoom,
+                seen[row] & within[row],
+                each.joints,
+                each.stature,
+                canvas.heights[row] * zoom,
+                each.shape,
+            )
+        )
     return HardPhoto(kind, np.ascontiguousarray(pixels), tuple(people))
 
 
@@ -198,7 +208,7 @@ def _add_others(canvas: _Canvas, kind: str, index: int, rng: np.random.Generator
         canvas.add_person(child, pixels, rng, zoom=float(np.clip(zoom, 1 / _LARGEST_CHANGE, _LARGEST_CHANGE)))
 
 
-def _shaded(index: int, request: PersonRequest = PersonRequest()) -> tuple[Person, np.ndarray]:
+def _shaded(index: int, request: PersonRequest = AS_DRAWN) -> tuple[Person, np.ndarray]:
     """Person ``index``, and a photo of them alone."""
     person = make_person(index, request=request)
     seed = int(np.random.default_rng([SEED, index, _LOOKS]).integers(2**62))

@@ -82,6 +82,9 @@ class PersonRequest:
     distance: tuple[float, float] | None = None
 
 
+AS_DRAWN = PersonRequest()  # nothing is asked for
+
+
 @dataclass(frozen=True)
 class Person:
     """A person and the whole truth."""
@@ -151,7 +154,7 @@ def draw_format(index: int, others: float) -> Skeleton:
 
 @lru_cache(maxsize=NUM_PEOPLE)
 @one_torch_thread()  # or sums, and so the last bits, would depend on their number
-def make_person(index: int, setting: Setting = "usual", request: PersonRequest = PersonRequest()) -> Person:
+def make_person(index: int, setting: Setting = "usual", request: PersonRequest = AS_DRAWN) -> Person:
     """Person 0 to 199; each has a seed of its own.
 
     "near": the same before a perspective camera that is near and looks beside, as in a crop of a wide picture; "far":

@@ -31,7 +31,7 @@ class DrawnModel:
     Attributes:
         model: Model with few vertices and joints.
         mesh: Faces of the model with the groups of the labels; None if there are no labels.
-        hides: True if one group can hide another one.
+        num_groups: Number of groups of the labels, background not counted; 0 if there are no labels.
         dressed: Model whose shape values are followed by thicknesses of clothes [m]; None if people wear none.
         turning: Indices of the model's joints in the whole model, shape (J,), int64.
         free: Indices of the model's joints that a fit turns, shape (F,), int64.
@@ -43,13 +43,18 @@ class DrawnModel:
 
     model: DetailedModel
     mesh: PartMesh | None
-    hides: bool
+    num_groups: int
     dressed: DetailedModel | None
     turning: torch.Tensor
     free: torch.Tensor
     first: int
     weights: torch.Tensor
     ends: torch.Tensor
+
+    @property
+    def hides(self) -> bool:
+        """True if one group can hide another one."""
+        return self.num_groups > 1
 
     def pose(self, people: Starts, unknowns: Unknowns) -> Detailed:
         """Pose N bodies with the pelvis near the origin; all frames of a person share one shape."""
@@ -131,10 +136,10 @@ def _draw_model(
         if groups is not None:
             whole = replace(detailed_mesh(reduced, at_joints), cull_backfaces=is_closed(model))
             mesh = whole.relabel(np.array(groups))
-        hides = len(set(groups or ()) - {BACKGROUND, IGNORE}) > 1
+        num_groups = len(set(groups or ()) - {BACKGROUND, IGNORE})
         weights = reduced.landmark_weights[:, first:].contiguous()
         dressed = None if options.clothes is None else dressed_model(reduced, basis)
-        return DrawnModel(reduced, mesh, hides, dressed, turning, free, first, weights, ends)
+        return DrawnModel(reduced, mesh, num_groups, dressed, turning, free, first, weights, ends)
 
 
 def drawn_vertices(model: DetailedModel, options: MeshOptions) -> int:

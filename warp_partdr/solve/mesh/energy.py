@@ -27,6 +27,7 @@ from ...render.part_mesh import PartMesh
 from .drawn_model import DrawnModel, draw_model
 from .feet import POINTS, slides
 from .landmark_costs import landmark_costs
+from .mask_weights import ONE_MASK, PART_LABELS, MaskWeights
 from .mesh_options import MeshOptions
 from .placed_people import PictureViews, pelvises_in_world, place_people
 from .starts import LabelPictures, Starts, Unknowns, WorldViews
@@ -99,7 +100,15 @@ class MeshEnergy:
         With several pictures of a body, these costs gained nothing on noisy input. Noise is not the only reason why a
         body can't agree with all pictures.
         """
-        return people.num_views == 1 and people.num_frames == 1 and self.options.noise == "unknown"
+        return self.has_one_picture(people) and self.options.noise == "unknown"
+
+    def has_one_picture(self, people: Starts) -> bool:
+        """Return True if each body is seen in one picture alone."""
+        return people.num_views == 1 and people.num_frames == 1
+
+    def label_weights(self, people: Starts) -> MaskWeights:
+        """Find the factors of the weights of keypoints and labels: others for a mask, if there is one picture."""
+        return ONE_MASK if self.drawn.num_groups == 1 and self.has_one_picture(people) else PART_LABELS
 
     def label_pictures(self, people: Starts) -> list[tuple[LabelPictures, PartMesh, bool]]:
         """List the pictures to be drawn, each with its mesh, and with True if one group can hide another one there."""
@@ -259,7 +268,11 @@ class MeshTerm(NamedTuple):
 
 
 TERMS = (
-    MeshTerm("proj", lambda energy, people: _by_cameras(people) * energy.options.proj, _keypoints),
+    MeshTerm(
+        "proj",
+        lambda energy, people: _by_cameras(people) * energy.label_weights(people).proj * energy.options.proj,
+        _keypoints,
+    ),
     MeshTerm("depth", lambda energy, people: energy.options.depth, lambda energy, bodies: bodies.landmark_costs[1]),
     MeshTerm(
         "turns",
@@ -286,7 +299,7 @@ TERMS = (
     ),
     MeshTerm(
         "seg",
-        lambda energy, people: _by_cameras(people) * energy.options.drawn_seg,
+        lambda energy, people: _by_cameras(people) * energy.label_weights(people).seg * energy.options.drawn_seg,
         _label_losses,
         lambda energy, people: bool(energy.label_pictures(people)),
     ),
