@@ -49,11 +49,12 @@ def skin_over(
         colour: RGB of the skin, shape (3,), uint8.
         pale: Flags of the part labels that are drawn pale because they are guessed (``guessed_parts``), shape (21,).
     """
-    size = (picture.shape[0], picture.shape[1])
+    size = picture.shape[0], picture.shape[1]
     drawn = blend(picture, shade_skin(vertices, model, camera, size, colour), _SKIN)
     if pale is None or not pale.any():
         return drawn
-    guessed = pale[draw_mesh(vertices, detailed_mesh(model), camera, size).labels[0].cpu().numpy()]
+    labels = draw_mesh(vertices, detailed_mesh(model), camera, size).labels[0].cpu().numpy()
+    guessed = pale[labels]
     drawn[guessed] = (_PALE * drawn[guessed] + (1 - _PALE) * picture[guessed]).astype(np.uint8)
     return drawn
 
@@ -111,8 +112,8 @@ def draw_detailed(
 
     zoom, drawn_size = overlay_size(size)
     below = gray_picture(drawn_size) if photo is None else at_overlay_size(photo, size)
-    camera = zoomed(camera, zoom, drawn_size)
-    return Image.fromarray(skin_over(below, registered.detailed.vertices, registered.model, camera, pale=pale))
+    vertices, camera = registered.detailed.vertices, zoomed(camera, zoom, drawn_size)
+    return Image.fromarray(skin_over(below, vertices, registered.model, camera, pale=pale))
 
 
 def draw_keypoints(image: Image, keypoints: Keypoints2D) -> None:
