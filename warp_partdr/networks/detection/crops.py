@@ -26,11 +26,11 @@ from ...kernels.launch import get_num_threads, run_slices
 
 _MARGIN = 1.25  # side of a person's crop, as a share of the diameter of the circle about the person
 _LARGEST = 4096  # [px], longer side of the finest picture that crops are cut from
-_SHARPER = 0.5  # levels by which crops are sharper than crops without any aliasing
-_BATCH = {"cpu": 4, "cuda": 256}  # crops at a time; on the CPU, caches hold so many
-_STRIP = 512  # rows that are halved at a time; the number must be even
-_UPLOAD = 2**25  # bytes of pictures that go to a device at a time; while one part goes, the next is gathered
-_UPLOADERS = 4  # threads that gather pictures
+_SHARPER = 0.5  # levels that crops are sharper than free of all aliasing
+_BATCH = {"cpu": 4, "cuda": 256}  # crops at a time: on CPU, what caches hold
+_STRIP = 512  # rows that are halved at a time, even
+_UPLOAD = 2**25  # bytes of pictures that go to a device at a time: while one part goes there, the next is gathered
+_UPLOADERS = 4  # threads that gather them
 
 Result = TypeVar("Result")
 
@@ -98,7 +98,7 @@ def crops_of_people(centres: np.ndarray, tops: np.ndarray, pictures: np.ndarray)
 
 
 def join_crops(parts: Sequence[TurnedCrops]) -> TurnedCrops:
-    """Join sets of square crops."""
+    """All of the crops, which are square, in a row."""
     fields = ("centres", "sides", "angles", "pictures")
     centres, sides, angles, pictures = (np.concatenate([getattr(part, name) for part in parts]) for name in fields)
     return TurnedCrops(centres, sides, angles, pictures)

@@ -59,7 +59,7 @@ def _activate(values: torch.Tensor, name: str) -> torch.Tensor:
 def convolve(
     node: Node, values: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, activation: str | None = None
 ) -> torch.Tensor:
-    """Convolution, and then the node's activation or a given one."""
+    """Convolution, then the node's activation, or another one."""
     left, right, above, below = node.zeros
     if left == right and above == below:
         padding = (above, left)

@@ -13,9 +13,7 @@ from ...interop.streams import on_torch_stream
 from ...kernels import depthwise
 from .graph import KINDS, Node, OperatorGraph, convolve
 
-_A_PICTURE = (
-    2**28
-)  # [bytes], memory that a device must have for each picture of a graph; the graph takes some hundredths of it
+_A_PICTURE = 2**28  # [bytes], memory that a device has for each picture of a graph, which takes some hundredths of it
 _NUMBERS = ("rows", "sigmoid")  # operators whose numbers are a convolution's, rearranged or squashed
 _LARGEST = torch.finfo(torch.float16).max
 _LIMITS = {"none": (-_LARGEST, _LARGEST), "relu": (0.0, _LARGEST), "relu6": (0.0, 6.0)}

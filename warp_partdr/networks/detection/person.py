@@ -18,8 +18,8 @@ class FoundPerson:
     """Person in a picture.
 
     Attributes:
-        keypoints: 33 landmarks of the format "blazepose33". Their confidence says that a landmark is in the picture
-            and not hidden.
+        keypoints: Landmarks of the format "blazepose33", 33 of them. Their confidence says that a landmark is in the
+            picture and not hidden.
         score: Confidence that there is a person, 0 to 1.
         box: Left, top, right and bottom of the mask, or else of the keypoints, within the picture [px].
         crop: Single crop, turned upright, in which the landmarks were found.
