@@ -186,7 +186,7 @@ def _mask_overlap(one: FoundPerson, other: FoundPerson) -> float:
 
 
 def _shown(person: FoundPerson, positions: np.ndarray) -> np.ndarray:
-    """Flags of positions in the picture (N, 2) at which the mask shows the person, shape (N,)."""
+    """True where the mask shows the person at places in the picture (N, 2), shape (N,)."""
     side = len(person.mask)
     column, row = np.floor(person.crop.from_picture(positions[None])[0] * side).astype(int).T
     inside = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < side)
