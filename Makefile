@@ -20,7 +20,7 @@ help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1|/p' $(MAKEFILE_LIST) | column -t -s '|'
 
 fit: out/example/people.json  ## fit a body to the packaged photo, from nothing else; the result is in out/example
-	@echo "The fitted body is in $(<D): open overlay.png first, then person0 and scene.glb in Blender; people.json has the numbers."
+	@echo "The fitted body is in $(<D): open report.html first, then person0 and scene.glb in Blender; people.json has the numbers."
 
 out/example/people.json: $(VENV)/.installed $(SOURCES)
 	$(BIN)/partdr fit $(EXAMPLE)/photo.png --out $(@D)

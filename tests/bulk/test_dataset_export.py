@@ -174,7 +174,7 @@ def test_rows_without_a_body_are_left_out(run: Run) -> None:
 
 def test_the_worst_are_written(run: Run) -> None:
     write_people()
-    assert run("export people --worst 2 --to json --out out")[0] == 0
+    assert run("export people --worst 2 --by keypoint_error --to json --out out")[0] == 0
     assert sorted(path.name for path in Path("out").iterdir()) == ["00000-000002", "00001-000001"]
 
 

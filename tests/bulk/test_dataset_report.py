@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import re
 import xml.etree.ElementTree as ElementTree
-from html.parser import HTMLParser
 from pathlib import Path
 from string import ascii_lowercase
 from typing import Any
@@ -15,6 +12,7 @@ import numpy as np
 import pytest
 from helpers import commands
 from helpers.commands import Run
+from helpers.pages import read_page
 from helpers.people_rows import SIZE, body_row, write_shards
 from PIL import Image
 
@@ -109,6 +107,27 @@ def test_the_worst_are_found_across_shards(by: str, expected: list[tuple[int, in
     assert found.values.tolist() == worst_first
 
 
+def test_the_least_confident_are_the_worst_unless_rows_lack_confidence(run: Run) -> None:
+    """Then those whose keypoints are farthest off are, also if a single shard lacks it."""
+    errors_and_confidences = ((0.01, 0.6), (0.02, 0.12), (0.03, 0.3))
+    rows = [body_row(f"{error}.png", keypoint_error=error, confidence=sure) for error, sure in errors_and_confidences]
+    write_shards(Path("people"), [rows, [body_row("4.png", keypoint_error=0.02)]])
+    files = PeopleFiles.open(Path("people"))
+    assert worst_people(files, None, 3).addresses == [(0, 1), (0, 2), (0, 0)]
+    assert run("report people --worst 3")[0] == 0
+    found = re.findall(r"confidence 0\.\d\d: [a-z ]+", read_page().text)
+    assert found == [
+        "confidence 0.12: likely wrong",
+        "confidence 0.30: more likely wrong than right",
+        "confidence 0.60: more likely right than wrong",
+    ]
+    path = files.path(1)
+    pq.write_table(pq.read_table(path).drop_columns("confidence"), path)
+    assert survey_people(files, count=3).worst.addresses == [(0, 2), (0, 1), (1, 0)]
+    assert run("report people --worst 4")[0] == 0
+    assert len(re.findall("confidence 0", read_page().text)) == 3
+
+
 def test_rows_of_several_batches_are_counted_once() -> None:
     """Four thousand times two pictures, with two people and one, whose errors rise; the last picture is broken."""
     rows = [body_row(name) for name in ("1.png", "1.png", "2.png")]  # a batch ends between the first two
@@ -119,7 +138,7 @@ def test_rows_of_several_batches_are_counted_once() -> None:
     errors = pa.array([*np.linspace(0.001, 0.02, 12_000, dtype=np.float32).tolist(), None], pa.float32())
     place = table.schema.get_field_index("keypoint_error")
     pq.write_table(table.set_column(place, table.schema.field(place), errors), path)
-    found = survey_people(PeopleFiles.open(Path("people")), count=3)
+    found = survey_people(PeopleFiles.open(Path("people")), "keypoint_error", 3)
     assert (found.rows, found.pictures, found.bodies) == (12_001, 8001, 12_000)
     assert found.worst.addresses == [(0, 11_999), (0, 11_998), (0, 11_997)]
     assert [(count, where) for count, _, where in found.errors.sorted()] == [(1, (0, 12_000))]
@@ -158,44 +177,6 @@ def test_shards_at_odds_are_marked(run: Run) -> None:
     ]
 
 
-class Page(HTMLParser):
-    """A page's pictures, its text, whatever it would load, and whether its elements are closed."""
-
-    VOID = ("meta", "img", "br")
-    IMPLIED = ("tr", "td", "th")  # closed by what follows
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.images: list[Image.Image] = []
-        self.loads: list[str] = []
-        self.text = ""
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        source = dict(attrs).get("src")
-        if tag == "img" and source and source.startswith("data:image/jpeg;base64,"):
-            self.images.append(Image.open(io.BytesIO(base64.b64decode(source.partition(",")[2]))))
-        elif source or tag in ("script", "link", "iframe"):
-            self.loads.append(tag)
-        if tag not in (*self.VOID, *self.IMPLIED):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        if tag not in self.IMPLIED:
-            assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
-
-
-def read_page(path: str = "report.html") -> Page:
-    page = Page(Path(path).read_text(encoding="utf-8"))
-    assert page.open == []
-    assert page.loads == []
-    return page
-
-
 def test_the_page_is_whole_and_needs_nothing_else(run: Run) -> None:
     write_people()
     code, said, _ = run("report people --out new/page.html --worst 3 --by energy")
@@ -231,7 +212,7 @@ def test_people_are_drawn_over_their_photo(run: Run) -> None:
     write_shards(Path("people"), [[body_row("1.png", 3.0), body_row("2.png", keypoint_error=0.3), far]])
     for name in ("3.png",):
         (photos / name).write_bytes(b"broken")
-    assert run("report people --pictures photos")[0] == 0
+    assert run("report people --pictures photos --by keypoint_error")[0] == 0
     page = read_page()
     assert "1 of 3 photos could be read" in page.text
     gone, other, shown = page.images  # the worst first

@@ -59,7 +59,7 @@ def test_a_film_that_started_later_is_joined_by_the_others(moving: SceneSample) 
         aligned = align_films(films, progress=lambda *each: told.append(each))
         assert [each.skipped for each in aligned] == skipped
     assert {len(each.people.times) for each in aligned} == {FRAMES - late}
-    assert told[-1] == ("moments", 2, 2)
+    assert told[-1] == ("alignment", 2, 2)
 
 
 def test_a_film_that_lost_frames_is_joined_by_time(moving: SceneSample) -> None:

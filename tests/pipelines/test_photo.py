@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -10,22 +11,27 @@ import numpy as np
 import pytest
 import torch
 from helpers.example import example_mask, example_photo
+from helpers.pages import read_page
 from PIL import Image
 
 from warp_partdr import metrics
 from warp_partdr.cameras import Perspective, UsualLens
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.part_labels import read_photo
+from warp_partdr.models.anny import anny
 from warp_partdr.models.model import detailed_mesh
 from warp_partdr.networks.detection import crops
 from warp_partdr.pipelines import photo as photo_fit
 from warp_partdr.pipelines.photo import PACKAGED, PhotoFit, fit_photo, mask_labels
 from warp_partdr.render.mesh import draw_mesh
-from warp_partdr.results.overlays import draw_detailed
+from warp_partdr.results.overlays import GRAY, draw_detailed
+from warp_partdr.results.person_pictures import draw_side_view
+from warp_partdr.results.photo_page import PAGE, draw_pictures, in_order
 from warp_partdr.results.placements import place_on_ground
 from warp_partdr.results.result_sets import check_result
 from warp_partdr.results.save import DETAILED_FILES, RESULT_FILES, save_fit
 from warp_partdr.results.save_photo import PHOTO_FILES, save_photo_fit
+from warp_partdr.solve.confidence.judge import LimbConfidence
 from warp_partdr.solve.confidence.limbs import guessed_parts
 from warp_partdr.solve.ellipsoids import fitting
 from warp_partdr.solve.ellipsoids.options import FitOptions
@@ -75,6 +81,8 @@ def test_half_a_body_of_a_real_photo_is_fitted(device):
     nose = mesh.ellipbody.camera.project(torch.from_numpy(mesh.landmarks(("nose",)))[None].to(device))[0, 0].tolist()
     assert abs(nose[0] - 226) < 30
     assert abs(nose[1] - 112) < 35
+    assert {"left leg", "right leg"} <= set(found.confidences[0].guessed)
+    assert _pixels(draw_pictures(found, 0, photo).body).shape[0] == 320
 
 
 def test_everyone_stands_before_the_same_usual_lens_also_who_is_asked_for_alone(tmp_path):
@@ -218,6 +226,111 @@ def test_files_of_everyone_are_saved_and_older_ones_go(everyone, tmp_path):
     assert (overlay != photo).any()
     save_fit(found.fits[0].ellipbody, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {*RESULT_FILES, "person0", "person1", "person8"}
+
+
+def test_the_page_shows_everyone_the_least_confident_first(everyone, tmp_path):
+    photo, found = everyone
+    sure, unsure = found.confidences[0], replace(found.confidences[1], probability=0.12)
+    limbs = {**unsure.limbs, "left arm": LimbConfidence(0.31, "hidden"), "right leg": LimbConfidence(0.2, "outside")}
+    judged = replace(found, confidences={0: replace(sure, probability=0.6), 1: replace(unsure, limbs=limbs)})
+    save_photo_fit(judged, tmp_path, photo=photo, name="<b>'s & mine.png")
+    check_result(tmp_path / PAGE)
+    page = read_page(tmp_path / PAGE)
+    assert page.anchors == ["person1", "person0"]
+    assert len(page.images) == 1 + 2 * 3
+    for words in (
+        "2 people in <b>'s & mine.png",
+        "1 of 2 bodies has a confidence below 0.25.",
+        "person1 confidence 0.12: likely wrong",
+        "person0 confidence 0.60: more likely right than wrong",
+        "left armhidden, guessed0.31",
+        "right legoutside the picture, guessed0.20",
+        "m, for an assumed lens",
+    ):
+        assert words in page.text, words
+    within = [link[1:] for link in page.links if link.startswith("#")]
+    assert sorted(within) == ["person0", "person0", "person1", "person1"]
+    assert within[2:] == page.anchors  # the list is in the same order
+    files = {link for link in page.links if not link.startswith("#")}
+    assert all((tmp_path / link).exists() for link in files)
+    assert {"overlay.png", "people.json", "person1/body.json", "person0/detailed.glb"} <= files
+
+
+def test_bodies_of_equal_confidence_are_in_their_order(everyone):
+    people = [{"person": index, "confidence": sure} for index, sure in enumerate((0.5, 0.7, 0.5, 0.1))]
+    assert [person["person"] for person in in_order(people)] == [3, 0, 2, 1]
+
+
+def test_the_page_of_one_person_is_small_and_has_no_list(everyone, tmp_path):
+    photo, found = everyone
+    alone = replace(found, fits={1: found.fits[1]})
+    save_photo_fit(alone, tmp_path, photo=photo)
+    page = read_page(tmp_path / PAGE)
+    assert page.anchors == ["person1"]
+    assert len(page.images) == 3
+    assert "1 person in the photo" in page.text
+    assert "comes first" not in page.text
+    assert not any(link.startswith("#") for link in page.links)
+    assert (tmp_path / PAGE).stat().st_size < 100_000
+
+
+def test_warnings_are_on_the_page(everyone, tmp_path):
+    photo, found = everyone
+    warned = found.fits[0].with_warnings(["labels: <odd>; expected others"])
+    save_photo_fit(replace(found, fits={0: warned}), tmp_path, photo=photo)
+    assert "labels: <odd>; expected others" in read_page(tmp_path / PAGE).text
+
+
+def test_pictures_of_a_person_show_the_photo_and_pale_guessed_limbs(everyone):
+    photo, found = everyone
+    limbs = {**found.confidences[0].limbs, "left arm": LimbConfidence(0.3, "hidden")}
+    guessed = replace(found, confidences={0: replace(found.confidences[0], limbs=limbs)})
+    drawn = [draw_pictures(each, 0, photo) for each in (found, guessed)]
+    (seen, whole, side), (_, pale, pale_side) = ([_pixels(each) for each in vars(one).values()] for one in drawn)
+    assert seen.shape == whole.shape
+    assert max(seen.shape[:2]) == max(side.shape[:2]) == 320
+    assert 0.1 < (np.abs(whole - seen).max(-1) > 30).mean() < 0.7
+    for one, other in ((pale, whole), (pale_side, side)):  # an arm alone is paler
+        assert 0.01 < (np.abs(one - other).max(-1) > 20).mean() < 0.15
+    assert np.abs(pale - seen).sum() < np.abs(whole - seen).sum()
+    assert np.abs(pale_side - GRAY).sum() < np.abs(side - GRAY).sum()
+
+
+def test_guessed_limbs_do_not_make_the_photo_small(everyone):
+    """The window holds the rest of the body alone; the view from the side shows all of it."""
+    photo, found = everyone
+    box = found.people[1].box
+    people = (found.people[0], replace(found.people[1], box=(box[0], box[1], box[2], (box[1] + box[3]) / 2)))
+    limbs = {name: LimbConfidence(0.3, "outside") for name in ("left leg", "right leg")}
+    cut = replace(found.confidences[1], limbs={**found.confidences[1].limbs, **limbs})
+    shapes = []
+    for confidence in (found.confidences[1], cut):
+        one = replace(found, people=people, confidences={1: confidence})
+        shapes.append(_pixels(draw_pictures(one, 1, photo).photo).shape)
+    assert shapes[0][0] == 320  # a person who stands is higher than wide
+    assert shapes[1][1] / shapes[1][0] > 1.25 * shapes[0][1] / shapes[0][0]
+
+
+def test_a_body_is_upright_from_the_side_and_the_camera_is_at_the_left(device):
+    """A body that leans toward the camera has its head, the top of the picture, at the left."""
+    model = anny().to(device)
+    vertices = model.rest_vertices[None] * model.rest_vertices.new_tensor([1.0, -1.0, -1.0])  # y down
+    head = vertices[..., 1].min()
+    lean = vertices.clone()
+    lean[..., 2] += 0.5 * (lean[..., 1] - head)
+    for points, leans in ((vertices, False), (lean, True)):
+        picture = draw_side_view(points, model, 200).astype(int)
+        assert max(picture.shape[:2]) == 200
+        rows, columns = np.nonzero(np.abs(picture - GRAY).max(-1) > 12)
+        assert rows.max() - rows.min() > 160
+        tall, deep = (float(np.ptp(points[0, :, axis].cpu().numpy())) for axis in (1, 2))
+        assert np.ptp(columns) / np.ptp(rows) == pytest.approx(deep / tall, abs=0.03)
+        top, bottom = (columns[some].mean() for some in (rows < 40, rows > 150))
+        assert (top < bottom - 30) == leans
+
+
+def _pixels(file: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(file))).astype(int)
 
 
 def test_bodies_grow_about_the_camera_to_one_ground(everyone):

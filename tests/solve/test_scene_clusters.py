@@ -111,7 +111,7 @@ def test_who_stands_apart_is_drawn_as_alone() -> None:
     targets = []
     for each in (scene, many):
         _, people = energy_of(each, QUICK_SCENE)
-        assert people.together is None
+        assert people.overlapping is None
         assert people.alone is not None
         targets.append(people.alone.target)
     assert torch.equal(targets[1][:1], targets[0])

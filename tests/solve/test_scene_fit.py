@@ -179,8 +179,8 @@ def test_pixels_that_several_claim_or_somebody_does_not_know_are_ignored():
     observation = scene.observations[0]
     assert observation.parts is not None
     _, people = prepared(replace(scene, observations=[observation, replace(observation, person=1)]), "cpu")
-    assert people.together is not None
-    both = people.together.target
+    assert people.overlapping is not None
+    both = people.overlapping.target
     assert set(both.unique().tolist()) == {0, 255}
     low = observation.keypoints.points[observation.keypoints.visible].min(0).astype(int)
     unknown = observation.parts.groups.copy()
@@ -189,8 +189,8 @@ def test_pixels_that_several_claim_or_somebody_does_not_know_are_ignored():
     corner[:] = 255
     other = replace(observation, parts=replace(observation.parts, groups=unknown), person=1)
     _, people = prepared(replace(scene, observations=[observation, other]), "cpu")
-    assert people.together is not None
-    changed = people.together.target[both != people.together.target]
+    assert people.overlapping is not None
+    changed = people.overlapping.target[both != people.overlapping.target]
     assert changed.numel() > 0
     assert bool((changed == 255).all())
 
@@ -230,9 +230,9 @@ def test_only_who_stands_is_held_to_the_ground():
 def test_people_are_drawn_together():
     sample = make_pair(102, "clean")
     _, people = prepared(sample.scene, "cpu")
-    assert people.together is not None
+    assert people.overlapping is not None
     assert people.alone is None
-    shown = set(people.together.target.unique().tolist()) - {0, 255}
+    shown = set(people.overlapping.target.unique().tolist()) - {0, 255}
     assert min(shown) <= LABELS.num_groups < max(shown) <= 2 * LABELS.num_groups
     fit = fit_scene(sample.scene, options=QUICK_SCENE)
     for person in range(2):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -11,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..body.skeletons import Skeleton, skeleton
-from ..cameras import Crop
 from ..models.model import DetailedModel
-from ..results.overlays import GRAY, body_over, draw_keypoints, gray_picture, skin_over
+from ..results.overlays import body_over, draw_keypoints, gray_picture, skin_over
+from ..results.person_pictures import cut_window, jpeg_file, person_window
 from .reading import Address, PeopleFiles, PersonRow, by_shard
 from .survey import Worst
 
@@ -21,8 +19,6 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 SIDE = 280  # [px], longer side of a panel
-_MARGIN = 0.08  # of what is shown, around it
-_BEYOND = 0.75  # of the box, how far beyond it a body is shown
 
 
 @dataclass(frozen=True)
@@ -35,6 +31,7 @@ class DrawnPerson:
         picture: Name of the picture.
         person: Number of the person in the picture.
         warnings: Warnings of the row.
+        confidence: Probability that the body is right. It is None if the row does not state it.
         on_photo: True if the photo could be read.
         jpeg: Bytes of the drawing, a JPEG file.
     """
@@ -44,6 +41,7 @@ class DrawnPerson:
     picture: str
     person: int
     warnings: Sequence[str]
+    confidence: float | None
     on_photo: bool
     jpeg: bytes
 
@@ -67,16 +65,15 @@ def draw_worst(
             person = PersonRow.of(address, row, str(files.path(shard)))
             assert person is not None
             photo = None if read is None else _photo(read, person)
-            buffer = io.BytesIO()
-            draw_person(person, form, photo, model).save(buffer, "JPEG", quality=80)
             yield DrawnPerson(
                 address,
                 values[address],
                 picture=row["picture"],
                 person=row["person"],
                 warnings=row["warnings"] or (),
+                confidence=row.get("confidence"),
                 on_photo=photo is not None,
-                jpeg=buffer.getvalue(),
+                jpeg=jpeg_file(np.asarray(draw_person(person, form, photo, model))),
             )
 
 
@@ -101,9 +98,9 @@ def draw_person(
     """
     from PIL import Image
 
-    crop = _crop(person)
+    crop = person_window(person.row["box"], person.row["joints_2d"], SIDE)
     camera = person.saved.camera().in_crop(crop)
-    below = gray_picture(crop.size) if photo is None else _cut(photo, crop)
+    below = gray_picture(crop.size) if photo is None else cut_window(photo, crop)
     if model is not None and person.detailed:
         clothed = person.registered(model).clothed(person.clothes)
         over = Image.fromarray(skin_over(below, clothed.vertices, model, camera))
@@ -119,30 +116,3 @@ def draw_person(
     both.paste(seen, (0, 0))
     both.paste(over, (seen.width + 2, 0))
     return both
-
-
-def _crop(person: PersonRow) -> Crop:
-    """Window that holds the person's box and, unless it is far off, the body."""
-    left, top, right, bottom = (float(edge) for edge in person.row["box"])
-    beyond = _BEYOND * max(right - left, bottom - top, 1.0)
-    joints = np.clip(person.row["joints_2d"], (left - beyond, top - beyond), (right + beyond, bottom + beyond))
-    low, high = np.minimum(joints.min(0), (left, top)), np.maximum(joints.max(0), (right, bottom))
-    margin = _MARGIN * max(*(high - low), 1.0) + 1
-    low, high = np.floor(low - margin), np.ceil(high + margin)
-    zoom = SIDE / float((high - low).max())
-    width, height = (max(math.ceil(side * zoom), 1) for side in (high - low).tolist())
-    return Crop(float(low[0]), float(low[1]), zoom, (height, width))
-
-
-def _cut(photo: np.ndarray, crop: Crop) -> np.ndarray:
-    """The crop of a photo, gray beyond its border."""
-    from PIL import Image
-
-    left, top = int(crop.left), int(crop.top)
-    height, width = (round(side / crop.zoom) for side in crop.size)
-    window = Image.new("RGB", (width, height), GRAY)
-    rows, columns = (slice(max(start, 0), max(start + side, 0)) for start, side in ((top, height), (left, width)))
-    part = photo[rows, columns]
-    if part.size:
-        window.paste(Image.fromarray(part), (columns.start - left, rows.start - top))
-    return np.asarray(window.resize((crop.size[1], crop.size[0]), Image.Resampling.LANCZOS))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 
 import numpy as np
 
-from ..files.html_pages import html_page, picture_element
+from ..files.html_pages import PAGE_STYLE, html_page, join_lines, picture_element
+from ..solve.confidence.words import confidence_in_words
 from .drawn_people import DrawnPerson
 from .histograms import Histogram, round_up
 from .reading import PeopleFiles
@@ -16,23 +17,14 @@ from .survey import SCORES, Kinds, PersonScore, Survey
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP = 420, 202, 24, 34, 32  # [px] of a histogram, and its margins
 _MOST_LISTED = 40  # kinds of errors or warnings
 _STYLE = """
-body{font:15px/1.45 system-ui,sans-serif;color:#1c2430;background:#fff;max-width:1180px;margin:24px auto;
-padding:0 20px}
-h1{font-size:24px;margin:0 0 4px}
-h2{font-size:18px;margin:34px 0 10px;border-bottom:1px solid #d8dde5;padding-bottom:4px}
-p{margin:6px 0;max-width:80ch}.soft{color:#5a6675}
-.mark{background:#fff4d6;border-left:4px solid #d99a00;padding:8px 14px}
 .tiles{display:grid;grid-template-columns:repeat(auto-fill,minmax(155px,1fr));gap:10px;margin:16px 0}
-.tile{background:#f4f6f9;border-radius:6px;padding:9px 12px}.tile b{display:block;font-size:21px}
+.tile{background:var(--panel);border-radius:6px;padding:9px 12px}.tile b{display:block;font-size:21px}
 .plots{display:grid;grid-template-columns:repeat(auto-fill,minmax(410px,1fr));gap:18px}
-figure{margin:0}figcaption{font-size:13px;color:#5a6675}svg{width:100%;height:auto;display:block}
-table{border-collapse:collapse;width:100%;font-size:14px}
-td,th{text-align:left;padding:4px 12px 4px 0;vertical-align:top}
-tr+tr td{border-top:1px solid #e8ebf0}td:first-child,.n{white-space:nowrap;width:1%}
-td{overflow-wrap:anywhere}td.n,th.n{text-align:right}
+svg{width:100%;height:auto;display:block}svg text{fill:var(--soft)}svg .title{fill:var(--ink)}svg rect{fill:var(--bar)}
+svg path{stroke:var(--soft)}svg .middle{stroke:var(--accent)}svg .beyond{fill:var(--accent)}
 .people{display:grid;grid-template-columns:repeat(auto-fill,minmax(270px,1fr));gap:16px}
 .people img{width:100%;height:230px;object-fit:contain;background:#ebebeb;border-radius:4px}
-.people figcaption b{color:#1c2430}.warn{color:#9a5b00}code{background:#f0f2f5;padding:1px 4px;border-radius:3px}
+.people figcaption b{color:var(--ink)}
 """
 
 
@@ -52,11 +44,7 @@ def write_page(files: PeopleFiles, survey: Survey, people: Sequence[DrawnPerson]
         _people(files, survey, people, note),
         _provenance(survey.made),
     ]
-    return html_page(title, _STYLE, _lines(parts))
-
-
-def _lines(parts: Iterable[str]) -> str:
-    return "".join(f"{part}\n" for part in parts if part)
+    return html_page(title, PAGE_STYLE + _STYLE, join_lines(parts))
 
 
 def _share(count: int, total: int) -> str:
@@ -124,29 +112,29 @@ def _histogram(score: PersonScore, histogram: Histogram) -> str:
             low, tall = bars.start + index * bars.step, max(height * count / most, 0.7)
             text = f"{low:.4g} to {low + bars.step:.4g} {score.unit}: {count:,}"
             attributes = f"x='{across(low):.1f}' y='{bottom - tall:.1f}' width='{wide:.1f}' height='{tall:.1f}'"
-            drawn.append(f"<rect {attributes} fill='#3f76b5'><title>{escape(text)}</title></rect>")
+            drawn.append(f"<rect {attributes}><title>{escape(text)}</title></rect>")
     step = round_up(extent / 7)
     ticks = np.arange(np.ceil(bars.start / step - 1e-6), np.floor(bars.stop / step + 1e-6) + 1) * step + 0.0
     for tick in ticks.tolist():
         x = across(tick)
-        drawn.append(f"<path d='M{x:.1f} {bottom}v4' stroke='#8a94a3'/>")
+        drawn.append(f"<path d='M{x:.1f} {bottom}v4'/>")
         drawn.append(f"<text x='{x:.1f}' y='{bottom + 16}' text-anchor='middle'>{_plain(tick, step)}</text>")
     middle = histogram.quantile(0.5)
     x = min(max(across(middle), _LEFT), _WIDTH - _LEFT)
-    drawn.append(f"<path d='M{x:.1f} {_TOP}V{bottom}' stroke='#c2410c' stroke-dasharray='4 3'/>")
+    drawn.append(f"<path d='M{x:.1f} {_TOP}V{bottom}' class='middle' stroke-dasharray='4 3'/>")
     for beyond, side, anchor, edge in (
         (bars.below, "below", "start", _LEFT),
         (bars.above, "beyond", "end", _WIDTH - _LEFT),
     ):
         if beyond:
             text = f"{beyond:,} {side}"
-            drawn.append(f"<text x='{edge}' y='{_HEIGHT - 3}' text-anchor='{anchor}' fill='#c2410c'>{text}</text>")
+            drawn.append(f"<text x='{edge}' y='{_HEIGHT - 3}' text-anchor='{anchor}' class='beyond'>{text}</text>")
     name = score.title + (f" [{score.unit}]" if score.unit else "")
     return (
-        f"<svg viewBox='0 0 {_WIDTH} {_HEIGHT}' role='img' font-size='11' fill='#3b4552'>"
-        f"<text x='{_LEFT}' y='13' font-size='13' font-weight='600'>{escape(name)}</text>"
-        f"<path d='M{_LEFT} {bottom}H{_WIDTH - _LEFT}' stroke='#8a94a3'/>{''.join(drawn)}"
-        f"<text x='{_WIDTH - _LEFT}' y='{_TOP - 4}' text-anchor='end' fill='#5a6675'>highest: {most:,}</text></svg>"
+        f"<svg viewBox='0 0 {_WIDTH} {_HEIGHT}' role='img' font-size='11'>"
+        f"<text x='{_LEFT}' y='13' font-size='13' font-weight='600' class='title'>{escape(name)}</text>"
+        f"<path d='M{_LEFT} {bottom}H{_WIDTH - _LEFT}'/>{''.join(drawn)}"
+        f"<text x='{_WIDTH - _LEFT}' y='{_TOP - 4}' text-anchor='end'>highest: {most:,}</text></svg>"
     )
 
 
@@ -191,10 +179,11 @@ def _people(files: PeopleFiles, survey: Survey, people: Sequence[DrawnPerson], n
     cards = []
     for each in people:
         shown = picture_element(each.jpeg, "jpeg", f"row {each.address}")
+        sure = "" if each.confidence is None else f"<br>{confidence_in_words(each.confidence)}"
         warned = "".join(f"<br><span class=warn>{escape(warning)}</span>" for warning in each.warnings)
-        caption = f"{each.value:.3g} {score.unit}<br>{escape(each.picture)}, person {each.person}"
+        caption = f"{each.value:.3g} {score.unit}<br>{escape(each.picture)}, person {each.person}{sure}"
         cards.append(f"<figure>{shown}<figcaption><b>{each.address}</b> {caption}{warned}</figcaption></figure>")
     return (
         f"<h2>The worst {len(people)}: {end} &ldquo;{escape(score.title)}&rdquo;</h2><p>{escape(note)} "
-        f"A body's files: <code>{escape(command)}</code></p><div class=people>{_lines(cards)}</div>"
+        f"A body's files: <code>{escape(command)}</code></p><div class=people>{join_lines(cards)}</div>"
     )

@@ -107,6 +107,17 @@ class PeopleFiles:
 
         return int(pq.read_metadata(self.path(shard)).num_rows)
 
+    def columns(self, shard: int) -> list[str]:
+        """Names of a shard's columns.
+
+        Raises:
+            InputError: If it is none of this format.
+        """
+        import pyarrow.parquet as pq
+
+        self.about(shard)
+        return list(pq.read_schema(self.path(shard)).names)
+
     @cached_property
     def total(self) -> int:
         """Rows of all shards that are there."""

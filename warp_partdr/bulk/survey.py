@@ -105,6 +105,16 @@ SCORES = (
     ),
 )  # fmt: skip
 RANKED = tuple(score.name for score in SCORES if score.worst)
+_USUAL = ("confidence", "keypoint_error")  # by which people are worst unless something else is asked for
+
+
+def usual_score(files: PeopleFiles) -> str:
+    """Name of the score by which people are worst by default.
+
+    It is the confidence. Data sets of older versions lack it; theirs is the distance of the keypoints.
+    """
+    known = all(_USUAL[0] in files.columns(shard) for shard in files.paths)
+    return _USUAL[0] if known else _USUAL[1]
 
 
 @dataclass
@@ -226,20 +236,20 @@ class Survey:
 
 
 def survey_people(
-    files: PeopleFiles, by: str = RANKED[0], count: int = 100, progress: Callable[[str], None] | None = None
+    files: PeopleFiles, by: str | None = None, count: int = 100, progress: Callable[[str], None] | None = None
 ) -> Survey:
     """Count everything in a data set, and find the worst people.
 
     Args:
         files: Files of the data set.
-        by: Score by which people are worst, one of ``RANKED``.
+        by: Score by which people are worst, one of ``RANKED``. None: ``usual_score``.
         count: Number of worst people to find.
         progress: Function that is called with each shard's name.
 
     Raises:
         InputError: If a shard can't be read.
     """
-    survey = Survey(Worst.by(by, count))
+    survey = Survey(Worst.by(by or usual_score(files), count))
     for shard, path in files.paths.items():
         about = files.about(shard)
         _count_shard(survey, files, shard, about)
@@ -250,9 +260,11 @@ def survey_people(
     return survey
 
 
-def worst_people(files: PeopleFiles, by: str, count: int, progress: Callable[[str], None] | None = None) -> Worst:
-    """Find the worst people by a score, one of ``RANKED``. The other arguments are those of ``survey_people``."""
-    worst = Worst.by(by, count)
+def worst_people(
+    files: PeopleFiles, by: str | None, count: int, progress: Callable[[str], None] | None = None
+) -> Worst:
+    """Find the worst people by a score. The arguments are those of ``survey_people``."""
+    worst = Worst.by(by or usual_score(files), count)
     for shard, path in files.paths.items():
         for first, batch in files.batches(shard, (*worst.score.columns, _BODY)):
             _take_worst(worst, shard, first, batch)

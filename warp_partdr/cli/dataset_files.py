@@ -34,9 +34,9 @@ REPORT_HELP = """Check a data set before you trust it: this writes one HTML page
 Examples: `partdr report people --pictures photos`; `partdr report people --by depth --out depth.html`
 
 The page shows the numbers of rows, people and errors; how often each warning occurs; distributions of scores; versions
-and options, and if they are the same in all shards; shards that are missing; and the worst hundred people. If
---pictures has their photos, people are drawn over them. Each has the address of the row, such as 3/17: row 17 of shard
-3, both counted from 0.
+and options, and if they are the same in all shards; shards that are missing; and the worst hundred people, the least
+confident body first. If --pictures has their photos, people are drawn over them. Each has the address of the row, such
+as 3/17: row 17 of shard 3, both counted from 0.
 """
 
 EXPORT_HELP = """Write files of single people of a data set, a folder for each row, as `partdr fit` writes them.
@@ -53,7 +53,12 @@ detailed.obj, and usda, usdz (extra `usd`) and fbx (written by Blender) write de
 
 DatasetArgument = Annotated[Path, Argument(help="Folder that `partdr dataset` wrote.", metavar="DATASET")]
 ByOption = Annotated[
-    ByName, Option("--by", help=f"Quantity that decides who is worst: {', '.join(ByName)}.", metavar="NAME")
+    ByName | None,
+    Option(
+        "--by",
+        help=f"Quantity that decides who is worst: {', '.join(ByName)}; default: confidence, if rows have it.",
+        metavar="NAME",
+    ),
 ]
 
 
@@ -70,7 +75,7 @@ def report(
     worst: Annotated[
         int, Option(help="Number of the worst people who are drawn.", metavar="N", min=0, max=_MOST_DRAWN)
     ] = 100,
-    by: ByOption = ByName.keypoint_error,
+    by: ByOption = None,
 ) -> None:
     """Write the page of a data set; see ``REPORT_HELP``."""
     files = _open(dataset, "report")
@@ -85,7 +90,7 @@ def report(
     check_folder(out.parent)
     read, note = _reader(pictures, images)
     with PictureProgress(len(files.paths), "shards") as progress:
-        survey = survey_people(files, by.value, worst, progress)
+        survey = survey_people(files, by and by.value, worst, progress)
     detailed = (
         read_model("anny", "cpu") if _made_with(files) == "anny" else None
     )  # with other models, ellipsoids are drawn
@@ -113,7 +118,7 @@ def export(
     dataset: DatasetArgument,
     rows: Annotated[str | None, Option(help="Whom, such as 3/17 or 0:100.", metavar="ROWS")] = None,
     worst: Annotated[int | None, Option(help="Or so many of the worst.", metavar="N", min=1)] = None,
-    by: ByOption = ByName.keypoint_error,
+    by: ByOption = None,
     to: Annotated[
         list[FormatName] | None,
         Option(help="glb, obj, npz, json, usda, usdz, fbx; may be given again.", metavar="NAME"),
@@ -142,7 +147,7 @@ def export(
         chosen = files.select(rows)
     else:
         with PictureProgress(len(files.paths), "shards") as progress:
-            chosen = by_shard(worst_people(files, by.value, worst or 0, progress).addresses)
+            chosen = by_shard(worst_people(files, by and by.value, worst or 0, progress).addresses)
     detailed = _model(files, model)
     written = 0
     empty: list[str] = []

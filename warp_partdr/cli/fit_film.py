@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import typer
-from typer import Option
 
 from ..errors import InputError, told_as
 from ..inputs.films import film_facts, is_photo, read_frames
 from ..inputs.part_labels import scan_photo
 from .fit_request import FitRequest, QualityName, StartName
 from .loading import NO_MODEL, load_mesh_kernels
-from .options import EXIF, CameraOptions, NetworkOptions, RunSettings, distance_words
+from .options import NetworkOptions, distance_words
 from .register import read_model
+from .scene_request import RigOptions, SceneRequest
 
 if TYPE_CHECKING:
     from ..inputs.calibrated_camera import CalibratedCamera
@@ -44,67 +44,13 @@ def fit_motions(request: FitRequest) -> None:
     files.networks.check()
     if request.model == NO_MODEL:
         raise InputError("--model: none, with a film; expected a detailed model")
-    check_film_view(request.view, [film])
+    request.view.check_films([film])
     film_facts(film)  # raises faults of the file before anything is loaded
 
     fit_films([film], request)
 
 
-def check_film_view(view: CameraOptions, films: Sequence[Path]) -> None:
-    """Raise an InputError if camera options don't fit films, or photos among them."""
-    if view.focal == EXIF and not all(map(is_photo, films)):
-        raise InputError("--focal: exif, with a film; expected pixels, or --fov")
-    view.check()
-
-
-@dataclass(frozen=True)
-class RigOptions:
-    """Options for the cameras of films, and their clocks."""
-
-    cameras: Annotated[
-        Path | None,
-        Option(help="File or folder of calibrated cameras; default: they are found from the people.", metavar="FILE"),
-    ] = None
-    align: Annotated[bool, Option("--align", help="Find the frames that show the same moment.")] = False
-
-
-class MotionRequest(Protocol):
-    """Options that ``partdr fit FILM`` and ``partdr scene`` share, as their requests have them."""
-
-    @property
-    def out(self) -> Path:
-        """Folder for the results."""
-
-    @property
-    def device(self) -> str:
-        """Device as the option says."""
-
-    @property
-    def model(self) -> str:
-        """Name or file of the detailed model."""
-
-    @property
-    def person(self) -> int | None:
-        """Index of the only person to fit."""
-
-    @property
-    def score(self) -> float:
-        """Least confidence that there is a person."""
-
-    @property
-    def run(self) -> RunSettings:
-        """Settings, which for the fit are those of ``SceneOptions``."""
-
-    @property
-    def networks(self) -> NetworkOptions:
-        """Networks of others."""
-
-    @property
-    def view(self) -> CameraOptions:
-        """Camera of the film, or lens of each of several films."""
-
-
-def fit_films(paths: Sequence[Path], request: MotionRequest, rig: RigOptions | None = None) -> None:
+def fit_films(paths: Sequence[Path], request: FitRequest | SceneRequest, rig: RigOptions | None = None) -> None:
     """Find people in films, fit their motions, write the results and print a summary.
 
     Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from ..errors import InputError, told_as
+from ..errors import InputError, printable, told_as
 from .fit_request import FitRequest
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
 from .options import confidence_words, distance_words, read_photo_with_warnings
@@ -32,6 +32,7 @@ def fit_everyone(request: FitRequest) -> None:
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
     from ..pipelines.photo import fit_photo
+    from ..results.photo_page import PAGE
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save_photo import PHOTO_FILES, save_photo_fit
     from .progress import FitProgress
@@ -61,11 +62,13 @@ def fit_everyone(request: FitRequest) -> None:
                 progress=progress,
             )
         progress("writing results", 0, 1)
-        report = save_photo_fit(fit, out, photo=picture, formats=request.run.formats)
+        report = save_photo_fit(fit, out, photo=picture, formats=request.run.formats, name=printable(photo.name))
     for person in report["people"]:
         for warning in person["warnings"]:
             typer.echo(f"partdr: warning: {person['folder']}: {warning}", err=True)
         hidden = "".join(f", hidden by person{index}" for index in person["hidden_by"])
         away = distance_words(person["distance_m"], exact=camera is not None, assumed=camera is None)
         typer.echo(f"{person['folder']}: {confidence_words(person)}, {away}{hidden}")
-    typer.echo(f"{out / 'overlay.png'} shows all bodies, {out / 'people.json'} has their measurements")
+    typer.echo(
+        f"{out / PAGE} shows all bodies, the least confident first; {out / 'people.json'} has their measurements"
+    )

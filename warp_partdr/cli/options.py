@@ -13,6 +13,7 @@ from typer import Option, echo
 
 from ..errors import InputError, shown
 from ..files.sections import read_toml, set_value
+from ..inputs.films import is_photo
 from ..inputs.keypoint_files import keypoint_file, read_keypoints
 from ..inputs.keypoints import choose_person
 from ..inputs.part_labels import (
@@ -368,6 +369,12 @@ class CameraOptions:
         if self.given and self.focal not in (EXIF, NO_CAMERA):
             alone = self.focal is None and self.fov is None
             replace(self, principal=self.principal if alone else None).read((480, 640), None)
+
+    def check_films(self, films: Sequence[Path]) -> None:
+        """Raise an InputError if the options don't fit films, or photos among them."""
+        if self.focal == EXIF and not all(map(is_photo, films)):
+            raise InputError("--focal: exif, with a film; expected pixels, or --fov")
+        self.check()
 
     def read(self, size: tuple[int, int], photo: PhotoFile | None) -> Perspective | None:
         """Make the camera of a picture of (H, W) pixels, which may be a photo; None if no option was given."""

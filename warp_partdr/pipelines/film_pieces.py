@@ -81,12 +81,13 @@ class FilmPieces:
             people, predictions = find()
             return _people_arrays(people) | predictions.arrays()
 
-        data = self.piece(f"sights{film}", (*_PEOPLE, *PREDICTION_ARRAYS), make)
+        data = self.piece(f"predictions{film}", (*_PEOPLE, *PREDICTION_ARRAYS), make)
         return _people(data), FilmPredictions.of_arrays(data, networks)
 
     def starts(self, find: Callable[[], Sequence[float]]) -> list[float]:
         """Returns the times at which films show the first common instant [s], and finds them if they are not there."""
-        found: list[float] = self.piece("moments", ("starts",), lambda: {"starts": np.array(find())})["starts"].tolist()
+        data = self.piece("alignment", ("starts",), lambda: {"starts": np.array(find())})
+        found: list[float] = data["starts"].tolist()
         return found
 
     def placed(self, films: Sequence[ObservedFilm], place: Callable[[], Sequence[ObservedFilm]]) -> list[ObservedFilm]:

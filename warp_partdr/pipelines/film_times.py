@@ -63,10 +63,10 @@ def film_starts(
     report = progress or (lambda name, done, total: None)
     offsets = [0]
     for index in range(1, len(films)):
-        report("moments", index, len(films))
+        report("alignment", index, len(films))
         pair = _with_even_times(films[0], films[0]), _with_even_times(films[index], films[0])
         offsets.append(_offset(pair, index, device))
-    report("moments", len(films), len(films))
+    report("alignment", len(films), len(films))
     first = -min(offsets)
     return [(first + offset) / films[0].people.rate for offset in offsets]
 

@@ -18,6 +18,7 @@ from .ellipbody_files import GLTF_FROM_CAMERA
 from .further_files import FURTHER_FILES
 from .overlays import at_overlay_size, draw_detailed, draw_keypoints, overlay_size
 from .palette import PART_COLOURS
+from .photo_page import PAGE, draw_pictures, write_photo_page
 from .placements import Placement, place_on_ground
 from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, replacing
 from .save import (
@@ -35,13 +36,13 @@ if TYPE_CHECKING:
     import trimesh
     from PIL.Image import Image
 
-PHOTO_FILES = ("overlay.png", "people.png", "scene.glb", PEOPLE_REPORT)
+PHOTO_FILES = (PAGE, "overlay.png", "people.png", "scene.glb", PEOPLE_REPORT)
 _TINT = 0.45  # opacity of masks over the photo
 
 
 @one_torch_thread()
 def save_photo_fit(
-    fit: PhotoFit, folder: str | Path, *, photo: np.ndarray, formats: Sequence[str] = ()
+    fit: PhotoFit, folder: str | Path, *, photo: np.ndarray, formats: Sequence[str] = (), name: str = "the photo"
 ) -> dict[str, Any]:
     """Write folders person0, person1, ... with ``RESULT_FILES`` and ``DETAILED_FILES``, and write ``PHOTO_FILES``.
 
@@ -51,6 +52,7 @@ def save_photo_fit(
             those of a single person's fit.
         photo: Picture, shape (H, W, 3), uint8.
         formats: Formats in ``FURTHER``, for more files of each detailed body.
+        name: Name of the photo, which the page shows.
 
     Returns:
         Report, as ``people.json`` holds it.
@@ -85,11 +87,14 @@ def save_photo_fit(
             mesh.body, own, found.camera, size, photo=small, evidence=found.evidence, clothes=mesh.clothes,
             seconds=round(found.stage_seconds["mesh"], 3), formats=formats,
         )  # fmt: skip
+    pictures = {index: draw_pictures(fit, index, small) for index in fit.fits}
+    page = write_photo_page(report, pictures, overlay, size=size, folder=folder, name=name)
     _remove_others(folder, {_name(index) for index in fit.fits})
     # people.json is written last: if it is there, all people are. It outdates a single person's fit with its overlay.
     with replacing(
         folder, PEOPLE_REPORT, report, outdates=(PEOPLE_REPORT, FIT_REPORT, REGISTRATION_REPORT)
     ) as temporary:
+        (temporary / PAGE).write_text(page, encoding="utf-8")
         _picture(overlay).save(temporary / "overlay.png")
         draw_people(fit, small).save(temporary / "people.png")
         vertices = {index: each.apply(fit.fits[index].vertices) for index, each in placements.items()}

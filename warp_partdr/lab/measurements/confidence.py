@@ -1,8 +1,9 @@
 """Calibration of the confidence in bodies: photos of people in hard situations, found, fitted and compared.
 
-A body is right if its joints lie, on average, within 10 cm of the truth in depth and within 10 cm across the picture,
-and wrong if either is 20 cm or more, or if nobody is there. Only joints that the photo shows count, after a move that
-brings their mean to the truth, for a person of 1.7 m. The photos from 40000 on taught the model but for every fifth.
+A body is right if its joints lie, on average, within 10 cm of the truth in depth and within 10 cm across the picture.
+It is wrong if one of the two errors is 20 cm or more, or if nobody is there. Only joints that the photo shows count,
+after a move that brings their mean to the truth, for a person of 1.7 m. The model learned from the photos from 40000
+on, except for every fifth.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ from ..synthetic.hard_photos import make_hard_photo
 from ..tables import FigureTable
 from .photo_truth import match_people, seen_errors
 
-RIGHT, WRONG = 0.1, 0.2  # [m], largest error of a right body, and least of a wrong one
+RIGHT, WRONG = 0.1, 0.2  # [m], largest error of a right body, and least error of a wrong body
 LIMB_RIGHT = 0.2  # [m], largest mean distance of a right limb's joints from the truth
-HELD_OUT = 5  # every so-many-th photo teaches nothing
-LEARNED_FROM = 40_000  # first photo that taught the model
+HELD_OUT = 5  # every fifth photo is not learned from
+LEARNED_FROM = 40_000  # first photo that the model learned from
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class ConfidenceRow:
 
 
 def confidence_rows(index: int, device: str) -> Iterator[ConfidenceRow]:
-    """Bodies that are found in photo ``index``."""
+    """Bodies that are found in a photo, which its index names."""
     photo = make_hard_photo(index)
     try:
         fit = fit_photo(photo.pixels, device=device, min_score=0.4)
@@ -87,7 +88,7 @@ def measure_confidence(
     """Compare stated confidence with the truth.
 
     Args:
-        people: Indices of photos; the model learned from 40000 to 49999, but for every fifth.
+        people: Indices of photos. The model learned from 40000 to 49999, except for every fifth.
         device: Device of the fits.
         save: File .npz for the measures and errors, from which scripts/learn_confidence.py learns.
     """

@@ -1,13 +1,13 @@
 """People found, missed and false in photos, whose people were marked by hand.
 
-FOLDER holds packages from PyPI and npm, each unpacked into a folder of its name: the photos in them are free, but are
-not ours to pass on. ``found_people.json`` names the packages, the photos, some turned, and frames of films, and has a
-box about everybody of whom a third or more is visible, and who is taller than a 25th of the longer side. Boxes of
-others (blurred, statues, pictures of people) are ignored: whoever is found there is neither right nor false. Half of
-the photos, "chosen on", may be looked at when a rule is chosen; the other half is held out. Turned copies of a photo
-are in its half.
+FOLDER holds packages from PyPI and npm, each unpacked into a folder of its name. The photos in them are free, but this
+project may not pass them on. ``found_people.json`` names the packages, the photos, of which some are turned, and frames
+of films. It has a box for each person of whom a third or more is visible, and who is taller than a 25th of the longer
+side. Boxes of blurred people, statues and pictures of people are ignored: a detection there is neither right nor false.
+Half of the photos, "chosen on", may be looked at when a rule is chosen. The other half is held out. Turned copies of a
+photo are in the same half.
 
-Somebody counts as found if the box of their keypoints, cut at the picture's border, overlaps their marked box (an
+A person counts as found if the box of the keypoints, cut at the picture's border, overlaps the marked box (an
 intersection over union above 0.2), one to one. Intervals of 95 % are over photos.
 """
 
@@ -33,8 +33,8 @@ from ...networks.detection.person import FoundPerson
 from ..options import tracked
 from ..tables import Estimate, FigureTable
 
-_OVERLAP = 0.2  # intersection over union from which on a person is the marked one
-_IGNORED = 0.5  # share of a box within somebody's who is ignored, from which on it is ignored, too
+_OVERLAP = 0.2  # intersection over union above which a detection is the marked person
+_IGNORED = 0.5  # share of a box within an ignored box above which it is ignored, too
 _HALVES = {"chosen on": False, "held out": True}
 
 
@@ -79,8 +79,8 @@ class Outcome:
 
     Attributes:
         found: Number of marked people who were found.
-        missed: Indices of those who were not.
-        false: Scores of those who were found where nobody is, or twice.
+        missed: Indices of marked people who were not found.
+        false: Scores of detections where nobody is, and of second detections of a person.
         seconds: Time that it took [s].
     """
 
@@ -100,7 +100,7 @@ class MarkedPhoto:
         frame: Number of the frame, if the file is a film.
         held_out: True if rules must not be chosen on it.
         people: Left, top, right, bottom of each person, from 0 to 1 across the picture, shape (N, 4).
-        ignored: Boxes of those who don't count, shape (M, 4).
+        ignored: Boxes of people who don't count, shape (M, 4).
     """
 
     file: str
@@ -112,13 +112,13 @@ class MarkedPhoto:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> MarkedPhoto:
-        """Photo of an object of the file."""
+        """Photo from an object of the JSON file."""
         boxes = (np.array(values[name], dtype=np.float64).reshape(-1, 4) for name in ("people", "ignored"))
         return cls(values["file"], values.get("turn", 0), values.get("frame"), values["held_out"], *boxes)
 
     @property
     def name(self) -> str:
-        """File, with what is done to it."""
+        """Name of the file, with its frame and turn."""
         turned = f", turned by {self.turn}°" if self.turn else ""
         return self.file + ("" if self.frame is None else f", frame {self.frame}") + turned
 
@@ -140,11 +140,11 @@ class MarkedPhoto:
         return np.ascontiguousarray(np.rot90(picture, self.turn // 90))
 
     def judge(self, people: Sequence[FoundPerson], size: tuple[int, int], seconds: float = 0.0) -> Outcome:
-        """Compare people who were found in a picture of size (H, W) with those who are there."""
+        """Compare people who were found in a picture of size (H, W) with the marked people."""
         extent = np.array([size[1], size[0]])
         boxes = np.array([_keypoint_box(person, extent) for person in people]).reshape(-1, 4)
         shared = _box_overlaps(boxes, self.people)
-        found: dict[int, int] = {}  # marked person of each who was found
+        found: dict[int, int] = {}  # marked person of each person who was found
         for row, column in zip(*np.unravel_index(np.argsort(-shared, axis=None), shared.shape), strict=True):
             if shared[row, column] > _OVERLAP and row not in found and column not in found.values():
                 found[int(row)] = int(column)
@@ -162,7 +162,7 @@ def _keypoint_box(person: FoundPerson, extent: np.ndarray) -> np.ndarray:
 
 
 def _box_overlaps(ours: np.ndarray, theirs: np.ndarray, *, of_ours: bool = False) -> np.ndarray:
-    """Intersection of boxes (N, 4) and (M, 4) over their union, or over ours, shape (N, M)."""
+    """Intersection of boxes (N, 4) and (M, 4) over their union, or over the area of the first, shape (N, M)."""
     low = np.maximum(ours[:, None, :2], theirs[None, :, :2])
     high = np.minimum(ours[:, None, 2:], theirs[None, :, 2:])
     both = np.clip(high - low, 0, None).prod(axis=2)
@@ -195,7 +195,7 @@ def _table(photos: Sequence[MarkedPhoto], outcomes: Sequence[Outcome]) -> Figure
 
 
 def _share(some: np.ndarray, rest: np.ndarray) -> Estimate:
-    """Share of some among all of these [%], whose interval is over photos."""
+    """Share of some among all [%], whose interval is over photos."""
     counts = np.column_stack([some, some + rest]).astype(np.float64)
 
     def share(sums: np.ndarray) -> np.ndarray:

@@ -10,14 +10,14 @@ from ...solve.confidence.limbs import LIMBS
 from ..synthetic.hard_photos import HardPhoto, PhotographedPerson
 
 _STATURE = 1.7  # [m], to which errors are scaled
-_FEWEST = 3  # joints that must be seen; else all count
-_SAME = 0.2  # of the height, largest median distance of a found person's keypoints from the true ones
+_FEWEST = 3  # joints that must be seen; otherwise, all joints count
+_SAME = 0.2  # largest median distance of a found person's keypoints from the true ones, as a share of the height
 _BODY = tuple(skeleton("coco17").landmarks[5:])
 _LIMB_JOINTS = {"head": ("neck", "head_top")}
 
 
 def match_people(fit: PhotoFit, photo: HardPhoto) -> dict[int, int]:
-    """Index of the true person for each found one, the nearest pairs first."""
+    """Index of the true person for each found person; the nearest pairs come first."""
     format_rows = [fit.people[0].keypoints.format.landmarks.index(name) for name in skeleton("coco17").landmarks]
     distances = np.array(
         [

@@ -1,4 +1,4 @@
-"""The packaged networks of the detection: graphs in safetensors files, whose sparse or 8 bit weights are unpacked."""
+"""Packaged networks of the detection: graphs in safetensors files, whose weights may be stored in 8 bits."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ _EXPECTED = "a file of scripts/pack_detector.py (safetensors)"
 
 @dataclass(frozen=True)
 class PeopleNetworks:
-    """The networks, on one device.
+    """Networks that find people, on one device.
 
     Attributes:
         detector: Network from pictures, from -1 to 1, to the maps that ``read_people`` takes, (B, C, 64, 64).
-        landmarks: Network from pictures, from 0 to 1, to "landmarks" (B, 195), which are five numbers for each of 39
-            [px], "presence" (B, 1), 0 to 1, "mask" (B, 1, 256, 256) and "heat" (B, 39, 64, 64), logits.
-        heavy: Larger network to "landmarks" and "heat", which are nearer to the truth. If it is None, those of
+        landmarks: Network from pictures, from 0 to 1, to "landmarks" (B, 195), five numbers [px] for each of 39
+            landmarks, to "presence" (B, 1), 0 to 1, and to the logits "mask" (B, 1, 256, 256) and "heat"
+            (B, 39, 64, 64).
+        heavy: Larger network, whose "landmarks" and "heat" are nearer to the truth. If it is None, those of
             ``landmarks`` are taken.
     """
 
@@ -40,7 +41,7 @@ class PeopleNetworks:
 
     @property
     def device(self) -> torch.device:
-        """The device of the weights."""
+        """Device of the weights."""
         return next(self.detector.buffers()).device
 
     def halved(self) -> PeopleNetworks:
@@ -57,19 +58,19 @@ def load_people_networks(path: Path | str | None = None, *, device: torch.device
         device: Device to run on.
 
     Raises:
-        InputError: If the file can't be read or is none of these.
+        InputError: If the file can't be read, or is not a file of these networks.
     """
     detector = _load_network(path, "people_detector.safetensors", "detector", device)
     return PeopleNetworks(detector, _load_network(None, "full_landmarks.safetensors", "landmarks", device))
 
 
 def load_heavy_landmarks(path: Path | str | None = None, *, device: torch.device | str = "cpu") -> OperatorGraph:
-    """Load the larger landmark network, which ``PeopleNetworks.heavy`` is; arguments as in ``load_people_networks``."""
+    """Load the larger network ``PeopleNetworks.heavy``. The arguments are those of ``load_people_networks``."""
     return _load_network(path, "heavy_landmarks.safetensors", "heavy", device)
 
 
 def packaged_people_networks(device: str, *, half: bool = False, landmarks: LandmarkNetwork = "full") -> PeopleNetworks:
-    """The packaged networks, loaded once for each device and precision; not to be changed.
+    """Load the packaged networks, once for each device and precision. They must not be changed.
 
     Args:
         device: Device to run on.
@@ -90,7 +91,7 @@ def _packaged_heavy(device: str, half: bool) -> OperatorGraph:
 
 
 def _load_network(path: Path | str | None, packaged: str, name: str, device: torch.device | str) -> OperatorGraph:
-    """Network of a file, or of the packaged one."""
+    """Load a network from a file, or from the packaged file."""
     with resources.as_file(resources.files("warp_partdr").joinpath("assets", packaged)) as default:
         return _read(Path(default if path is None else path), name).eval().to(device)
 
@@ -119,7 +120,7 @@ def _graph(about: Mapping[str, Any], name: str, weights: Mapping[str, np.ndarray
 
 
 def _whole_weights(tensors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Arrays of the file, those of 8 bits times their scale."""
+    """Arrays of the file. Arrays of 8 bits are multiplied by their scale."""
     arrays = {}
     for name, values in tensors.items():
         stem, _, role = name.rpartition(".")

@@ -1,7 +1,7 @@
-"""Turned crops of pictures: cut out for a network, and the way back into the picture.
+"""Turned crops of pictures, which are cut out for a network, and the way back into the picture.
 
-Within a crop, (0, 0) is its top left corner and (1, 1) its bottom right one, as the crop is turned. Places in a picture
-are in pixels, pixel (row v, column u) having its centre at (u + 0.5, v + 0.5).
+Within a crop, (0, 0) is the top left corner and (1, 1) the bottom right corner, as the crop is turned. Positions in a
+picture are in pixels. Pixel (row v, column u) has its centre at (u + 0.5, v + 0.5).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ...interop.torch_threads import one_torch_thread
 from ...kernels import crops as crop_kernels
 from ...kernels.launch import get_num_threads, run_slices
 
-_MARGIN = 1.25  # side of a person's crop, the circle about the person being 1
+_MARGIN = 1.25  # side of a person's crop, as a share of the diameter of the circle about the person
 _LARGEST = 4096  # [px], longer side of the finest picture that crops are cut from
 _SHARPER = 0.5  # levels that crops are sharper than free of all aliasing
 _BATCH = {"cpu": 4, "cuda": 256}  # crops at a time: on CPU, what caches hold
@@ -60,12 +60,12 @@ class TurnedCrops:
         return TurnedCrops(self.centres[rows], self.sides[rows], self.angles[rows], self.pictures[rows], self.aspect)
 
     def to_picture(self, positions: np.ndarray) -> np.ndarray:
-        """Places in the crops, shape (N, K, 2), to places in the pictures [px]."""
+        """Map positions in the crops, shape (N, K, 2), to positions in the pictures [px]."""
         offsets = self._extents * (positions - 0.5)
         return self.centres[:, None] + np.einsum("nij,nkj->nki", self._turns, offsets)
 
     def from_picture(self, positions: np.ndarray) -> np.ndarray:
-        """Places in the pictures [px], shape (N, K, 2), to places in the crops."""
+        """Map positions in the pictures [px], shape (N, K, 2), to positions in the crops."""
         offsets = np.einsum("nji,nkj->nki", self._turns, positions - self.centres[:, None])
         return offsets / self._extents + 0.5
 
@@ -90,7 +90,7 @@ def crops_of_people(centres: np.ndarray, tops: np.ndarray, pictures: np.ndarray)
     Args:
         centres: Middles of the hips [px], shape (N, 2).
         tops: Points on the circle about the whole body, above the head as the person stands, shape (N, 2).
-        pictures: Index of each one's picture, shape (N,).
+        pictures: Index of each person's picture, shape (N,).
     """
     up = tops - centres
     sides = np.maximum(2 * _MARGIN * np.linalg.norm(up, axis=1), 1.0)
@@ -110,9 +110,10 @@ def no_crops() -> TurnedCrops:
 
 
 def work_on_crops(work: Callable[[TurnedCrops], Result], crops: TurnedCrops, device: torch.device) -> list[Result]:
-    """Results of crops in numbers that a network takes at a time; on CPU, threads share them.
+    """Results of crops, for as many crops at a time as a network takes; on the CPU, threads share the crops.
 
-    Torch's own threads would wait for one another in every operator (``one_torch_thread``); these meet at the end.
+    Torch's own threads would wait for one another in every operator (``one_torch_thread``). These threads meet only at
+    the end.
     """
     on_cpu = device.type == "cpu"
     cores = get_num_threads() if on_cpu else 1
@@ -128,7 +129,7 @@ def work_on_crops(work: Callable[[TurnedCrops], Result], crops: TurnedCrops, dev
 
     threads = max(min(cores, len(parts)), 1)
     if threads > 1:
-        wp.load_module(crop_kernels, device="cpu")  # which each would build, were it missing
+        wp.load_module(crop_kernels, device="cpu")  # or each thread would build it
     run_slices(share, [slice(first, None, threads) for first in range(threads)])
     return [result for (result,) in results]
 
@@ -164,7 +165,7 @@ class _Pictures:
         return torch.cat(strips, dim=2)
 
     def level(self, number: int) -> torch.Tensor:
-        """A level from the finest one on, shape (N, 3, h, w), channels last."""
+        """Level of the pictures, from the finest one on, shape (N, 3, h, w), channels last."""
         with self._lock:
             while len(self._levels) <= number - self.first:
                 made = _halved(self._levels[-1]) if self._levels else self._finest
@@ -173,7 +174,7 @@ class _Pictures:
 
 
 class Pyramid:
-    """A picture at its full size and at halves of it, from which crops are cut without aliasing.
+    """Picture at its full size and at halves of it, from which crops are cut without aliasing.
 
     Args:
         picture: RGB, shape (H, W, 3), uint8.
@@ -185,7 +186,7 @@ class Pyramid:
 
     @classmethod
     def each(cls, pictures: Sequence[np.ndarray], device: torch.device | str) -> list[Pyramid]:
-        """Pyramids of pictures; on CUDA, those of one size go there together, and share their levels."""
+        """Pyramids of pictures. On CUDA, pictures of one size are copied in a batch, and share their levels."""
         if torch.device(device).type != "cuda":
             return [cls(picture, device) for picture in pictures]
         found: dict[int, Pyramid] = {}
@@ -214,7 +215,7 @@ class Pyramid:
 
 
 def _uploaded(pictures: Sequence[np.ndarray], device: torch.device | str) -> torch.Tensor:
-    """Pictures of one size on a CUDA device; threads copy them to memory that it reads by itself."""
+    """Pictures of one size on a CUDA device. Threads copy them to pinned memory, which the device reads by itself."""
     held = torch.empty(len(pictures), *pictures[0].shape, dtype=torch.uint8, pin_memory=True)
     there, rows = torch.empty(held.shape, dtype=held.dtype, device=device), held.numpy()
 
@@ -240,12 +241,12 @@ def cut_crops(
 ) -> torch.Tensor:
     """Crops as pictures.
 
-    Each is read bilinearly from a halved picture, of which a crop's pixel is at most 2.83 wide.
+    Each crop is read bilinearly from a halved picture. A pixel of the crop is at most 2.83 of its pixels wide.
 
     Args:
         pyramids: The pictures.
         crops: N crops of them.
-        size: Height and width (H, W) that the crops get [px], or the side of a square.
+        size: Height and width (H, W) of the results [px], or the side of a square.
         beyond: Filling beyond the picture: "zeros" is black, and "border" repeats the border.
 
     Returns:
@@ -255,7 +256,7 @@ def cut_crops(
     height, width = size if isinstance(size, tuple) else (size, size)
     if not len(crops):
         return torch.zeros(0, 3, height, width, device=device)
-    coarsest = crops.sides * max(1 / height, crops.aspect / width)  # pixels of the picture to one of a crop
+    coarsest = crops.sides * max(1 / height, crops.aspect / width)  # pixels of the picture in a pixel of a crop
     levels = np.floor(np.log2(np.maximum(coarsest, 2**_SHARPER)) - _SHARPER).astype(int)
     wanted = zip(crops.pictures.tolist(), levels.tolist(), strict=True)
     sources = [pyramids[picture].level(level) for picture, level in wanted]

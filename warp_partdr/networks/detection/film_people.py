@@ -1,4 +1,4 @@
-"""People of a whole film: who is seen in which frame, kept so small that a film may be long."""
+"""People of a whole film, and the frames that show them, in little memory, so that a film may be long."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from .masks import instance_map
 from .person import SKELETON, FoundPerson
 from .tracks import PeopleTracker
 
-_LOOKS = 3  # a second, of the detector in films
-_SHORTEST = 3  # frames of a person in a shot; fewer are taken for a mistake
-_SIDE = 640  # [px], longer side at which it is kept whom pixels show; masks have 256 px a person
+_LOOKS = 3  # looks of the detector in a second of film
+_SHORTEST = 3  # least number of frames of a person in a shot; fewer are taken for a mistake
+_SIDE = 640  # [px], longer side of the maps of people that are kept; masks have 256 px a person
 
 SEEN: dict[str, tuple[type, tuple[int, ...]]] = {
     "frames": (np.int64, ()),
@@ -50,9 +50,9 @@ class FilmPeople:
         rows: Row for each observation of a person, with the fields ``SEEN``. ``tracks`` is the person, where 0 is
             the one seen most and largest, and ``places`` is the index in ``owners`` of the frame.
         packed: Compressed ``owners`` of each frame.
-        fault: Reason why the film ended before its end, empty if it did not.
+        fault: Reason why reading ended before the end of the film. It is empty if the whole film was read.
         warnings: Sentences about frames that are missing, and about times that are guesses.
-        cuts: First frame of each shot but the first, in order. Nobody is followed through a cut.
+        cuts: First frame of each shot except the first shot, in order. Nobody is followed through a cut.
     """
 
     image_size: tuple[int, int]
@@ -112,7 +112,7 @@ def _cuts_taken(cuts: Sequence[int], numbers: np.ndarray) -> tuple[int, ...]:
 
 
 def kept_size(size: tuple[int, int]) -> tuple[int, int]:
-    """Size (H, W) of the maps that are kept of the people in a film's frames [px]."""
+    """Size (H, W) of the maps that are kept for the frames of a film [px]."""
     zoom = min(1.0, _SIDE / max(size))
     return max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1)
 
@@ -139,13 +139,13 @@ def find_film_people(
         path: The film.
         min_score: Least confidence that there is a person.
         device: Device to run on.
-        progress: Function that is told the frames done and their total number.
-        watch: Function that is given each frame, its picture to cut crops from, and its people, in the order of
+        progress: Function that is called with the number of frames done and their total number.
+        watch: Function that is called with each frame, its picture to cut crops from, and its people, in the order of
             ``places``.
         landmarks: Network whose keypoints are taken, as in ``find_people``; "full" takes two fifths of the time.
 
     Raises:
-        InputError: If the file can't be read as a film, or nobody is found in it; in one that breaks off, before that.
+        InputError: If the file can't be read as a film, or nobody is found before it ends or breaks off.
     """
     facts = film_facts(path)
     rows: list[np.ndarray] = []
@@ -227,7 +227,7 @@ def _with_pyramids(path: str | Path, device: torch.device | str) -> Iterator[tup
 
 
 def seen_values(person: FoundPerson, frame: int, time: float) -> tuple[Any, ...]:
-    """Values of ``SEEN`` for somebody in a frame at this time [s]."""
+    """Values of ``SEEN`` for a person in a frame at this time [s]."""
     keypoints = np.column_stack([person.keypoints.points, person.keypoints.confidence])
     return frame, time, person.score, person.box, keypoints
 
@@ -249,13 +249,13 @@ def pack_owners(owners: np.ndarray) -> bytes:
 
 
 def lasting(frames: np.ndarray, shots: Sequence[range]) -> bool:
-    """True if somebody is seen in enough frames of a shot to be no mistake. All frames are of one shot."""
+    """True if a person is seen in enough frames of one shot. Fewer frames are taken for a mistake."""
     shot = next(shot for shot in shots if frames[0] in shot)
     return len(frames) >= min(_SHORTEST, len(shot))
 
 
 def _by_size(rows: np.ndarray, shots: Sequence[range]) -> np.ndarray:
-    """Rows of those who are seen long enough, numbered by how much of the film they take."""
+    """Rows of people who are seen long enough, numbered by the share of the film that they take."""
     tracks = [rows[rows["tracks"] == track] for track in np.unique(rows["tracks"])]
     kept = [track for track in tracks if lasting(track["frames"], shots)]
     sizes = [-areas(track["boxes"]).sum() for track in kept]

@@ -1,4 +1,4 @@
-"""People in boxes of another detector: landmarks and masks of the packaged network, where it sees the same person."""
+"""People in boxes of another detector, with landmarks and masks of the packaged network if it sees the same person."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .look import NUM_LANDMARKS, FoundLandmarks, look
 from .person import SKELETON, FoundPerson
 from .same_person import similarity
 
-_MARGIN = 1.25  # side of a first crop, the longer side of the box being 1
+_MARGIN = 1.25  # side of a first crop, as a share of the longer side of the box
 _MERGED = 0.7  # intersection over union above which two boxes are of one person
-_AGREED = 0.5  # intersection over union of box and mask from which on both are of one person
+_AGREED = 0.5  # intersection over union of a box and a mask from which on both are of one person
 _ALIKE = 0.5  # similarity above which landmarks coincide, as in ``same_person``
 _EMPTY = 1e-9  # [px^2]
 
@@ -36,7 +36,7 @@ class BoxNetwork:
         size: Height and width (H, W) of the pictures that it takes [px].
         predict: Function from a picture, RGB from 0 to 1, shape (1, 3, H, W), to left, top, right and bottom of each
             box, from 0 to 1 across the picture, and the confidence that there is a person, from 0 to 1, shape (N, 5).
-        longest: Greatest length of the longer side, for pictures that keep their shape [px]. The shorter side then has
+        longest: Greatest length of the longer side, for pictures that keep their shape [px]. The shorter side is then
             that of ``size``. If it is None, pictures are stretched to ``size``.
         about: Name and size of the network, to be shown.
         name: Name or folder of the network, for reports.
@@ -101,8 +101,8 @@ def find_people_in_boxes(
 ) -> list[FoundPerson]:
     """Find the people of another detector's boxes, largest box first.
 
-    The packaged network looks twice at each. Of whom it sees nobody, or somebody else, only the box is known
-    (``FoundPerson.seen``), and so of all but the best box of those whose landmarks coincide.
+    The packaged network looks at each box twice. If it sees nobody or somebody else in a box, only the box is known
+    (``FoundPerson.seen``). If the landmarks of several boxes coincide, only the best box keeps them.
 
     Args:
         network: Network that finds the boxes.
@@ -111,7 +111,7 @@ def find_people_in_boxes(
         landmarks: Network whose keypoints are taken, as in ``find_people``.
 
     Raises:
-        InputError: If the network gives something else than ``BoxNetwork`` says.
+        InputError: If the network returns something else than ``BoxNetwork`` says.
     """
     boxes, scores = find_boxes(network, picture, min_score)
     order = np.argsort(-(boxes[:, 2:] - boxes[:, :2]).prod(axis=1), kind="stable")
@@ -132,7 +132,7 @@ def find_people_in_boxes(
         fits[index] = np.where(looked.presence >= min_score, shared, 0.0)
     chosen: list[FoundPerson | None] = []
     for row in range(len(boxes)):
-        better = 1 if fits[1, row] >= _AGREED else 0  # the second look's crop is about the landmarks
+        better = 1 if fits[1, row] >= _AGREED else 0  # the crop of the second look is placed by the landmarks
         chosen.append(candidates[better][row] if fits[better, row] >= _AGREED else None)
     taken: list[FoundPerson] = []
     for row in np.argsort(-fits.max(axis=0, initial=0), kind="stable").tolist():
@@ -174,14 +174,14 @@ def _overlap(box: np.ndarray, other: np.ndarray) -> float:
 
 
 def _coincide(one: FoundPerson, other: FoundPerson) -> bool:
-    """True if two people's landmarks are about the same."""
+    """True if the landmarks of two people are about the same."""
     return same_keypoints(
         one.keypoints, other.keypoints, (float(one.next_crop.sides[0]), float(other.next_crop.sides[0]))
     )
 
 
 def same_keypoints(one: Keypoints2D, other: Keypoints2D, sides: tuple[float, float]) -> bool:
-    """True if keypoints of one format are about the same, of people in crops of these sides [px]."""
+    """True if keypoints of one format are about the same, for people in crops of these sides [px]."""
     ours, theirs = (
         (each.points[None].astype(np.float64), each.confidence[None], np.array([side]))
         for each, side in zip((one, other), sides, strict=True)

@@ -1,4 +1,4 @@
-"""Graphs of a few operators, as the packaged networks of the detection are described, run by torch."""
+"""Graphs of a few operators, which describe the packaged networks of the detection; torch runs them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Node:
         inputs: Numbers of the values that it takes.
         output: Number of the value that it makes, and of its weights.
         stride: Stride of a convolution.
-        groups: Groups of a convolution. There are as many as channels if each channel goes by itself.
+        groups: Number of groups of a convolution. It is the number of channels in a depthwise convolution.
         zeros: Padding with zeros around a convolution's input: left, right, above, below.
         activation: Activation after a convolution or a sum: "none", "relu" or "relu6".
         size: Side of pooled squares, number of channels of zeros that are appended, or (H, W) of a resized picture.
@@ -43,7 +43,7 @@ class Node:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Node:
-        """Node of an object of the packaged file; lists become tuples."""
+        """Node from a JSON object of the packaged file; lists become tuples."""
         fields: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
         }
@@ -90,7 +90,7 @@ def _sigmoid(node: Node, values: torch.Tensor) -> torch.Tensor:
 
 
 def _rows(node: Node, values: torch.Tensor) -> torch.Tensor:
-    """Rows out of pictures, whose numbers are read pixel by pixel, the channels of each together."""
+    """Rows of numbers from pictures, pixel by pixel; the channels of a pixel are side by side."""
     return values.permute(0, 2, 3, 1).reshape(len(values), *node.shape)
 
 
@@ -106,7 +106,7 @@ KINDS: dict[str, Callable[..., torch.Tensor]] = {
 
 
 class OperatorGraph(nn.Module):
-    """A network given as nodes in the order of their computation.
+    """Network from nodes in the order of their computation.
 
     Args:
         size: Side of the square pictures that it takes [px].
@@ -115,7 +115,7 @@ class OperatorGraph(nn.Module):
         nodes: The operators.
         weights: Weights "N.weight" (out, in / groups, H, W) and "N.bias" (out,) of the convolution with output N.
 
-    These are its attributes, too; weights are buffers, "N_weight".
+    The arguments are attributes, too. The weights are buffers with names such as "N_weight".
     """
 
     def __init__(
@@ -130,11 +130,11 @@ class OperatorGraph(nn.Module):
         self.size = size
         self.start, self.outputs, self.nodes = start, dict(outputs), tuple(nodes)
         for name, tensor in weights.items():
-            # Channels last: convolutions of 1 x 1, the most of them, are products of matrices then.
+            # Channels come last, so that convolutions of 1 x 1, which most of them are, are products of matrices.
             form = torch.channels_last if tensor.dim() == 4 else torch.contiguous_format
             self.register_buffer(name.replace(".", "_"), tensor.float().contiguous(memory_format=form))
         self._captured: dict[tuple[int, int], tuple[torch.Tensor, CapturedStep[dict[str, torch.Tensor]]]] = {}
-        self._lock = threading.Lock()  # of the captured graphs' buffers
+        self._lock = threading.Lock()  # guards the buffers of the captured graphs
         last = {number: index for index, node in enumerate(self.nodes) for number in node.inputs}
         self._done = [
             [number for number in set(node.inputs) if last[number] == index and number not in self.outputs.values()]
@@ -142,11 +142,11 @@ class OperatorGraph(nn.Module):
         ]
 
     def most_captured(self, device: torch.device) -> int:
-        """Number of pictures above which launches are short beside their work, and graphs would hold much memory."""
+        """Largest number of pictures for which graphs are captured. With more, launches take little of the time."""
         return 16
 
     def forward(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Outputs by name, for pictures of shape (B, 3, size, size)."""
+        """Compute the outputs by name, for pictures of shape (B, 3, size, size)."""
         if not pictures.is_cuda:
             return self._run(pictures)  # several threads at a time, which must not change torch's settings
         with exact_convolutions():
@@ -154,9 +154,9 @@ class OperatorGraph(nn.Module):
             return self._replayed(pictures) if few else self._run(pictures)
 
     def _replayed(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Run the graph as captured: for few pictures, launches would take longer than their work."""
+        """Replay a captured graph, because launches for few pictures would take longer than their work."""
         count = len(pictures)
-        room = 1 << (count - 1).bit_length()  # few numbers of pictures get a graph of their own
+        room = 1 << (count - 1).bit_length()  # so that there are few graphs
         key = room, torch.cuda.current_stream(pictures.device).cuda_stream
         with self._lock:
             if key not in self._captured:
@@ -171,7 +171,7 @@ class OperatorGraph(nn.Module):
         values = {self.start: pictures.contiguous(memory_format=torch.channels_last)}
         for node, done in zip(self.nodes, self._done, strict=True):
             values[node.output] = self._computed(node, [values[number] for number in node.inputs])
-            for number in done:  # or a batch would keep all of its activations
+            for number in done:  # otherwise, a batch would keep all of its activations
                 del values[number]
         return {name: values[number] for name, number in self.outputs.items()}
 

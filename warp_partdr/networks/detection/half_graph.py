@@ -1,6 +1,6 @@
-"""Graphs of operators in float16, for CUDA: half the memory to pass through, and few launches.
+"""Graphs of operators in float16 for CUDA, which move half as much memory, with few launches.
 
-Numbers such as places, which float16 has too few digits of, are made of the last features in float32.
+Numbers such as positions need more digits than float16 has. They are computed from the last features in float32.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from ...interop.streams import on_torch_stream
 from ...kernels import depthwise
 from .graph import KINDS, Node, OperatorGraph, convolve
 
-_A_PICTURE = 2**28  # [bytes] of a device's memory for each picture of a graph, which takes some hundredths of it
-_NUMBERS = ("rows", "sigmoid")  # operators that only rearrange what a convolution has said, or nearly
+_A_PICTURE = 2**28  # [bytes], memory that a device has for each picture of a graph, which takes some hundredths of it
+_NUMBERS = ("rows", "sigmoid")  # operators whose numbers are a convolution's, rearranged or squashed
 _LARGEST = torch.finfo(torch.float16).max
 _LIMITS = {"none": (-_LARGEST, _LARGEST), "relu": (0.0, _LARGEST), "relu6": (0.0, 6.0)}
 
@@ -22,8 +22,8 @@ _LIMITS = {"none": (-_LARGEST, _LARGEST), "relu": (0.0, _LARGEST), "relu6": (0.0
 class HalfGraph(OperatorGraph):
     """Graph of a network in float16; its outputs are float32.
 
-    Convolutions of a pixel are products of matrices; those of each channel by itself are a kernel of ours, which also
-    cuts off what these products have left uncut (``activation``).
+    Convolutions of 1 x 1 are products of matrices. A kernel of this package computes depthwise convolutions. It also
+    applies the activation of the product before it.
 
     Args:
         graph: Graph in float32.
@@ -52,7 +52,7 @@ class HalfGraph(OperatorGraph):
     def most_captured(self, device: torch.device) -> int:
         """Number of pictures up to which graphs are captured, as in ``OperatorGraph``.
 
-        This network computes for half as long as a host takes to launch it.
+        The host takes twice as long to launch this network as a device takes to compute it.
         """
         return min(torch.cuda.get_device_properties(device).total_memory // _A_PICTURE, 256)
 
@@ -80,7 +80,7 @@ class HalfGraph(OperatorGraph):
 
 
 def _numbers(graph: OperatorGraph) -> set[int]:
-    """Values that are numbers rather than maps: rows, and the convolutions whose results they are."""
+    """Indices of values that are numbers rather than maps: rows, and the convolutions that they come from."""
     found = set(graph.outputs.values())
     rows: set[int] = set()
     for node in reversed(graph.nodes):

@@ -1,22 +1,22 @@
-"""Landmarks moved to where the network's heat maps see them: its coordinates alone are coarser."""
+"""Landmarks moved to the peaks of the network's heat maps, because its coordinates alone are coarser."""
 
 from __future__ import annotations
 
 import torch
 
-_REACH = 3  # cells around a landmark that count, each way
-_SURE = 0.5  # Where no cell near a landmark is that hot, it stays.
+_REACH = 3  # cells that count around a landmark, in each direction
+_SURE = 0.5  # A landmark stays if no cell near it is that hot.
 
 
 def refine_landmarks(places: torch.Tensor, heat: torch.Tensor) -> torch.Tensor:
-    """Centres of the heat near the landmarks; the network takes a cell's corner for its place, not its centre.
+    """Move landmarks to the centres of the heat near them. The position of a cell is its corner, as in the network.
 
     Args:
-        places: Landmarks from 0 to 1 across the crop, shape (N, K, 2).
+        places: Positions of landmarks from 0 to 1 across the crop, shape (N, K, 2).
         heat: Logits, shape (N, K, H, W).
 
     Returns:
-        Refined places, shape (N, K, 2).
+        Refined positions, shape (N, K, 2).
     """
     height, width = heat.shape[-2:]
     extent = torch.tensor([width, height], device=places.device)

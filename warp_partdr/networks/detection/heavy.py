@@ -1,7 +1,8 @@
 """Keypoints of the larger landmark network, for people whom the smaller one has found.
 
-The larger one is nearer to the truth and seldom exchanges left and right, at 2.6 times the time. It is asked last, once
-for everyone, so that the same people are found with either; masks are the smaller one's, which are better.
+The larger network is nearer to the truth and seldom exchanges left and right, but takes 2.6 times as long. It runs last
+and once for each person, so that the same people are found with either network. Masks are those of the smaller network,
+which are better.
 """
 
 from __future__ import annotations
@@ -21,15 +22,16 @@ from .person import SKELETON, FoundPerson
 from .same_person import first_of_each, similarity
 
 _JOINTS = [skeleton(SKELETON).landmarks.index(name) for name in BODY_LANDMARKS]
-_LEAST_WEIGHT = 1e-3  # so that all joints count alike where none is seen
+_LEAST_WEIGHT = 1e-3  # so that all joints count alike if none is seen
 
 
 def with_heavy_landmarks(
     network: OperatorGraph, pyramids: Sequence[Pyramid], everyone: Sequence[Sequence[FoundPerson]]
 ) -> list[list[FoundPerson]]:
-    """People with keypoints of the larger network, which looks where their masks are; in their order.
+    """Replace people's keypoints by those of the larger network, which looks at the crops of their masks.
 
-    Of people whom it takes for one, those whose keypoints change the most keep theirs.
+    If the larger network sees one person in the crops of several people, only the person whose keypoints change least
+    gets the new keypoints. The order of people stays.
 
     Args:
         network: Network ``PeopleNetworks.heavy``.
@@ -61,14 +63,13 @@ def with_heavy_landmarks(
 def see_landmarks(
     network: OperatorGraph, pyramids: Sequence[Pyramid], crops: TurnedCrops, *, mirror: bool = True
 ) -> np.ndarray:
-    """Landmarks in crops as ``read_landmarks`` returns them, but without the last four, shape (N, 35, 5).
+    """Find landmarks in crops, as ``read_landmarks`` returns them, but without the last four, shape (N, 35, 5).
 
     Args:
         network: Network as in ``with_heavy_landmarks``.
         pyramids: The pictures.
         crops: Crops of the pictures, at least one.
-        mirror: True returns the means of the landmarks in a crop and in its mirror image, which lie nearer to the
-            truth.
+        mirror: True returns means of the landmarks in a crop and in its mirror image. They lie nearer to the truth.
     """
     if mirror:
         own, turned = look_twice(network, pyramids, crops)
@@ -83,7 +84,7 @@ def see_landmarks(
 def look_twice(
     network: OperatorGraph, pyramids: Sequence[Pyramid], crops: TurnedCrops
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Landmarks in crops, and those in the crops' mirror images, mirrored back, each as of ``see_landmarks``."""
+    """Find landmarks in crops and in their mirror images, mirrored back, as ``see_landmarks`` returns them."""
 
     def ask(part: TurnedCrops) -> torch.Tensor:
         pictures = cut_crops(pyramids, part, network.size, beyond="border")
@@ -94,7 +95,7 @@ def look_twice(
 
 
 def _see_crops(network: OperatorGraph, pictures: torch.Tensor, *, mirrored: bool) -> torch.Tensor:
-    """Landmarks in pictures of crops, shape (N, 35, 5), or in their mirror images, mirrored back."""
+    """Find landmarks in pictures of crops, or in their mirror images, mirrored back, shape (N, 35, 5)."""
     hips, top = NUM_LANDMARKS, NUM_LANDMARKS + 1
     order = torch.tensor([*skeleton(SKELETON).mirror.tolist(), hips, top])
     if not mirrored:
@@ -105,7 +106,7 @@ def _see_crops(network: OperatorGraph, pictures: torch.Tensor, *, mirrored: bool
 
 
 def _mirror_distances(own: np.ndarray, turned: np.ndarray, confidence: np.ndarray) -> np.ndarray:
-    """Distances of ``FoundPerson.mirror_distance``, shape (N,), from both looks (N, 35, 5)."""
+    """Compute ``FoundPerson.mirror_distance``, shape (N,), from the landmarks of both looks (N, 35, 5)."""
     distances = np.linalg.norm(own[:, _JOINTS, :2] - turned[:, _JOINTS, :2], axis=-1)
     weights = confidence[:, _JOINTS] + _LEAST_WEIGHT
     found: np.ndarray = (distances * weights).sum(axis=1) / weights.sum(axis=1)

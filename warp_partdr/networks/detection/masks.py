@@ -1,4 +1,4 @@
-"""Masks of people, from their crops into the picture, and the person that each pixel belongs to."""
+"""Masks of people, which are drawn from their crops into the picture, and the person at each pixel."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Window = tuple[slice, slice]  # rows and columns of a picture
 
 
 def draw_mask(person: FoundPerson, size: tuple[int, int]) -> np.ndarray:
-    """Probability that a pixel of the picture shows the person, 0 outside the crop.
+    """Draw the probability that a pixel of the picture shows the person; it is 0 outside the crop.
 
     Args:
         person: Person that ``find_people`` returned.
@@ -54,7 +54,7 @@ def instance_map(people: Sequence[FoundPerson], size: tuple[int, int], *, thresh
         Number of the person at each pixel, 1 for the first, 2 for the second, and 0 for nobody, shape (H, W), int32.
 
     Raises:
-        TypeError: If these are no people.
+        TypeError: If ``people`` holds something else.
     """
     return instance_maps([people], [size], threshold=threshold)[0].cpu().numpy()
 
@@ -63,7 +63,7 @@ def instance_map(people: Sequence[FoundPerson], size: tuple[int, int], *, thresh
 def instance_maps(
     people: Sequence[Sequence[FoundPerson]], sizes: Sequence[tuple[int, int]], *, threshold: float = 0.5
 ) -> list[torch.Tensor]:
-    """Maps of the people in several pictures, each as in ``instance_map``, on the masks' device."""
+    """Maps of the people in several pictures, as ``instance_map`` returns one, on the device of the masks."""
     for some in people:
         check_each("people", some, FoundPerson, "of find_people")
     shapes = np.array([check_image_size(size) for size in sizes], dtype=np.int64).reshape(-1, 2)
@@ -101,12 +101,12 @@ def instance_maps(
 
 
 def _starts(counts: np.ndarray) -> np.ndarray:
-    """Sums of the counts before each, and of all."""
+    """Sums of the counts before each count, and the sum of all."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
 
 
 def _windows(crops: TurnedCrops, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of pictures of (H, W) that crops meet, (N, 4), as ``MaskArrays`` has them, and ``_steps``."""
+    """Rows and columns of pictures that crops meet, shape (N, 4), as ``MaskArrays`` has them, and ``_steps``."""
     corners = crops.to_picture(np.broadcast_to(_CORNERS, (len(crops), 4, 2)))
     limits = sizes[:, ::-1]
     low = np.floor(corners.min(axis=1)).clip(0, limits).astype(int)
@@ -116,14 +116,16 @@ def _windows(crops: TurnedCrops, sizes: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _steps(crops: TurnedCrops, pixels: np.ndarray) -> np.ndarray:
-    """Centres of pixels (x, y) (N, 2) in the crops, from -1 to 1, then steps across and down: (N, 3, 2), float32."""
+    """Positions of pixels (x, y) (N, 2) in the crops, from -1 to 1, and steps across and down: (N, 3, 2), float32."""
     positions = crops.from_picture(pixels[:, None] + np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])) * 2 - 1
-    positions[:, 1:] -= positions[:, :1]  # in float64: of rounded positions, a thousand steps would go astray
+    positions[:, 1:] -= positions[
+        :, :1
+    ]  # in float64, because a thousand steps between rounded positions would go astray
     return positions.astype(np.float32)
 
 
 def crop_window(crop: TurnedCrops, size: tuple[int, ...]) -> Window:
-    """Rows and columns of a picture of (H, W) that the one crop meets."""
+    """Rows and columns of a picture of (H, W) that a single crop meets."""
     top, bottom, left, right = _windows(crop, np.array([size]))[0][0].tolist()
     return slice(top, bottom), slice(left, right)
 
@@ -131,7 +133,7 @@ def crop_window(crop: TurnedCrops, size: tuple[int, ...]) -> Window:
 def spread_maps(
     maps: torch.Tensor, crop: TurnedCrops, window: Window, *, mode: str = "bilinear"
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Maps across one crop, at the centres of the picture's pixels.
+    """Resample maps of one crop at the centres of the picture's pixels.
 
     Args:
         maps: Maps of the crop, shape (C, h, w), on CPU.
@@ -140,7 +142,7 @@ def spread_maps(
         mode: Interpolation, "bilinear" or "nearest".
 
     Returns:
-        The maps, 0 outside the crop, shape (C, R, S), float32; and the pixels within it, shape (R, S), bool.
+        Maps, 0 outside the crop, shape (C, R, S), float32; and flags of the pixels within it, shape (R, S), bool.
     """
     rows, columns = window
     drawn = np.zeros((len(maps), rows.stop - rows.start, columns.stop - columns.start), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""One person who was found in a picture."""
+"""Person who was found in a picture."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ SKELETON = "blazepose33"
 
 @dataclass(frozen=True)
 class FoundPerson:
-    """One person of a picture.
+    """Person in a picture.
 
     Attributes:
-        keypoints: Landmarks of the format "blazepose33", 33 of them. The confidence is that a landmark is in the
+        keypoints: Landmarks of the format "blazepose33", 33 of them. Their confidence says that a landmark is in the
             picture and not hidden.
         score: Confidence that there is a person, 0 to 1.
         box: Left, top, right and bottom of the mask, or else of the keypoints, within the picture [px].
-        crop: The one crop, turned upright, that the landmarks were found in.
+        crop: Single crop, turned upright, in which the landmarks were found.
         mask: Probability that a pixel of the crop shows the person, 0 beyond the picture, shape (256, 256), float32,
-            on the device that found it; ``draw_mask`` and ``instance_map`` bring it into the picture.
-        next_crop: The crop that the landmarks place about the person, for the next picture of a film.
+            on the device that found it. ``draw_mask`` and ``instance_map`` draw it in the picture.
+        next_crop: Crop that the landmarks place about the person, for the next picture of a film.
         mirror_distance: Distance between joints as they are found in the crop and in its mirror image, mean weighted by
             their confidence, as a share of the crop's side; None if the mirror image was not looked at.
     """
@@ -40,5 +40,5 @@ class FoundPerson:
 
     @property
     def seen(self) -> bool:
-        """False if another detector's box shows the person, but no landmark is known."""
+        """True if landmarks are known. False if only another detector's box shows the person."""
         return bool(self.keypoints.confident.any())

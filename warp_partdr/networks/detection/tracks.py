@@ -1,8 +1,8 @@
 """People of a film, who keep their numbers from frame to frame.
 
-Whoever was in the last frame is looked for about the same place, which needs one run of the landmark network a person.
-The detector, which is slower and sees new people, looks every few frames, and whenever somebody was lost. Until it sees
-the first person of a shot, it looks sooner, after 1, 2, 4 frames and so on. Nobody is followed through a cut: with a
+People of the last frame are looked for near the same position, which needs one run of the landmark network for each
+person. The detector is slower, but sees new people. It looks every few frames, and whenever a person was lost. Until it
+sees the first person of a shot, it looks sooner, after 1, 2, 4 frames and so on. Nobody is followed through a cut: in a
 new shot, everybody gets a new number.
 """
 
@@ -21,13 +21,13 @@ from .people import find_people
 from .person import FoundPerson
 from .same_person import similarity
 
-_SAME = 0.5  # Likeness above which two findings are one person.
-_LED = 0.2  # likeness that is added for one who was found just where their last frame led to
-_REACH = 0.5  # sides of their crop that one who is lost moves from one look of the detector to the next, at most
-_RATIO = 0.6  # least ratio of the sides of one person's crops, before they were lost and after
-_GRID = 48  # points a side at which two masks are compared
+_SAME = 0.5  # likeness above which two detections are one person
+_LED = 0.2  # likeness that is added for a person who is found exactly where the last frame placed the next crop
+_REACH = 0.5  # farthest that a lost person moves between two looks of the detector, in sides of the crop
+_RATIO = 0.6  # least ratio of the sides of a person's crops before and after the person was lost
+_GRID = 48  # points along a side at which two masks are compared
 _LEVELS = 2  # of the detector: a film's many frames should not take long
-_PATIENCE = 3  # looks of the detector that one who was lost may be away for
+_PATIENCE = 3  # looks of the detector for which a lost person may be away
 # Similarity of somebody's keypoints to those of the last frame, from which on they were followed through a change of
 # the picture that may be a cut.
 _STAYED = 0.4
@@ -129,7 +129,7 @@ class PeopleTracker:
         )
 
     def _come_back(self, people: list[FoundPerson]) -> dict[int, FoundPerson]:
-        """People who were lost and are where they may have got to since, by their numbers."""
+        """Lost people who are found where they may have moved since, by their numbers."""
         reach = {number: _REACH * (frames + 1) / self._every for number, (_, frames) in self._lost.items()}
 
         def value(person: FoundPerson, number: int) -> float:
@@ -139,12 +139,12 @@ class PeopleTracker:
         return _assign(people, self._lost, value)
 
     def _forget_everybody(self) -> None:
-        """Begin another shot, at which the detector looks at once."""
+        """Begin another shot. The detector looks at its first frame."""
         self._here, self._lost = {}, {}
         self._wait = 0
 
     def _forget(self, before: Mapping[int, FoundPerson], followed: Mapping[int, FoundPerson]) -> None:
-        """Keep in mind who was lost, but not for long: soon enough, somebody else may stand there."""
+        """Remember lost people, but not for long, because somebody else may stand there soon."""
         away = {number: (person, frames + 1) for number, (person, frames) in self._lost.items()}
         away |= {number: (person, 0) for number, person in before.items() if number not in followed}
         self._lost = {number: each for number, each in away.items() if each[1] <= _PATIENCE * self._every}
@@ -163,12 +163,12 @@ def _keypoint_similarity(one: FoundPerson, other: FoundPerson) -> float:
 
 
 def _stayed(person: FoundPerson, last: FoundPerson) -> bool:
-    """True if a person is about as they were in the last frame."""
+    """True if a person is nearly unchanged since the last frame."""
     return _keypoint_similarity(person, last) >= _STAYED
 
 
 def _is_cut(change: Change, followed: Mapping[int, FoundPerson], before: Mapping[int, FoundPerson]) -> bool:
-    """True if a change is a cut because nobody of the last frame, who was followed into this one, stayed."""
+    """True if a change is a cut, because nobody who was followed from the last frame stayed."""
     if change not in (Change.JUMP, Change.NEW):
         return False
     least = _COVERED if change is Change.NEW else 0.0
@@ -201,7 +201,7 @@ def _followed(person: FoundPerson, last: FoundPerson) -> float:
 
 
 def _nearness(crop: TurnedCrops, last: TurnedCrops, reach: float) -> float:
-    """1 for the same place, 0 or less beyond ``reach`` of the crops' sides, or for another size."""
+    """Nearness of crops: 1 at the same position, 0 or less beyond ``reach`` sides of the crops or at another size."""
     (small, large), apart = np.sort([crop.sides[0], last.sides[0]]), np.linalg.norm(crop.centres - last.centres)
     return float(1 - apart / (reach * large)) if small > _RATIO * large else 0.0
 
@@ -209,7 +209,7 @@ def _nearness(crop: TurnedCrops, last: TurnedCrops, reach: float) -> float:
 def _assign(
     people: list[FoundPerson], numbers: Iterable[int], value: Callable[[FoundPerson, int], float]
 ) -> dict[int, FoundPerson]:
-    """Numbers of people: the pair of the greatest value first, each once, as long as it is above 0."""
+    """Assign numbers to people, the pair of the greatest value first and each once, as long as it is above 0."""
     pairs = [(value(person, number), -number, index) for index, person in enumerate(people) for number in numbers]
     assigned: dict[int, FoundPerson] = {}
     taken: set[int] = set()

@@ -45,7 +45,7 @@ class MeshEnergy:
     Attributes:
         drawn: Model that is drawn.
         options: Weights of the mesh stage's terms, and options of drawing.
-        together: Mesh of the people of one cluster, who overlap, with the labels of each; None if nobody overlaps.
+        cluster_mesh: Mesh of the people of one cluster, who overlap, with the labels of each; None if nobody overlaps.
         capsules: Capsules of each person; None if nothing keeps parts and people apart.
         feet: Indices of ``FEET`` among the model's landmarks, shape (6,), int64; None if no feet are held.
         apart: Weight of the squared depths by which parts, or people, penetrate each other [1/cm^2].
@@ -55,7 +55,7 @@ class MeshEnergy:
 
     drawn: DrawnModel
     options: MeshOptions
-    together: PartMesh | None = None
+    cluster_mesh: PartMesh | None = None
     capsules: Capsules | None = None
     feet: torch.Tensor | None = None
     apart: float = 0.0
@@ -112,7 +112,7 @@ class MeshEnergy:
 
     def label_pictures(self, people: Starts) -> list[tuple[LabelPictures, PartMesh, bool]]:
         """List the pictures to be drawn, each with its mesh, and with True if one group can hide another one there."""
-        pairs = (people.together, self.together, True), (people.alone, self.drawn.mesh, self.drawn.hides)
+        pairs = (people.overlapping, self.cluster_mesh, True), (people.alone, self.drawn.mesh, self.drawn.hides)
         return [(pictures, mesh, hides) for pictures, mesh, hides in pairs if pictures is not None and mesh is not None]
 
     def feet_of(self, points: torch.Tensor) -> torch.Tensor:

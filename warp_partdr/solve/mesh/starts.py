@@ -119,7 +119,7 @@ class Starts(NamedTensors):
         aims: Keypoints, and depths of ``JOINT_NAMES``, in the M pictures of bodies.
         views: Cameras of one scene; None: each body is in a scene of its own, whose world is its crop's camera.
         alone: Pictures of people who overlap nobody; None if there are no labels, or no people of this kind.
-        together: Pictures of people who overlap; None if there are no labels, or no people of this kind.
+        overlapping: Pictures of people who overlap; None if there are no labels, or no people of this kind.
         smooth: Share of each frame in the moves of each frame, shape (T, T); None: the frames move independently.
         rates: Inverse of the time from each frame to the next [1/s], shape (T - 1,). It is 0 if nothing is known of
             feet between the two frames; None if that holds for all frames.
@@ -138,7 +138,7 @@ class Starts(NamedTensors):
     aims: LandmarkAims
     views: WorldViews | None = None
     alone: LabelPictures | None = None
-    together: LabelPictures | None = None
+    overlapping: LabelPictures | None = None
     smooth: torch.Tensor | None = None
     rates: torch.Tensor | None = None
     feet: StandingFeet | None = None

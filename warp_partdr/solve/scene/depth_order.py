@@ -80,13 +80,13 @@ def exchange(
 
 def _labels_tell_order(plan: ScenePlan, people: Starts) -> bool:
     """True if labels decide who stands in front. With several views or known sizes, the depth is known already."""
-    drawn = plan.energy.together is not None and people.together is not None
+    drawn = plan.energy.cluster_mesh is not None and people.overlapping is not None
     return drawn and people.num_views == 1 and bool(people.unknown.any())
 
 
 def _drawn(plan: ScenePlan, people: Starts, unknowns: Unknowns) -> torch.Tensor:
     """Vertices in the pictures of K clusters with C slots: u [px], v [px], z [m], shape (K, T, C, n, 3)."""
-    pictures = people.together
+    pictures = people.overlapping
     assert pictures is not None
     assert pictures.slots is not None
     clusters, slots = pictures.slots.slots.shape
@@ -109,16 +109,16 @@ def _best_exchanges(
     Returns:
         Factor by which each exchanged person grows, or None if no exchange helps.
     """
-    assert people.together is not None
+    assert people.overlapping is not None
     assert people.views is not None
-    assert plan.energy.together is not None
-    targets = people.together.target.unflatten(0, drawn.shape[:2])
+    assert plan.energy.cluster_mesh is not None
+    targets = people.overlapping.target.unflatten(0, drawn.shape[:2])
     visible = people.by_person(people.views.observed)[:, frame, 0]
     found: dict[int, float] = {}
     for cluster, members in enumerate(of_several(plan.clusters)):
         shown = visible[list(members)].tolist()
         target = targets[cluster, frame]
-        factors = _best_exchange(plan.energy.together, drawn[cluster, frame], shown, target, least_gain)
+        factors = _best_exchange(plan.energy.cluster_mesh, drawn[cluster, frame], shown, target, least_gain)
         found |= {members[slot]: factor for slot, factor in factors.items()}
     return found or None
 

@@ -72,13 +72,13 @@ def _scene_energy(drawn: DrawnModel, options: SceneOptions, people: int, most: i
     The last ones are cached, because an energy with equal arguments is the same.
     """
     apart = options.apart if people > 1 else options.mesh.apart
-    together = None
+    cluster_mesh = None
     if drawn.mesh is not None and most > 1:
-        together = drawn.mesh.repeated(most, groups, drawn.first or drawn.model.num_vertices)
+        cluster_mesh = drawn.mesh.repeated(most, groups, drawn.first or drawn.model.num_vertices)
     return MeshEnergy(
         drawn,
         options.mesh,
-        together,
+        cluster_mesh,
         measure_capsules(drawn.model) if apart > 0 else None,
         torch.tensor([drawn.model.landmark_names.index(name) for name in FEET], device=drawn.ends.device),
         apart,

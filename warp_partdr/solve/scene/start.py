@@ -64,9 +64,9 @@ def gather_scene(plan: ScenePlan, observed_bodies: Sequence[ObservedBody]) -> St
 
     uncertainties = [observed.uncertainty for observed in observed_bodies]
     deviations = gather_turn_uncertainties(drawn, uncertainties, rotations)[start.references]
-    alone = together = None
+    alone = overlapping = None
     if drawn.mesh is not None:
-        together = cluster_pictures(plan, of_several(plan.clusters), plan.options.together, observed_bodies)
+        overlapping = cluster_pictures(plan, of_several(plan.clusters), plan.options.together, observed_bodies)
         alone = cluster_pictures(plan, of_one(plan.clusters), plan.options.mesh.size, observed_bodies)
     return Starts(
         rotations=rotations,
@@ -81,7 +81,7 @@ def gather_scene(plan: ScenePlan, observed_bodies: Sequence[ObservedBody]) -> St
         aims=_aims(plan, observed_bodies, table),
         views=_views(observed_bodies, table, cameras, start.cameras),
         alone=alone,
-        together=together,
+        overlapping=overlapping,
         smooth=smooth,
         rates=rates,
     )

@@ -1,0 +1,87 @@
+"""Pictures of one person for pages: the part of the photo that shows the person, and the body from the side."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from ..cameras import Crop, WeakPerspective
+from ..models.model import DetailedModel
+from .overlays import GRAY, gray_picture, skin_over
+
+_MARGIN = 0.08  # margin around what is shown, as a share of it
+_BEYOND = 0.75  # farthest that a body is shown beyond the person's box, as a share of the box
+_QUALITY = 80  # of JPEG files
+# Rotation that brings the camera's z axis to x: the camera is then at the left of the picture, and y stays vertical.
+_FROM_THE_SIDE = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
+
+
+def person_window(box: Sequence[float] | np.ndarray, points: np.ndarray, side: int) -> Crop:
+    """Window of a picture that holds a person's box and, unless it is far off, the body.
+
+    Args:
+        box: Left, top, right and bottom of the person [px].
+        points: Points of the body in the picture [px], shape (N, 2).
+        side: Longer side of the window's own picture [px].
+    """
+    left, top, right, bottom = (float(edge) for edge in box)
+    beyond = _BEYOND * max(right - left, bottom - top, 1.0)
+    inside = np.clip(points, (left - beyond, top - beyond), (right + beyond, bottom + beyond))
+    return _window_of(np.minimum(inside.min(0), (left, top)), np.maximum(inside.max(0), (right, bottom)), side)
+
+
+def _window_of(low: np.ndarray, high: np.ndarray, side: int) -> Crop:
+    """Window around a rectangle, with a margin; its edges are whole pixels."""
+    margin = _MARGIN * max(*(high - low), 1.0) + 1
+    low, high = np.floor(low - margin), np.ceil(high + margin)
+    zoom = side / float((high - low).max())
+    width, height = (max(math.ceil(length * zoom), 1) for length in (high - low).tolist())
+    return Crop(float(low[0]), float(low[1]), zoom, (height, width))
+
+
+def cut_window(photo: np.ndarray, crop: Crop) -> np.ndarray:
+    """Cut a window of a photo, shape (H, W, 3), uint8; it is gray beyond the border of the photo."""
+    from PIL import Image
+
+    left, top = int(crop.left), int(crop.top)
+    height, width = (round(side / crop.zoom) for side in crop.size)
+    window = Image.new("RGB", (width, height), GRAY)
+    rows, columns = (slice(max(start, 0), max(start + side, 0)) for start, side in ((top, height), (left, width)))
+    part = photo[rows, columns]
+    if part.size:
+        window.paste(Image.fromarray(part), (columns.start - left, rows.start - top))
+    return np.asarray(window.resize((crop.size[1], crop.size[0]), Image.Resampling.LANCZOS))
+
+
+def draw_side_view(
+    vertices: torch.Tensor, model: DetailedModel, side: int, pale: np.ndarray | None = None
+) -> np.ndarray:
+    """Draw the first body as somebody at the right of the photo sees it, on gray, shape (H, W, 3), uint8.
+
+    The camera of the photo is at the left, and what is vertical in the photo stays vertical.
+
+    Args:
+        vertices: Vertices of the model's bodies in the camera frame [m], shape (B, V, 3).
+        model: Model of the bodies.
+        side: Longer side of the picture [px].
+        pale: Flags of the part labels that are drawn pale, as in ``skin_over``.
+    """
+    turned = vertices[:1].detach() @ vertices.new_tensor(_FROM_THE_SIDE).T
+    turned = turned - turned.mean(1, keepdim=True)
+    points = 1000 * turned[0, :, :2].cpu().numpy().astype(np.float64)  # one millimetre is a pixel of the full picture
+    crop = _window_of(points.min(0), points.max(0), side)
+    camera = WeakPerspective(vertices.new_full((1,), 1000.0), vertices.new_zeros(1, 2)).in_crop(crop)
+    return skin_over(gray_picture(crop.size), turned, model, camera, pale=pale)
+
+
+def jpeg_file(picture: np.ndarray) -> bytes:
+    """Bytes of a JPEG file of a picture, shape (H, W, 3), uint8."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(picture).save(buffer, "JPEG", quality=_QUALITY)
+    return buffer.getvalue()
