@@ -25,7 +25,7 @@ from ...solve.confidence.model import packaged_model
 from ..options import Device, People, tracked
 from ..synthetic.hard_photos import make_hard_photo
 from ..tables import FigureTable
-from .photo_truth import match_people, seen_errors
+from .photo_truth import match_truth, seen_errors
 
 RIGHT, WRONG = 0.1, 0.2  # [m], largest error of a right body, and least error of a wrong body
 LIMB_RIGHT = 0.2  # [m], largest mean distance of a right limb's joints from the truth
@@ -63,7 +63,7 @@ def confidence_rows(index: int, device: str) -> Iterator[ConfidenceRow]:
         fit = fit_photo(photo.pixels, device=device, min_score=0.4)
     except InputError:
         return
-    same = match_people(fit, photo)
+    same = match_truth(fit, photo)
     for person, mesh in fit.fits.items():
         last = mesh.ellipbody
         measured = measure_bodies(last.parameters, Observations.of([last.observation]), last.uncertainty)

@@ -27,7 +27,7 @@ from ..options import Device, People, tracked
 from ..synthetic.hard_photos import KINDS, PhotographedPerson, make_hard_photo
 from ..tables import FigureTable, estimate_mean
 from .confidence import RIGHT, WRONG
-from .photo_truth import match_people, seen_errors
+from .photo_truth import match_truth, seen_errors
 
 _THIGH, _STATURE = BODY_MEASURES.index("thigh girth"), BODY_MEASURES.index("stature")
 _MIRRORED = [
@@ -80,7 +80,7 @@ def hard_cases(index: int, kind: str, device: str) -> Iterator[HardCase]:
     except InputError:  # nobody is found
         yield from cases.values()
         return
-    for found, row in match_people(fit, photo).items():
+    for found, row in match_truth(fit, photo).items():
         cases[row] = _case(cases[row], fit.fits[found], photo.people[row], fit.confidences[found].probability)
     yield from cases.values()
 

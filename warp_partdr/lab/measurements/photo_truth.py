@@ -16,7 +16,7 @@ _BODY = tuple(skeleton("coco17").landmarks[5:])
 _LIMB_JOINTS = {"head": ("neck", "head_top")}
 
 
-def match_people(fit: PhotoFit, photo: HardPhoto) -> dict[int, int]:
+def match_truth(fit: PhotoFit, photo: HardPhoto) -> dict[int, int]:
     """Index of the true person for each found person; the nearest pairs come first."""
     format_rows = [fit.people[0].keypoints.format.landmarks.index(name) for name in skeleton("coco17").landmarks]
     distances = np.array(
