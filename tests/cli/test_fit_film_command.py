@@ -46,7 +46,8 @@ def test_a_film_s_people_become_motions(run: Run, film: Path) -> None:
     assert Path("out", "scene.glb").as_posix() in last
     assert not list(Path().glob(".partdr-*"))
     report = json.loads(Path("out", "people.json").read_text())
-    assert report["files"].keys() == {"overlay.mp4", "scene.glb", "person0.npz", "person0.glb", "person0.bvh"} | (
+    plain = {"overlay.mp4", "scene.glb", "confidence.png", "person0.npz", "person0.glb", "person0.bvh"}
+    assert report["files"].keys() == plain | (
         {"person0.usdz"} if usd else set()
     )
     assert (report["rate"], report["frames"]) == (10, 6)

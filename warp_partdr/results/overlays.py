@@ -37,6 +37,7 @@ def skin_over(
     model: DetailedModel,
     camera: Camera,
     colour: np.ndarray = SKIN_COLOUR,
+    pale: np.ndarray | None = None,
 ) -> np.ndarray:
     """Draw the first detailed body over a picture, shape (H, W, 3), uint8.
 
@@ -46,9 +47,15 @@ def skin_over(
         model: Model of the bodies.
         camera: Camera of the picture.
         colour: RGB of the skin, shape (3,), uint8.
+        pale: Flags of the part labels that are drawn pale because they are guessed (``guessed_parts``), shape (21,).
     """
-    rgba = shade_skin(vertices, model, camera, (picture.shape[0], picture.shape[1]), colour)
-    return blend(picture, rgba, _SKIN)
+    size = picture.shape[0], picture.shape[1]
+    drawn = blend(picture, shade_skin(vertices, model, camera, size, colour), _SKIN)
+    if pale is None or not pale.any():
+        return drawn
+    labels = draw_mesh(vertices, detailed_mesh(model), camera, size).labels[0].cpu().numpy()
+    share = np.where(pale[labels], _PALE, 1.0)[..., None]
+    return (share * drawn + (1 - share) * picture).astype(np.uint8)
 
 
 def gray_picture(size: tuple[int, int]) -> np.ndarray:
@@ -105,12 +112,7 @@ def draw_detailed(
     zoom, drawn_size = overlay_size(size)
     below = gray_picture(drawn_size) if photo is None else at_overlay_size(photo, size)
     vertices, camera = registered.detailed.vertices, zoomed(camera, zoom, drawn_size)
-    picture = skin_over(below, vertices, registered.model, camera)
-    if pale is not None and pale.any():
-        labels = draw_mesh(vertices, detailed_mesh(registered.model), camera, drawn_size).labels[0].cpu().numpy()
-        share = np.where(pale[labels], _PALE, 1.0)[..., None]
-        picture = (share * picture + (1 - share) * below).astype(np.uint8)
-    return Image.fromarray(picture)
+    return Image.fromarray(skin_over(below, vertices, registered.model, camera, pale=pale))
 
 
 def draw_keypoints(image: Image, keypoints: Keypoints2D) -> None:
