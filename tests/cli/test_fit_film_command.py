@@ -47,9 +47,7 @@ def test_a_film_s_people_become_motions(run: Run, film: Path) -> None:
     assert not list(Path().glob(".partdr-*"))
     report = json.loads(Path("out", "people.json").read_text())
     plain = {"overlay.mp4", "scene.glb", "confidence.png", "person0.npz", "person0.glb", "person0.bvh"}
-    assert report["files"].keys() == plain | (
-        {"person0.usdz"} if usd else set()
-    )
+    assert report["files"].keys() == plain | ({"person0.usdz"} if usd else set())
     assert (report["rate"], report["frames"]) == (10, 6)
     bodies = load_film_bodies("out/person0.npz")
     assert bodies.rows["frames"].tolist() == list(range(6))
