@@ -237,6 +237,5 @@ def _print_report(
             away = f"about {float(film.view.eye.norm()):.1f} m from the camera of {paths[0].name}"
             typer.echo(f"{path.name}: {away}, turned by {turn:.0f} degrees")
         typer.echo(f"{out / CAMERAS} says so, --cameras takes it")
-    typer.echo(
-        f"{out / overlay_name(0)} shows all bodies, {out / CURVES} how sure they are, {out / SCENE} moves in Blender"
-    )
+    shown = f"{out / overlay_name(0)} shows all bodies, {out / CURVES} the confidence in them"
+    typer.echo(f"{shown}, {out / SCENE} moves in Blender")
