@@ -54,8 +54,9 @@ def skin_over(
     if pale is None or not pale.any():
         return drawn
     labels = draw_mesh(vertices, detailed_mesh(model), camera, size).labels[0].cpu().numpy()
-    share = np.where(pale[labels], _PALE, 1.0)[..., None]
-    return (share * drawn + (1 - share) * picture).astype(np.uint8)
+    guessed = pale[labels]
+    drawn[guessed] = (_PALE * drawn[guessed] + (1 - _PALE) * picture[guessed]).astype(np.uint8)
+    return drawn
 
 
 def gray_picture(size: tuple[int, int]) -> np.ndarray:

@@ -59,7 +59,7 @@ def measure_film_confidence(
     for film in paths:
         everything.append(stated_and_true(fit_film([ObservedFilm.of(people[film])], device=device), views, film))
         table.add(Path(film).name, *figures(everything[-1]))
-    table.add("all, each alone", *figures(np.concatenate(everything)))
+    table.add("all, each alone", *figures(np.concatenate(everything, axis=1)))
     known = read_cameras(cameras).values()
     observed = [ObservedFilm.calibrated(each, camera) for each, camera in zip(people.values(), known, strict=True)]
     together = fit_film(match_films(observed), device=device)

@@ -42,7 +42,7 @@ def limbs_outside(landmarks: tuple[str, ...], pixels: np.ndarray, size: tuple[in
     Returns:
         Flags in the order of ``LIMBS``, shape (N, 5), bool.
     """
-    outside = ((pixels < 0) | (pixels > (size[1], size[0]))).any(axis=-1)
+    outside = np.any((pixels < 0) | (pixels > (size[1], size[0])), axis=-1)
     return np.stack([outside[:, limb.rows(landmarks)].all(axis=1) for limb in LIMBS], axis=1)
 
 
