@@ -21,6 +21,7 @@ from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observations import Observations
 from warp_partdr.inputs.scene import Scene, SceneObservation, View
 from warp_partdr.networks.detection.person import FoundPerson
+from warp_partdr.results.motion_confidence import motion_confidence_record
 from warp_partdr.solve.confidence.judge import BodyConfidence, LimbConfidence, confidence_record, judge_fits
 from warp_partdr.solve.confidence.limbs import LIMBS, guessed_parts
 from warp_partdr.solve.confidence.measures import BodyMeasures, detection_measures, measure_bodies
@@ -214,7 +215,7 @@ def test_a_search_s_body_is_judged_without_a_network() -> None:
 
 
 @cache
-def example_scene() -> tuple[SceneFit, list[ObservedBody]]:
+def example_scene(device: str = "cpu") -> tuple[SceneFit, list[ObservedBody]]:
     """Quick fit of the example in frames 0 and 2 of one view, and in frame 2 of another, which shows no left arm."""
     height, width = example_photo().shape[:2]
     view = View(Perspective.of_picture((height, width), focal=600.0))
@@ -224,24 +225,26 @@ def example_scene() -> tuple[SceneFit, list[ObservedBody]]:
     armless = replace(keypoints, confidence=confidence)
     seen = [SceneObservation(keypoints, frame=frame) for frame in (0, 2)]
     scene = Scene([view, view], [*seen, SceneObservation(armless, frame=2, view=1)])
-    observed_bodies = observe_scene(scene, "cpu")
-    return fit_scene(scene, options=QUICK_SCENE, observed_bodies=observed_bodies), observed_bodies
+    observed_bodies = observe_scene(scene, device)
+    return fit_scene(scene, options=QUICK_SCENE, device=device, observed_bodies=observed_bodies), observed_bodies
 
 
-def judged_scene(views: tuple[int, ...] = (0, 1), size: tuple[int, int] | None = None) -> SceneConfidence:
-    fit, observed_bodies = example_scene()
+def judged_scene(
+    views: tuple[int, ...] = (0, 1), size: tuple[int, int] | None = None, device: str = "cpu"
+) -> SceneConfidence:
+    fit, observed_bodies = example_scene(device)
     height, width = example_photo().shape[:2]
     return judge_scene(fit, [each for each in observed_bodies if each.view in views], [size or (height, width)] * 2)
 
 
-def test_a_scene_s_bodies_are_judged_by_their_meshes_in_the_picture() -> None:
+def test_a_scene_s_bodies_are_judged_by_their_meshes_in_the_picture(device: str) -> None:
     """The measures by hand: distances in pixels of the picture, as a share of the side of the crop there."""
-    fit, (observed, *_) = example_scene()
+    fit, (observed, *_) = example_scene(device)
     keypoints = observed.evidence.keypoints
     names = [name for name in BODY_LANDMARKS if name in keypoints.format.landmarks]
     rows = [keypoints.format.landmarks.index(name) for name in names]
-    world = fit.landmarks(tuple(keypoints.format.marks[row] for row in rows))[0, 0]
-    pixels = fit.scene.views[0].camera.project(world[None])[0, :, :2].cpu().numpy()
+    world = fit.landmarks(tuple(keypoints.format.marks[row] for row in rows))[0, 0].cpu()
+    pixels = fit.scene.views[0].camera.project(world[None])[0, :, :2].numpy()
     side = observed.crop.size[0] / observed.crop.zoom
     distances = np.linalg.norm(pixels - keypoints.points[rows], axis=1) / side
     weights = keypoints.confidence[rows]
@@ -253,7 +256,7 @@ def test_a_scene_s_bodies_are_judged_by_their_meshes_in_the_picture() -> None:
         "depths": np.log([np.average(stated, weights=weights)]),
     }
     regression = next(each for each in packaged_model().bodies if set(each.measures) == set(columns))
-    assert judged_scene().bodies[0, 0] == pytest.approx(regression.logits(columns)[0], abs=1e-3)
+    assert judged_scene(device=device).bodies[0, 0] == pytest.approx(regression.logits(columns)[0], abs=1e-3)
 
 
 def test_views_of_a_body_are_no_independent_witnesses() -> None:
@@ -274,6 +277,21 @@ def test_frames_without_the_person_have_no_confidence() -> None:
     assert np.isnan(found.limbs[0, 1]).all()
     assert (found.sights[0, 1] == NO_SIGHT).all()
     assert (found.sights[0, [0, 2]] == SIGHTS.index("seen")).all()
+
+
+def test_a_face_alone_can_not_judge_a_body() -> None:
+    keypoints = example_keypoints()
+    confidence = keypoints.confidence.copy()
+    confidence[5:] = 0
+    view = View(Perspective.of_picture(example_photo().shape[:2], focal=600.0))
+    scene = Scene([view], [SceneObservation(replace(keypoints, confidence=confidence))])
+    observed_bodies = observe_scene(scene, "cpu")
+    fit = fit_scene(scene, options=QUICK_SCENE, observed_bodies=observed_bodies)
+    found = judge_scene(fit, observed_bodies, [example_photo().shape[:2]])
+    assert np.isnan(found.bodies).all()
+    assert (found.sights == NO_SIGHT).all()
+    record = motion_confidence_record(np.array([4]), MotionConfidence(found.bodies[0], found.limbs[0], found.sights[0]))
+    assert record == {"mean_confidence": None, "confidence": [None], "guessed": {}}
 
 
 def test_limbs_of_meshes_beyond_the_border_are_outside() -> None:

@@ -226,7 +226,8 @@ def _print_report(
         frames = f"frames {person['first_frame']} to {person['last_frame']}, seen in {person['frames_seen']}"
         by = f", by {', '.join(person['seen_by'])}" if several else ""
         distance = distance_words(person["distance_m"], exact=exact, assumed=assumed)
-        sure = f"confidence {person['mean_confidence']:.2f} on average"
+        mean = person["mean_confidence"]
+        sure = "confidence unknown" if mean is None else f"confidence {mean:.2f} on average"
         typer.echo(f"person{person['person']}: {frames}{by}; {distance}; {sure}")
     if rig.align:
         for path, film in zip(paths, films, strict=True):

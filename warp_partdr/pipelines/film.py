@@ -90,7 +90,7 @@ class FilmFit:
         films: Films that were fitted. The world of a single film is the frame of its camera.
         tracks: Tracks in the films, by the index of the person.
         motions: Motions by the index of the person.
-        warnings: Warnings about films and cameras, a sentence each. They call the films films[0] and so on.
+        warnings: Warnings about films, cameras and people, a sentence each. They call the films films[0] and so on.
     """
 
     films: tuple[ObservedFilm, ...]
@@ -426,7 +426,7 @@ class _Bodies:
         return [PersonShape(torch.from_numpy(values), torch.from_numpy(clothes)) for values, clothes in pairs]
 
 
-@dataclass
+@dataclass(frozen=True)
 class _BlendedFrame:
     """Weighted sums over the windows that share a frame of a person.
 
@@ -451,24 +451,24 @@ class _BlendedFrame:
         """Sums of one window."""
         log_odds = np.array([bodies.log_odds[person, row], *bodies.limb_log_odds[person, row]])
         return cls(
-            weight,
-            weight * torch.from_numpy(bodies.rotations[person, row]),
-            weight * torch.from_numpy(bodies.translation[person, row]),
-            weight * log_odds,
-            weight,
-            bodies.sights[person, row],
+            weight=weight,
+            rotations=weight * torch.from_numpy(bodies.rotations[person, row]),
+            translation=weight * torch.from_numpy(bodies.translation[person, row]),
+            log_odds=weight * log_odds,
+            heaviest=weight,
+            sights=bodies.sights[person, row],
         )
 
     def plus(self, other: _BlendedFrame) -> _BlendedFrame:
         """Sums over the windows of both."""
         heavier = self if self.heaviest >= other.heaviest else other
         return _BlendedFrame(
-            self.weight + other.weight,
-            self.rotations + other.rotations,
-            self.translation + other.translation,
-            self.log_odds + other.log_odds,
-            heavier.heaviest,
-            heavier.sights,
+            weight=self.weight + other.weight,
+            rotations=self.rotations + other.rotations,
+            translation=self.translation + other.translation,
+            log_odds=self.log_odds + other.log_odds,
+            heaviest=heavier.heaviest,
+            sights=heavier.sights,
         )
 
 

@@ -69,9 +69,9 @@ def motion_confidence_record(frames: np.ndarray, confidence: MotionConfidence) -
         confidence: Confidence in these frames.
 
     Returns:
-        Entries ``mean_confidence``; ``confidence``, of each frame from the first to the last one, null where the person
-        was not found; and ``guessed``, first and last frame of each run of frames in which a limb is guessed, by the
-        name of the limb.
+        Entries ``mean_confidence``, None if no frame has a confidence; ``confidence`` of each frame from the first to
+        the last one, null where the person was not found; and ``guessed``, first and last frame of each run of frames
+        in which a limb is guessed, by the name of the limb.
     """
     known = confidence.known
     every: list[float | None] = [None] * int(frames[-1] - frames[0] + 1)
@@ -84,7 +84,7 @@ def motion_confidence_record(frames: np.ndarray, confidence: MotionConfidence) -
         if len(own):
             guessed[limb.name.replace(" ", "_")] = _runs(own)
     return {
-        "mean_confidence": round(float(confidence.bodies[known].mean()), 3),
+        "mean_confidence": round(float(confidence.bodies[known].mean()), 3) if known.any() else None,
         "confidence": every,
         "guessed": guessed,
     }

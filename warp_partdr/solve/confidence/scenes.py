@@ -43,6 +43,9 @@ def judge_scene(
 ) -> SceneConfidence:
     """Judge the bodies of a scene by their meshes' joints, the keypoints, and the label network's uncertainty.
 
+    A view in which no joint of trunk or limbs has a keypoint can't judge a body. It counts as if it did not show the
+    person.
+
     Views of one body make the same mistakes, so they are no independent witnesses: the mean of their log-odds is taken,
     not the sum.
 
@@ -52,7 +55,7 @@ def judge_scene(
         sizes: Size (H, W) of each view's pictures [px].
     """
     model = fit.bodies.model
-    marks = [mark for each in observed_bodies for mark in each.observation.body_points]
+    marks = (mark for each in observed_bodies for mark in each.observation.body_points)
     names = tuple(name for name in dict.fromkeys((*LIMB_LANDMARKS, *marks)) if name in model.landmark_names)
     landmarks = fit.landmarks(names).cpu()
     shape = len(fit.scene.views), fit.scene.num_people, fit.scene.num_frames
@@ -60,14 +63,13 @@ def judge_scene(
     limbs = np.full((*shape, len(LIMBS)), np.nan)
     sights = np.full((*shape, len(LIMBS)), NO_SIGHT, dtype=np.uint8)
     for own, batch in _batches(observed_bodies):
-        view = own[0].view
+        rows, view = body_rows(batch.landmarks), own[0].view
+        if not rows:
+            continue
         at = view, [each.person for each in own], [each.frame for each in own]
         seen_from = fit.scene.views[view]
         pixels = seen_from.camera.project(seen_from.to_camera(landmarks[at[1:]]))[..., :2]
-        columns = [
-            names.index(batch.marks[row] if batch.marks[row] in names else batch.landmarks[row])
-            for row in body_rows(batch.landmarks)
-        ]
+        columns = [names.index(batch.marks[row] if batch.marks[row] in names else batch.landmarks[row]) for row in rows]
         points = _in_crops(pixels[:, columns], own).to(batch.points)
         stated = [each.uncertainty for each in own if each.uncertainty is not None]
         measures = measure_points(points, batch, Uncertainty.joined(stated) if stated else None)
