@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from PIL import Image
 
 from warp_partdr.inputs.films import film_facts, read_frames
 from warp_partdr.results.predictions import load_film_bodies
+from warp_partdr.solve.confidence.model import packaged_model
 
 run = commands.run  # a fixture
 SHORT_WINDOWS = f"{QUICK_COMMAND} --set window=4 --set overlap=1 --set shape_frames=2"
@@ -42,13 +45,14 @@ def test_a_film_s_people_become_motions(run: Run, film: Path) -> None:
     code, said, complaint = run(f"fit stand.mp4 --out out {SHORT_WINDOWS} {'--set also=usdz' if usd else ''}")
     assert (code, complaint) == (0, "")
     first, last = said.splitlines()
-    assert first.startswith("person0: frames 0 to 5, seen in 6; about ")
+    assert re.fullmatch(r"person0: frames 0 to 5, seen in 6; about .*; confidence 0\.[6-9]\d on average", first)
+    assert "confidence.png the confidence in them" in last
     assert Path("out", "scene.glb").as_posix() in last
     assert not list(Path().glob(".partdr-*"))
     report = json.loads(Path("out", "people.json").read_text())
-    assert report["files"].keys() == {"overlay.mp4", "scene.glb", "person0.npz", "person0.glb", "person0.bvh"} | (
-        {"person0.usdz"} if usd else set()
-    )
+    assert len(report["people"][0]["confidence"]) == 6
+    plain = {"overlay.mp4", "scene.glb", "confidence.png", "person0.npz", "person0.glb", "person0.bvh"}
+    assert report["files"].keys() == plain | ({"person0.usdz"} if usd else set())
     assert (report["rate"], report["frames"]) == (10, 6)
     bodies = load_film_bodies("out/person0.npz")
     assert bodies.rows["frames"].tolist() == list(range(6))
@@ -66,6 +70,18 @@ def test_a_film_s_people_become_motions(run: Run, film: Path) -> None:
     pictures = [frame.picture for frame in read_frames("out/overlay.mp4")]
     assert len(pictures) == 6
     assert np.abs(pictures[3].astype(int) - np.asarray(photo(256))[:256, : pictures[3].shape[1]]).max() > 60
+
+
+def test_a_body_that_is_likely_wrong_is_told(run: Run, film: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if all bodies of the film were likely wrong."""
+    monkeypatch.setattr(
+        "warp_partdr.solve.confidence.motions.packaged_model", lambda: replace(packaged_model(), least=1.0)
+    )
+    code, _, complaint = run(f"fit stand.mp4 --out out {SHORT_WINDOWS}")
+    assert code == 0
+    told = "person0: confidence below 1.00 from 0.0 to 0.5 s; expected 1.00 or more; compare overlay.mp4 with the film"
+    assert complaint == f"partdr: warning: {told}\n"
+    assert json.loads(Path("out", "people.json").read_text())["warnings"] == [told]
 
 
 def test_a_film_that_lost_frames_is_told_once_and_right_in_time(run: Run, film: Path) -> None:

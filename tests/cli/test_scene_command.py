@@ -62,7 +62,16 @@ def test_films_of_two_cameras_say_how_far_a_person_is(run: Run, films: int) -> N
     assert (left["film"], right["film"]) == ("left.mp4", "right.mp4")
     assert (left["size"], left["focal"], left["translation"]) == ([films, SIDE], FOCAL, [0, 0, 0])
     assert right["translation"] == pytest.approx([-BESIDE, 0, 0])
-    names = {"overlay.mp4", "overlay1.mp4", "scene.glb", "person0.npz", "person0.glb", "person0.bvh", "cameras.json"}
+    names = {
+        "overlay.mp4",
+        "overlay1.mp4",
+        "scene.glb",
+        "confidence.png",
+        "person0.npz",
+        "person0.glb",
+        "person0.bvh",
+        "cameras.json",
+    }
     assert names == set(report["files"])
     assert film_facts("out/overlay1.mp4").frames == 4
     # The other way around, the world is the other camera's; the order of films says nothing about names.

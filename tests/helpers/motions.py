@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,9 @@ from warp_partdr.networks.detection.film_people import SEEN, FilmPeople, kept_si
 from warp_partdr.pipelines.film import FilmFit, Motion
 from warp_partdr.pipelines.observed_film import ObservedFilm
 from warp_partdr.results.save_film import save_film_fit
+from warp_partdr.solve.confidence.limbs import LIMBS
+from warp_partdr.solve.confidence.motions import MotionConfidence
+from warp_partdr.solve.confidence.sights import NO_SIGHT, SIGHTS
 
 COUNT, RATE, SIZE = 20, 10, (200, 320)  # frames, frames a second, (H, W) [px]
 LATE = 6  # frame in which the second person comes
@@ -41,6 +45,25 @@ def made_fit() -> FilmFit:
     people = FilmPeople(SIZE, RATE, np.arange(COUNT) / RATE, seen, (owners,) * COUNT)
     seen = ObservedFilm.of(people, Perspective.of_picture(SIZE, focal=300))
     return FilmFit((seen,), {person: ((0, person),) for person in motions}, motions)
+
+
+def with_confidence(fit: FilmFit) -> FilmFit:
+    """The fit with confidence: the first person's left arm is hidden up to frame 9, and nobody is found in frame 12.
+
+    The confidence of the first person is 0.9, and 0.1 in frames 3 to 5; that of the second person is 0.6.
+    """
+    motions = {}
+    for person, (motion, usual) in enumerate(zip(fit.motions.values(), (0.9, 0.6), strict=True)):
+        bodies = np.full(len(motion.frames), usual)
+        sights = np.full((len(motion.frames), len(LIMBS)), SIGHTS.index("seen"), dtype=np.uint8)
+        if person == 0:
+            bodies[3:6] = 0.1
+            sights[:10, [limb.name for limb in LIMBS].index("left arm")] = SIGHTS.index("hidden")
+        bodies[motion.frames == 12] = np.nan
+        sights[motion.frames == 12] = NO_SIGHT
+        confidence = MotionConfidence(bodies, np.repeat(bodies[:, None], len(LIMBS), 1), sights)
+        motions[person] = replace(motion, confidence=confidence)
+    return replace(fit, motions=motions)
 
 
 def shade(frame: int) -> int:

@@ -19,6 +19,8 @@ from warp_partdr.networks.detection.film_people import FilmPeople, find_film_peo
 from warp_partdr.pipelines.film import FilmFit, film_shots, fit_film, windows
 from warp_partdr.pipelines.film_pieces import FilmPieces
 from warp_partdr.pipelines.observed_film import ObservedFilm
+from warp_partdr.solve.confidence.scenes import SceneConfidence, judge_scene
+from warp_partdr.solve.confidence.sights import NO_SIGHT
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
 from warp_partdr.solve.scene.fitting import SceneFit, fit_scene
 from warp_partdr.solve.scene.options import SceneOptions
@@ -120,9 +122,56 @@ def test_a_run_that_was_ended_goes_on_where_it_was(
     # Bit for bit what a run without a break gives.
     assert torch.equal(whole.motions[0].rotations, fit.motions[0].rotations)
     assert torch.equal(whole.motions[0].translation, fit.motions[0].translation)
+    ours, theirs = whole.motions[0].confidence, fit.motions[0].confidence
+    assert ours is not None
+    assert theirs is not None
+    for name in ("bodies", "limbs", "sights"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
     assert FilmPieces(tmp_path / "out", [film], replace(SHORT_WINDOWS, window=9)).folder != again.folder
     again.remove()
     assert not again.folder.exists()
+
+
+def test_confidence_is_blended_as_poses_are(people: FilmPeople, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows 0 to 6, 4 to 10 and 7 to 13 share frames; the person is not found in frame 9."""
+    judged: list[SceneConfidence] = []
+
+    def judge(*given: Any) -> SceneConfidence:
+        judged.append(judge_scene(*given))
+        return judged[-1]
+
+    monkeypatch.setattr("warp_partdr.pipelines.film.judge_scene", judge)
+    rows = people.rows[people.rows["frames"] != 9]
+    found = fit_film([ObservedFilm.of(replace(people, rows=rows))], options=SHORT_WINDOWS)
+    confidence = found.motions[0].confidence
+    assert confidence is not None
+    _, first, second, third = judged  # the first of all is the shape's
+    assert confidence.bodies[2] == pytest.approx(expit(first.bodies[0, 2]))
+    assert confidence.bodies[4] == pytest.approx(expit((3 * first.bodies[0, 4] + second.bodies[0, 0]) / 4))
+    assert confidence.limbs[8] == pytest.approx(expit((3 * second.limbs[0, 4] + 2 * third.limbs[0, 1]) / 5))
+    assert confidence.known.tolist() == [frame != 9 for frame in range(COUNT)]
+    assert (confidence.sights[9] == NO_SIGHT).all()
+    assert (confidence.sights[confidence.known] != NO_SIGHT).all()
+    assert confidence.bodies[confidence.known].min() > 0.5
+    assert found.warnings == ()
+
+
+def expit(log_odds: np.ndarray) -> np.ndarray:
+    return 1 / (1 + np.exp(-log_odds))
+
+
+def test_who_is_not_seen_well_is_warned_of(people: FilmPeople) -> None:
+    """Keypoints of a few frames are those of nobody."""
+    rows = people.rows.copy()
+    some = (rows["frames"] >= 3) & (rows["frames"] <= 6)
+    rows["keypoints"][some, :, 2] *= 0.02
+    rows["keypoints"][some, :, 0] += np.linspace(-150, 150, 33)
+    found = fit_film([ObservedFilm.of(replace(people, rows=rows))], options=replace(SHORT_WINDOWS, window=64))
+    (warning,) = found.warnings
+    assert warning.startswith("person0: confidence below 0.25 from 0.1 to 0.2 s (head and left arm and left leg")
+    confidence = found.motions[0].confidence
+    assert confidence is not None
+    assert (confidence.bodies < 0.25).tolist() == some.tolist()
 
 
 def cut_at(people: FilmPeople, cut: int) -> FilmPeople:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers.films import write_film
-from helpers.motions import COUNT, LATE, RATE, SIZE, made_fit, shade, write_fitted
+from helpers.motions import COUNT, LATE, RATE, SIZE, made_fit, shade, with_confidence, write_fitted
 from helpers.skins import read_glb
+from PIL import Image
 
 from warp_partdr.body.landmarks import annotated
 from warp_partdr.body.skeletons import skeleton
@@ -20,9 +22,12 @@ from warp_partdr.inputs.films import read_frames
 from warp_partdr.models.anny import anny
 from warp_partdr.networks.detection.person import SKELETON
 from warp_partdr.pipelines.film import FilmFit, find_distant_keypoints
+from warp_partdr.results.confidence_chart import confidence_chart
 from warp_partdr.results.load_film import load_film_fit
+from warp_partdr.results.palette import PEOPLE_COLOURS
 from warp_partdr.results.predictions import load_film_bodies
-from warp_partdr.results.save_film import save_film_fit
+from warp_partdr.results.save_film import draw_film, save_film_fit
+from warp_partdr.solve.confidence.sights import NO_SIGHT, SIGHTS
 
 
 def seen_fit() -> FilmFit:
@@ -53,6 +58,112 @@ def test_a_body_far_from_its_keypoints_is_told(tmp_path: Path, off: float) -> No
     told = save_film_fit(fit, tmp_path / "out", films=[film])["warnings"]
     expected = f"{film}: person1 ends 9.0 % of the person's size from BlazePose's keypoints; expected at most 6 %"
     assert told == ([expected] if off > 0.06 else [])
+
+
+def gray_film(folder: Path) -> Path:
+    return write_film(folder / "walk.mp4", [np.full((*SIZE, 3), 90, np.uint8)] * COUNT, rate=RATE)
+
+
+def test_files_hold_the_confidence_in_each_frame(tmp_path: Path) -> None:
+    fit = with_confidence(made_fit())
+    report = save_film_fit(fit, tmp_path / "out", films=[gray_film(tmp_path)])
+    first, second = json.loads((tmp_path / "out" / "people.json").read_text())["people"]
+    assert first == report["people"][0]
+    assert first["confidence"] == [0.9] * 3 + [0.1] * 3 + [0.9] * 6 + [None] + [0.9] * 7
+    assert second["confidence"] == [0.6] * (12 - LATE) + [None] + [0.6] * (COUNT - 13)
+    assert first["mean_confidence"] == pytest.approx((16 * 0.9 + 3 * 0.1) / 19, abs=1e-3)
+    assert (first["guessed"], second["guessed"]) == ({"left_arm": [[0, 9]]}, {})
+    saved = load_film_fit(tmp_path / "out", anny())
+    for person, motion in fit.motions.items():
+        own, found = motion.confidence, saved.motions[person].confidence
+        assert own is not None
+        assert found is not None
+        np.testing.assert_allclose(found.bodies, own.bodies, rtol=1e-6)
+        np.testing.assert_allclose(found.limbs, own.limbs, rtol=1e-6)
+        np.testing.assert_array_equal(found.sights, own.sights)
+
+
+def test_limbs_are_guessed_in_several_runs_of_frames(tmp_path: Path) -> None:
+    fit = with_confidence(made_fit())
+    confidence = fit.motions[0].confidence
+    assert confidence is not None
+    confidence.sights[:, 0] = SIGHTS.index("seen")
+    confidence.sights[[0, 1, 4, 11, 12, 13, 19], 0] = SIGHTS.index("outside")
+    confidence.sights[12] = NO_SIGHT
+    report = save_film_fit(fit, tmp_path / "out", films=[gray_film(tmp_path)])
+    assert report["people"][0]["guessed"]["head"] == [[0, 1], [4, 4], [11, 11], [13, 13], [19, 19]]
+
+
+def test_files_of_older_versions_have_no_confidence(tmp_path: Path) -> None:
+    report = save_film_fit(made_fit(), tmp_path / "out", films=[gray_film(tmp_path)])
+    assert "confidence" not in report["people"][0]
+    with np.load(tmp_path / "out" / "person0.npz") as data:
+        assert "confidence" not in data
+    assert load_film_fit(tmp_path / "out", anny()).motions[0].confidence is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("confidence", None, "no array confidence; expected it beside limb_confidence, limb_sights"),
+        ("confidence", np.full(COUNT, 1.5), r"confidence: float64 \(20,\); expected numbers \(20,\), 0 to 1"),
+        ("confidence", np.zeros(3), r"confidence: float64 \(3,\); expected numbers \(20,\)"),
+        ("limb_confidence", np.zeros((COUNT, 5), int), r"limb_confidence: int64 \(20, 5\); expected numbers"),
+        ("limb_sights", np.full((COUNT, 5), 4, np.uint8), r"limb_sights: uint8 \(20, 5\); expected .*, 0 to 3"),
+    ],
+)
+def test_confidence_that_is_none_is_refused(tmp_path: Path, name: str, value: np.ndarray | None, told: str) -> None:
+    save_film_fit(with_confidence(made_fit()), tmp_path / "out", films=[gray_film(tmp_path)])
+    path = tmp_path / "out" / "person0.npz"
+    with np.load(path) as data:
+        arrays = {key: data[key] for key in data if key != name}
+    np.savez(path, **arrays | ({} if value is None else {name: value}))
+    (tmp_path / "out" / "people.json").write_text(
+        json.dumps({key: each for key, each in read_report(tmp_path).items() if key != "files"})
+    )
+    with pytest.raises(InputError, match=rf"person0\.npz: {told}"):
+        load_film_fit(tmp_path / "out", anny())
+
+
+def read_report(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "out" / "people.json").read_text())
+    return found
+
+
+def test_overlays_show_guessed_limbs_pale_and_all_of_who_is_not_found(tmp_path: Path) -> None:
+    film = gray_film(tmp_path)
+    plain, pale = (list(draw_film(fit, film)) for fit in (made_fit(), with_confidence(made_fit())))
+    changed = [np.abs(one.astype(int) - other).sum(-1) > 12 for one, other in zip(plain, pale, strict=True)]
+    body = [np.abs(one.astype(int) - 90).sum(-1) > 12 for one in plain]
+    shares = [both.sum() / drawn.sum() for both, drawn in zip(changed, body, strict=True)]
+    assert [0.01 < share < 0.2 for share in shares] == [frame < 10 for frame in range(COUNT)]
+    assert shares[12] > 0.8
+    assert shares[11] == shares[13] == 0
+    distances = [np.abs(picture[12].astype(int) - 90).sum(-1)[body[12]].mean() for picture in (plain, pale)]
+    assert distances[1] < 0.6 * distances[0]
+
+
+def test_curves_of_confidence_are_drawn_where_people_are_found(tmp_path: Path) -> None:
+    fit = with_confidence(made_fit())
+    save_film_fit(fit, tmp_path / "out", films=[gray_film(tmp_path)])
+    chart = np.asarray(Image.open(tmp_path / "out" / "confidence.png")).astype(int)
+    # Axes from (62, 46) to (886, 336) [px], from 0 to the time of the last frame, and from 1 to 0.
+    columns = 62 + (886 - 62) * np.arange(COUNT) / (COUNT - 1)
+    for person, motion in fit.motions.items():
+        assert motion.confidence is not None
+        near = np.abs(chart - PEOPLE_COLOURS[person]).sum(-1) < 100
+        for frame, probability in zip(motion.frames, motion.confidence.bodies, strict=True):
+            column = min(round(columns[frame]), 884)
+            if np.isnan(probability):
+                assert not near[50:330, column].any()
+            else:
+                row = round(336 - (336 - 46) * probability)
+                assert near[row - 3 : row + 4, column - 1 : column + 2].any(), (person, frame)
+    assert np.abs(chart[round(336 - (336 - 46) * 0.25), 400:800] - (200, 60, 20)).sum(-1).max() < 200  # the limit
+    empty = np.asarray(confidence_chart(made_fit().motions, made_fit().times)).astype(int)
+    assert not (np.abs(empty[50:330] - PEOPLE_COLOURS[0]).sum(-1) < 60).any()
+    many = dict.fromkeys(range(40), fit.motions[0])
+    assert confidence_chart(many, fit.times).size == (900, 380)
 
 
 TIMES = np.cumsum([0.0, *[0.1] * 8, 0.33, 0.2, 0.2, *[0.1] * 8])  # frames are lost, as many phones lose them

@@ -11,19 +11,30 @@ from importlib import resources
 import numpy as np
 import pytest
 import torch
-from helpers.example import example_keypoints
+from helpers.example import example_keypoints, example_photo
+from helpers.quick import QUICK_SCENE
 
-from warp_partdr.body.template import PART_NAMES
+from warp_partdr.body.skeletons import BODY_LANDMARKS
+from warp_partdr.body.template import JOINT_NAMES, PART_NAMES
+from warp_partdr.cameras import Perspective
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observations import Observations
+from warp_partdr.inputs.scene import Scene, SceneObservation, View
 from warp_partdr.networks.detection.person import FoundPerson
-from warp_partdr.solve.confidence.judge import BodyConfidence, LimbConfidence, Sight, confidence_record, judge_fits
+from warp_partdr.results.motion_confidence import motion_confidence_record
+from warp_partdr.solve.confidence.judge import BodyConfidence, LimbConfidence, confidence_record, judge_fits
 from warp_partdr.solve.confidence.limbs import LIMBS, guessed_parts
 from warp_partdr.solve.confidence.measures import BodyMeasures, detection_measures, measure_bodies
 from warp_partdr.solve.confidence.model import FORMAT, packaged_model, read_confidence_model
+from warp_partdr.solve.confidence.motions import MotionConfidence, motion_warning, unsure_stretches
+from warp_partdr.solve.confidence.scenes import SceneConfidence, judge_scene
+from warp_partdr.solve.confidence.sights import NO_SIGHT, SIGHTS, Sight
 from warp_partdr.solve.ellipsoids.fitting import fit_body
 from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.result import FitResult
+from warp_partdr.solve.mesh.observed_body import ObservedBody
+from warp_partdr.solve.scene.fitting import SceneFit, fit_scene
+from warp_partdr.solve.scene.observations import observe_scene
 
 NAMES = [limb.name for limb in LIMBS]
 
@@ -201,3 +212,143 @@ def test_a_search_s_body_is_judged_without_a_network() -> None:
     fit = replace(example_fit(), uncertainty=None, start="search")
     confidence = judge_fits([fit])[0]
     assert 0 < confidence.probability < 1
+
+
+@cache
+def example_scene(device: str = "cpu") -> tuple[SceneFit, list[ObservedBody]]:
+    """Quick fit of the example in frames 0 and 2 of one view, and in frame 2 of another, which shows no left arm."""
+    height, width = example_photo().shape[:2]
+    view = View(Perspective.of_picture((height, width), focal=600.0))
+    keypoints = example_keypoints()
+    confidence = keypoints.confidence.copy()
+    confidence[[keypoints.format.landmarks.index(name) for name in ("left_elbow", "left_wrist")]] = 0.05
+    armless = replace(keypoints, confidence=confidence)
+    seen = [SceneObservation(keypoints, frame=frame) for frame in (0, 2)]
+    scene = Scene([view, view], [*seen, SceneObservation(armless, frame=2, view=1)])
+    observed_bodies = observe_scene(scene, device)
+    return fit_scene(scene, options=QUICK_SCENE, device=device, observed_bodies=observed_bodies), observed_bodies
+
+
+def judged_scene(
+    views: tuple[int, ...] = (0, 1), size: tuple[int, int] | None = None, device: str = "cpu"
+) -> SceneConfidence:
+    fit, observed_bodies = example_scene(device)
+    height, width = example_photo().shape[:2]
+    return judge_scene(fit, [each for each in observed_bodies if each.view in views], [size or (height, width)] * 2)
+
+
+def test_a_scene_s_bodies_are_judged_by_their_meshes_in_the_picture(device: str) -> None:
+    """The measures by hand: distances in pixels of the picture, as a share of the side of the crop there."""
+    fit, (observed, *_) = example_scene(device)
+    keypoints = observed.evidence.keypoints
+    names = [name for name in BODY_LANDMARKS if name in keypoints.format.landmarks]
+    rows = [keypoints.format.landmarks.index(name) for name in names]
+    world = fit.landmarks(tuple(keypoints.format.marks[row] for row in rows))[0, 0].cpu()
+    pixels = fit.scene.views[0].camera.project(world[None])[0, :, :2].numpy()
+    side = observed.crop.size[0] / observed.crop.zoom
+    distances = np.linalg.norm(pixels - keypoints.points[rows], axis=1) / side
+    weights = keypoints.confidence[rows]
+    assert observed.uncertainty is not None
+    stated = observed.uncertainty.depths[0, [JOINT_NAMES.index(name) - 1 for name in names]].cpu().numpy()
+    columns = {
+        "keypoints": np.log([np.average(distances, weights=weights)]),
+        "seen": weights.mean()[None],
+        "depths": np.log([np.average(stated, weights=weights)]),
+    }
+    regression = next(each for each in packaged_model().bodies if set(each.measures) == set(columns))
+    assert judged_scene(device=device).bodies[0, 0] == pytest.approx(regression.logits(columns)[0], abs=1e-3)
+
+
+def test_views_of_a_body_are_no_independent_witnesses() -> None:
+    both, first, second = (judged_scene(views) for views in ((0, 1), (0,), (1,)))
+    assert abs(first.bodies[0, 2] - second.bodies[0, 2]) > 0.1
+    assert both.bodies[0, 2] == pytest.approx((first.bodies[0, 2] + second.bodies[0, 2]) / 2)
+    assert both.bodies[0, 0] == first.bodies[0, 0]  # the other view does not show frame 0
+    arm = NAMES.index("left arm")
+    assert first.limbs[0, 2, arm] > second.limbs[0, 2, arm]
+    np.testing.assert_array_equal(both.limbs[0, 2], np.maximum(first.limbs[0, 2], second.limbs[0, 2]))
+    assert SIGHTS[second.sights[0, 2, arm]] == "hidden"
+    assert SIGHTS[both.sights[0, 2, arm]] == "seen"
+
+
+def test_frames_without_the_person_have_no_confidence() -> None:
+    found = judged_scene()
+    assert np.isfinite(found.bodies[0]).tolist() == [True, False, True]
+    assert np.isnan(found.limbs[0, 1]).all()
+    assert (found.sights[0, 1] == NO_SIGHT).all()
+    assert (found.sights[0, [0, 2]] == SIGHTS.index("seen")).all()
+
+
+def test_a_face_alone_can_not_judge_a_body() -> None:
+    keypoints = example_keypoints()
+    confidence = keypoints.confidence.copy()
+    confidence[5:] = 0
+    view = View(Perspective.of_picture(example_photo().shape[:2], focal=600.0))
+    scene = Scene([view], [SceneObservation(replace(keypoints, confidence=confidence))])
+    observed_bodies = observe_scene(scene, "cpu")
+    fit = fit_scene(scene, options=QUICK_SCENE, observed_bodies=observed_bodies)
+    found = judge_scene(fit, observed_bodies, [example_photo().shape[:2]])
+    assert np.isnan(found.bodies).all()
+    assert (found.sights == NO_SIGHT).all()
+    record = motion_confidence_record(np.array([4]), MotionConfidence(found.bodies[0], found.limbs[0], found.sights[0]))
+    assert record == {"mean_confidence": None, "confidence": [None], "guessed": {}}
+
+
+def test_limbs_of_meshes_beyond_the_border_are_outside() -> None:
+    arm = NAMES.index("left arm")
+    assert SIGHTS[judged_scene((1,), (2, 2)).sights[0, 2, arm]] == "outside"
+
+
+def confidence_of(bodies: Sequence[float], arm: Sight = "seen") -> MotionConfidence:
+    """Confidence in frames, in which one arm is seen or not."""
+    values = np.array(bodies)
+    sights = np.full((len(values), len(LIMBS)), SIGHTS.index("seen"), dtype=np.uint8)
+    sights[:, NAMES.index("left arm")] = SIGHTS.index(arm)
+    sights[np.isnan(values)] = NO_SIGHT
+    return MotionConfidence(values, np.repeat(values[:, None], len(LIMBS), 1), sights)
+
+
+def test_stretches_that_are_near_to_one_another_are_one() -> None:
+    low, high, none = 0.1, 0.9, np.nan
+    confidence = confidence_of([low, low, high, high, low, none, low, high, low, high])
+    times = np.array([0.0, 0.2, 0.4, 0.6, 0.7, 0.8, 0.9, 1.2, 1.5, 1.6])
+    assert unsure_stretches(confidence, times) == [slice(0, 7), slice(8, 9)]
+    # Frames that follow one another are one stretch, however far they are apart.
+    assert unsure_stretches(confidence, 10 * times) == [slice(0, 2), slice(4, 5), slice(6, 7), slice(8, 9)]
+    assert unsure_stretches(confidence_of([high, packaged_model().least, none]), times[:3]) == []
+
+
+def test_a_warning_says_when_and_why_and_counts_the_shorter_stretches() -> None:
+    low, high = 0.2, 0.9
+    end = "; expected 0.25 or more; compare overlay.mp4 with the film"
+    once = confidence_of([high, low, low, low, high], "hidden")
+    times = np.arange(5) / 2.5
+    assert motion_warning("person0", once, times) == (
+        f"person0: confidence below 0.25 from 0.4 to 1.2 s (left arm hidden, guessed){end}"
+    )
+    assert motion_warning("person0", confidence_of([high, high]), times[:2]) is None
+    one_frame = confidence_of([high, low, high], "outside")
+    assert motion_warning("person3", one_frame, times[:3]) == (
+        f"person3: confidence below 0.25 at 0.4 s (left arm outside the picture, guessed){end}"
+    )
+    lengths = (1, 3, 1, 4, 2)  # frames of each stretch, of which the last one is the third in length
+    often = confidence_of([each for length in lengths for each in (*[low] * length, high)])
+    assert motion_warning("person1", often, np.arange(len(often.bodies), dtype=float)) == (
+        f"person1: confidence below 0.25 from 2.0 to 4.0 s, from 8.0 to 11.0 s, from 13.0 to 14.0 s and in 2 shorter "
+        f"stretches{end}"
+    )
+
+
+def test_limbs_are_guessed_in_a_warning_if_they_are_in_most_of_its_frames() -> None:
+    confidence = confidence_of([0.1] * 5, "hidden")
+    arm = confidence.sights[:, NAMES.index("left arm")]
+    told = []
+    for sight, index in (("hidden", 1), ("seen", 0), ("outside", 2)):
+        arm[:3] = index
+        told.append((sight, motion_warning("person0", confidence, np.arange(5) / 10)))
+    for sight, warning in told:
+        assert warning is not None
+        words = {"hidden": "(left arm hidden, guessed)", "outside": "(left arm outside the picture, guessed)"}
+        assert words.get(sight, "0.4 s;") in warning
+    assert confidence.guessed(0) == ("left arm",)
+    assert confidence_of([np.nan]).guessed(0) == tuple(NAMES)

@@ -65,7 +65,7 @@ def fit_films(paths: Sequence[Path], request: FitRequest | SceneRequest, rig: Ri
     from ..pipelines.film_pieces import FilmPieces
     from ..pipelines.film_search import FilmSearch
     from ..results.result_sets import check_folder, check_inputs
-    from ..results.save_film import CAMERAS, overlay_name, save_film_fit
+    from ..results.save_film import CAMERAS, CURVES, overlay_name, save_film_fit
     from ..solve.scene.options import SceneOptions
     from .progress import FitProgress
 
@@ -75,7 +75,7 @@ def fit_films(paths: Sequence[Path], request: FitRequest | SceneRequest, rig: Ri
     set_num_threads(request.run.threads)
     options = read_section(SceneOptions, request.run.fit, base=SceneOptions.film())
     check_folder(request.out)
-    check_inputs(request.out, (*paths, rig.cameras), [CAMERAS, *map(overlay_name, range(len(paths)))])
+    check_inputs(request.out, (*paths, rig.cameras), [CAMERAS, CURVES, *map(overlay_name, range(len(paths)))])
     cameras = _read_rig(rig.cameras, paths, options)
     photos = [path for path in paths if cameras is None and is_photo(path)]
     lenses = {path: request.view.of_photo(scan_photo(path), path) for path in photos}
@@ -163,7 +163,7 @@ def _print_report(
     """Print lines about the results and their files."""
     from ..body.rotations import rotation_to_axis_angle
     from ..cameras import UsualLens
-    from ..results.save_film import CAMERAS, SCENE, overlay_name
+    from ..results.save_film import CAMERAS, CURVES, SCENE, overlay_name
 
     several = len(films) > 1
     assumed = any(isinstance(film.view.camera, UsualLens) for film in films)
@@ -172,7 +172,9 @@ def _print_report(
         frames = f"frames {person['first_frame']} to {person['last_frame']}, seen in {person['frames_seen']}"
         by = f", by {', '.join(person['seen_by'])}" if several else ""
         distance = distance_words(person["distance_m"], exact=exact, assumed=assumed)
-        typer.echo(f"person{person['person']}: {frames}{by}; {distance}")
+        mean = person["mean_confidence"]
+        sure = "confidence unknown" if mean is None else f"confidence {mean:.2f} on average"
+        typer.echo(f"person{person['person']}: {frames}{by}; {distance}; {sure}")
     if rig.align:
         for path, film in zip(paths, films, strict=True):
             typer.echo(f"{path.name}: from frame {film.skipped} on")
@@ -182,4 +184,5 @@ def _print_report(
             away = f"about {float(film.view.eye.norm()):.1f} m from the camera of {paths[0].name}"
             typer.echo(f"{path.name}: {away}, turned by {turn:.0f} degrees")
         typer.echo(f"{out / CAMERAS} says so, --cameras takes it")
-    typer.echo(f"{out / overlay_name(0)} shows all bodies, {out / SCENE} moves in Blender")
+    shown = f"{out / overlay_name(0)} shows all bodies, {out / CURVES} the confidence in them"
+    typer.echo(f"{shown}, {out / SCENE} moves in Blender")

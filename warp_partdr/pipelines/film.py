@@ -25,8 +25,11 @@ from ..models.anny import anny
 from ..models.measuring import statures
 from ..models.model import DetailedModel
 from ..models.registration import Registered, ungrown
-from ..networks.detection.film_people import FilmPeople, shots_between
+from ..networks.detection.film_people import FilmPeople, kept_size, shots_between
 from ..networks.detection.person import SKELETON
+from ..solve.confidence.model import probabilities
+from ..solve.confidence.motions import MotionConfidence, motion_warning
+from ..solve.confidence.scenes import SceneConfidence, judge_scene
 from ..solve.ellipsoids.stages import Progress
 from ..solve.mesh.observed_body import ObservedBody
 from ..solve.scene.fitting import SceneFit, fit_scene
@@ -58,6 +61,7 @@ class Motion:
         shape: Shape of the person.
         rotations: Local rotation of each joint, shape (T, J, 3, 3).
         translation: Position of the root joint in the world [m], shape (T, 3).
+        confidence: Confidence in the body in each frame. It is None if it is not known, as in files of older versions.
     """
 
     model: DetailedModel
@@ -65,6 +69,7 @@ class Motion:
     shape: PersonShape
     rotations: torch.Tensor
     translation: torch.Tensor
+    confidence: MotionConfidence | None = None
 
     def bodies(self, rows: slice | np.ndarray = slice(None)) -> Registered:
         """Detailed bodies in the world.
@@ -85,7 +90,7 @@ class FilmFit:
         films: Films that were fitted. The world of a single film is the frame of its camera.
         tracks: Tracks in the films, by the index of the person.
         motions: Motions by the index of the person.
-        warnings: Warnings about films and cameras, a sentence each. They call the films films[0] and so on.
+        warnings: Warnings about films, cameras and people, a sentence each. They call the films films[0] and so on.
     """
 
     films: tuple[ObservedFilm, ...]
@@ -163,6 +168,7 @@ def fit_film(
     report = progress or (lambda name, done, total: None)
     observations = FilmObservations(film.views, film.observations, device)
     parts = list(film.windows(options))
+    sizes = [kept_size(each.people.image_size) for each in films]
 
     def fit_or_load(
         name: str, scene: Scene, scene_options: SceneOptions, observe: Callable[[], Sequence[ObservedBody]]
@@ -170,7 +176,7 @@ def fit_film(
         def fit() -> dict[str, np.ndarray]:
             observed_bodies = observe()
             found = fit_scene(scene, options=scene_options, model=model, device=device, observed_bodies=observed_bodies)
-            return _Bodies.of(found).arrays()
+            return _Bodies.of(found, judge_scene(found, observed_bodies, sizes)).arrays()
 
         return _Bodies.of_arrays(fit() if pieces is None else pieces.piece(name, _BODY_ARRAYS, fit))
 
@@ -201,7 +207,8 @@ def fit_film(
         report("motions", index + 1, len(parts))
     motions = {each: blends[each].motion(model, film.span(each)) for each in everyone}
     found = FilmFit(film.films, everyone, motions)
-    return replace(found, warnings=(*warnings, *find_impossible_people(found), *find_distant_keypoints(found)))
+    warnings += [*find_impossible_people(found), *find_distant_keypoints(found), *find_unsure_people(found)]
+    return replace(found, warnings=tuple(warnings))
 
 
 def find_impossible_people(fit: FilmFit) -> list[str]:
@@ -238,6 +245,16 @@ def find_distant_keypoints(fit: FilmFit) -> list[str]:
             if not share < _MOST_OFF:
                 far = f"films[{index}]: person{person} ends {100 * share:.1f} % of the person's size from BlazePose's"
                 found.append(f"{far} keypoints; expected at most {100 * _MOST_OFF:.0f} %{several}")
+    return found
+
+
+def find_unsure_people(fit: FilmFit) -> list[str]:
+    """Warnings about people whose bodies are likely wrong for some time, a sentence for each person."""
+    found: list[str] = []
+    for person, motion in fit.motions.items():
+        if motion.confidence is not None:
+            warning = motion_warning(f"person{person}", motion.confidence, fit.times[motion.frames])
+            found += [] if warning is None else [warning]
     return found
 
 
@@ -346,7 +363,7 @@ class _Films:
         return [film.small_view for film in self.films]
 
 
-_BODY_ARRAYS = "values", "clothes", "rotations", "translation"
+_BODY_ARRAYS = "values", "clothes", "rotations", "translation", "log_odds", "limb_log_odds", "sights"
 
 
 @dataclass(frozen=True)
@@ -358,28 +375,45 @@ class _Bodies:
         clothes: Thicknesses of clothes [m], shape (P, 8).
         rotations: Local rotation of each joint, shape (P, T, J, 3, 3).
         translation: Position of the root joint in the world [m], shape (P, T, 3).
+        log_odds: Logarithm of the odds that each body is right, as in ``SceneConfidence``, shape (P, T).
+        limb_log_odds: Logarithm of the odds of each limb, likewise, shape (P, T, 5).
+        sights: Index of the sight of each limb, likewise, shape (P, T, 5).
     """
 
     values: np.ndarray
     clothes: np.ndarray
     rotations: np.ndarray
     translation: np.ndarray
+    log_odds: np.ndarray
+    limb_log_odds: np.ndarray
+    sights: np.ndarray
 
     @classmethod
-    def of(cls, fit: SceneFit) -> _Bodies:
-        """Collects the bodies of a fit."""
+    def of(cls, fit: SceneFit, confidence: SceneConfidence) -> _Bodies:
+        """Collects the bodies of a fit, and the confidence in them."""
         size = fit.scene.num_people, fit.scene.num_frames
         return cls(
             values=fit.bodies.shape.unflatten(0, size)[:, 0].cpu().numpy(),
             clothes=fit.clothes.cpu().numpy(),
             rotations=fit.bodies.rotations.unflatten(0, size).cpu().numpy(),
             translation=fit.bodies.translation.unflatten(0, size).cpu().numpy(),
+            log_odds=confidence.bodies,
+            limb_log_odds=confidence.limbs,
+            sights=confidence.sights,
         )
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> _Bodies:
         """Bodies from the arrays of a file, by their names."""
-        return cls(arrays["values"], arrays["clothes"], arrays["rotations"], arrays["translation"])
+        return cls(
+            values=arrays["values"],
+            clothes=arrays["clothes"],
+            rotations=arrays["rotations"],
+            translation=arrays["translation"],
+            log_odds=arrays["log_odds"],
+            limb_log_odds=arrays["limb_log_odds"],
+            sights=arrays["sights"],
+        )
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays for a file, by the names in ``_BODY_ARRAYS``."""
@@ -392,11 +426,60 @@ class _Bodies:
         return [PersonShape(torch.from_numpy(values), torch.from_numpy(clothes)) for values, clothes in pairs]
 
 
+@dataclass(frozen=True)
+class _BlendedFrame:
+    """Weighted sums over the windows that share a frame of a person.
+
+    Attributes:
+        weight: Sum of the weights.
+        rotations: Sum of the local rotations, shape (J, 3, 3).
+        translation: Sum of the positions of the root joint [m], shape (3,).
+        log_odds: Sum of the logarithms of odds of the body, then of its limbs, shape (6,).
+        heaviest: Largest weight of a window.
+        sights: Sights of the limbs in the window with that weight, shape (5,).
+    """
+
+    weight: float
+    rotations: torch.Tensor
+    translation: torch.Tensor
+    log_odds: np.ndarray
+    heaviest: float
+    sights: np.ndarray
+
+    @classmethod
+    def of(cls, bodies: _Bodies, person: int, row: int, weight: float) -> _BlendedFrame:
+        """Sums of one window."""
+        log_odds = np.array([bodies.log_odds[person, row], *bodies.limb_log_odds[person, row]])
+        return cls(
+            weight=weight,
+            rotations=weight * torch.from_numpy(bodies.rotations[person, row]),
+            translation=weight * torch.from_numpy(bodies.translation[person, row]),
+            log_odds=weight * log_odds,
+            heaviest=weight,
+            sights=bodies.sights[person, row],
+        )
+
+    def plus(self, other: _BlendedFrame) -> _BlendedFrame:
+        """Sums over the windows of both."""
+        heavier = self if self.heaviest >= other.heaviest else other
+        return _BlendedFrame(
+            weight=self.weight + other.weight,
+            rotations=self.rotations + other.rotations,
+            translation=self.translation + other.translation,
+            log_odds=self.log_odds + other.log_odds,
+            heaviest=heavier.heaviest,
+            sights=heavier.sights,
+        )
+
+
 class _Blend:
-    """Weighted mean of a person's poses from windows that share frames. A window has most weight in its middle."""
+    """Weighted mean of a person's poses from windows that share frames. A window has most weight in its middle.
+
+    The logarithms of the odds that the poses are right have the same weights.
+    """
 
     def __init__(self) -> None:
-        self._sums: dict[int, tuple[float, torch.Tensor, torch.Tensor]] = {}
+        self._frames: dict[int, _BlendedFrame] = {}
         self._shape: PersonShape | None = None
 
     def add(self, window: range, bodies: _Bodies, person: int) -> None:
@@ -404,22 +487,18 @@ class _Blend:
         self._shape = bodies.shapes[person]
         for row, frame in enumerate(window):
             weight = float(min(frame - window.start, window.stop - 1 - frame) + 1)
-            rotations = weight * torch.from_numpy(bodies.rotations[person, row])
-            translation = weight * torch.from_numpy(bodies.translation[person, row])
-            if frame in self._sums:
-                before = self._sums[frame]
-                weight = weight + before[0]
-                rotations = rotations + before[1]
-                translation = translation + before[2]
-            self._sums[frame] = weight, rotations, translation
+            own = _BlendedFrame.of(bodies, person, row, weight)
+            self._frames[frame] = self._frames[frame].plus(own) if frame in self._frames else own
 
     def motion(self, model: DetailedModel, span: range) -> Motion:
         """Motion of the person in the frames of a span."""
         assert self._shape is not None
-        frames = [frame for frame in sorted(self._sums) if frame in span]
-        weights = torch.tensor([self._sums[frame][0] for frame in frames])
-        rotations = torch.stack([self._sums[frame][1] for frame in frames])
-        translations = torch.stack([self._sums[frame][2] for frame in frames])
+        frames = [frame for frame in sorted(self._frames) if frame in span]
+        blended = [self._frames[frame] for frame in frames]
+        weights = torch.tensor([each.weight for each in blended])
+        rotations = torch.stack([each.rotations for each in blended])
+        translations = torch.stack([each.translation for each in blended])
+        odds = probabilities(np.stack([each.log_odds / each.weight for each in blended]))
         like = model.rest_vertices
         return Motion(
             model,
@@ -427,6 +506,7 @@ class _Blend:
             PersonShape(self._shape.values.to(like), self._shape.clothes.to(like)),
             nearest_rotation(rotations).to(like),
             (translations / weights[:, None]).to(like),
+            MotionConfidence(odds[:, 0], odds[:, 1:], np.stack([each.sights for each in blended])),
         )
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..body.template import PART_NAMES
 from ..cameras import Perspective, zoomed
 from ..inputs.calibrated_camera import CalibratedCamera
 from ..inputs.films import scaled
@@ -14,6 +15,7 @@ from ..inputs.scene import View
 from ..models.model import Detailed
 from ..models.registration import Registered
 from ..pipelines.film import Motion
+from ..solve.confidence.limbs import guessed_parts
 from .overlays import skin_over
 from .shading import SKIN_COLOUR
 
@@ -33,6 +35,20 @@ class PosedMotions:
     def at(self, frame: int) -> dict[int, Detailed]:
         """Bodies (B = 1) of the people who have a pose in a frame of the film, in the frame of their motions [m]."""
         return {person: self._body(person, rows[frame]) for person, rows in self._rows.items() if frame in rows}
+
+    def pale_at(self, frame: int) -> dict[int, np.ndarray]:
+        """Flags of each person's part labels that are guessed in a frame, as ``skin_over`` takes them.
+
+        They are all labels if the person was not found in the frame.
+        """
+        pale: dict[int, np.ndarray] = {}
+        for person, rows in self._rows.items():
+            confidence = self.motions[person].confidence
+            if confidence is not None and frame in rows:
+                row = rows[frame]
+                found = bool(confidence.known[row])
+                pale[person] = guessed_parts(confidence.guessed(row)) if found else np.ones(1 + len(PART_NAMES), bool)
+        return pale
 
     def _body(self, person: int, row: int) -> Detailed:
         chunk, index = divmod(row, _POSED)
@@ -61,6 +77,7 @@ def draw_bodies(
     motions: Mapping[int, Motion],
     view: View,
     colours: Mapping[int, np.ndarray] | None = None,
+    pale: Mapping[int, np.ndarray] | None = None,
 ) -> np.ndarray:
     """Draw people over a picture, the farthest first.
 
@@ -70,10 +87,12 @@ def draw_bodies(
         motions: Motions by person.
         view: View whose picture has this size.
         colours: RGB of each person, shape (3,), uint8; None: the colour of skin.
+        pale: Flags of the part labels of each person that are drawn pale (``PosedMotions.pale_at``); None: no part is.
     """
     vertices = {person: view.to_camera(body.vertices) for person, body in bodies.items()}
     depths = {person: float(view.to_camera(body.joints[:, :1])[0, 0, 2]) for person, body in bodies.items()}
     for person in sorted(vertices, key=lambda one: -depths[one]):
         colour = SKIN_COLOUR if colours is None else colours[person]
-        picture = skin_over(picture, vertices[person], motions[person].model, view.camera, colour)
+        guessed = None if pale is None else pale.get(person)
+        picture = skin_over(picture, vertices[person], motions[person].model, view.camera, colour, guessed)
     return picture

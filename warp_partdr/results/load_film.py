@@ -18,6 +18,7 @@ from ..inputs.scene import PersonShape, View
 from ..models.clothes import CLOTHED
 from ..models.model import DetailedModel
 from ..pipelines.film import Motion
+from .motion_confidence import CONFIDENCE_ARRAYS, read_confidence
 from .plausible import check_picture_size, check_plausible
 from .predictions import FilmBodies, load_film_bodies
 from .result_sets import PEOPLE_REPORT
@@ -116,7 +117,7 @@ def _motion(path: Path, bodies: FilmBodies, count: int, model: DetailedModel) ->
         "detailed_rotations": (rows, joints, 3, 3),
         "detailed_translation": (rows, 3),
     }
-    data = read_npz(path, ("detailed_model", *shapes), expected=_MOTION)
+    data = read_npz(path, ("detailed_model", *shapes), CONFIDENCE_ARRAYS, expected=_MOTION)
     if (named := str(data.pop("detailed_model"))[:40]) != model.name:
         raise InputError(f"{path}: a body of {named!r}; expected one of {model.name!r}, the model that is loaded")
     for name, shape in shapes.items():
@@ -128,7 +129,10 @@ def _motion(path: Path, bodies: FilmBodies, count: int, model: DetailedModel) ->
         raise InputError(f"{path}: frames: {frames[0]} to {frames[-1]}; expected some of 0 to {count - 1}, in order")
     tensors = {name: torch.from_numpy(data[name].astype(np.float32)).to(model.rest_vertices) for name in shapes}
     shape_of_person = PersonShape(tensors["detailed_shape"], tensors["clothes"])
-    return Motion(model, frames, shape_of_person, tensors["detailed_rotations"], tensors["detailed_translation"])
+    confidence = read_confidence(data, rows, str(path))
+    return Motion(
+        model, frames, shape_of_person, tensors["detailed_rotations"], tensors["detailed_translation"], confidence
+    )
 
 
 def _view(values: Any, where: str) -> FilmView:

@@ -27,16 +27,18 @@ from ..pipelines.film import FilmFit, Motion
 from ..pipelines.observed_film import ObservedFilm
 from ..pipelines.photo import PACKAGED
 from ..solve.ellipsoids.stages import Progress
+from .confidence_chart import confidence_chart
 from .film_file import write_film
 from .film_overlays import PosedMotions, draw_bodies, resized, zoomed_view
 from .further_files import check_formats, save_further
+from .motion_confidence import confidence_arrays, motion_confidence_record
 from .overlays import overlay_size
 from .predictions import ROW, FilmBodies
 from .result_sets import PEOPLE_REPORT, replacing
 from .scene_file import Actor, NamedView, scene_glb
 from .skinned_files import Poses, bvh, glb
 
-OVERLAY, SCENE, CAMERAS = "overlay.mp4", "scene.glb", "cameras.json"
+OVERLAY, SCENE, CAMERAS, CURVES = "overlay.mp4", "scene.glb", "cameras.json", "confidence.png"
 _CHUNK = 64  # frames whose meshes are in memory at a time, to measure
 _SIDE = 960  # [px], longer side of the overlay films
 
@@ -50,17 +52,18 @@ def save_film_fit(
     formats: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Write overlay.mp4, people.json and scene.glb, and for each person N personN.npz, personN.glb and personN.bvh.
+    """Write overlay.mp4, people.json, scene.glb and confidence.png, and for each person N personN.npz, .glb and .bvh.
 
     * personN.npz is described in ``predictions``. It also has ``detailed_model`` (), ``detailed_shape`` (S,),
       ``detailed_rotations`` (T, J, 3, 3), ``detailed_translation`` (T, 3) [m] and ``clothes`` (8,) [m], from which its
       EllipBodies are measured. Bodies are in the world, which is the first camera's frame. Keypoints and camera are
-      those of the first film.
+      those of the first film. ``confidence_arrays`` are there, too.
     * personN.glb and personN.bvh hold the motion from the person's first frame on, standing on y = 0. Files in
       ``formats`` hold it, too.
     * scene.glb holds all people at their times and positions, with the cameras.
-    * overlay.mp4 is the first film with the bodies; further films have overlay1.mp4 and so on, and then all cameras are
-      in cameras.json, which ``read_cameras`` reads.
+    * confidence.png shows the confidence in each person's bodies over time.
+    * overlay.mp4 is the first film with the bodies, whose guessed limbs are pale; further films have overlay1.mp4 and
+      so on, and then all cameras are in cameras.json, which ``read_cameras`` reads.
     * people.json has the rate of most of the film, and the ``times`` of all frames [s]. Under ``views`` it has the
       cameras: X_camera = rotation X_world + translation, in pixels without distortion; ``lens``, the distortion that
       was removed (k1, k2, p1, p2, k3, ...); ``skipped_frames``, the frames left out at the start; ``film_frames``, for
@@ -113,6 +116,7 @@ def save_film_fit(
             NamedView(name, each.view, each.people.image_size) for name, each in zip(names, fit.films, strict=True)
         ]
         (temporary / SCENE).write_bytes(scene_glb(actors, views))
+        confidence_chart(fit.motions, fit.times).save(temporary / CURVES)
         if len(films) > 1:
             data = camera_data(dict(zip(names, (each.camera for each in fit.films), strict=True)))
             (temporary / CAMERAS).write_text(json.dumps(data, indent=1))
@@ -156,7 +160,7 @@ def draw_film(fit: FilmFit, film: str | Path, index: int = 0) -> Iterator[np.nda
     read = islice(read_frames(film, size=size), max(frame_of) + 1)
     matched = ((frame_of[each.index], each.picture) for each in read if each.index in frame_of)
     for frame, picture in made_ahead((frame, resized(each, size, observed.lens)) for frame, each in matched):
-        yield draw_bodies(picture, posed.at(frame), fit.motions, view)
+        yield draw_bodies(picture, posed.at(frame), fit.motions, view, pale=posed.pale_at(frame))
 
 
 def _view(name: str, film: ObservedFilm) -> dict[str, Any]:
@@ -211,6 +215,7 @@ def _save_motion(
         detailed_model=np.array(motion.model.name),
         clothes=motion.shape.clothes.cpu().numpy(),
         **{f"detailed_{key}": value.cpu().numpy() for key, value in numbers.items()},
+        **({} if motion.confidence is None else confidence_arrays(motion.confidence)),
     )
     poses = actor.poses.since(float(actor.poses.times[0]))
     (folder / f"{name}.glb").write_bytes(glb(actor.body, poses))
@@ -227,6 +232,7 @@ def _save_motion(
         "last_time": round(float(fit.times[motion.frames[-1]]), 6),
         "shot": next(number for number, shot in enumerate(fit.shots) if motion.frames[0] in shot),
         "frames_seen": len(np.unique(np.concatenate([each["frames"] for each in found]))),
+        **({} if motion.confidence is None else motion_confidence_record(motion.frames, motion.confidence)),
         "distance_m": round(float(rows["translation"][:, 2].mean()), 2),
         "lengths_cm": dict(zip(LENGTH_NAMES, _centimetres(rows["lengths"][0]), strict=True)),
         "clothes_cm": dict(zip(CLOTHED, _centimetres(motion.shape.clothes.cpu().numpy()), strict=True)),

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
 
 from ...body.parameters import BodyParameters
-from ...inputs.keypoints import MIN_CONFIDENCE
 from ...inputs.observations import Observations, batch_observations
 from ...networks.regression.uncertainty import Uncertainty
 from ..ellipsoids.result import FitResult
 from .limbs import LIMBS
 from .measures import measure_bodies
 from .model import packaged_model
-
-Sight = Literal["seen", "hidden", "outside"]
-_WHY = {"hidden": "hidden", "outside": "outside the picture"}
+from .sights import LIMB_LANDMARKS, SIGHTS, Sight, describe_guessed, limb_sights, limbs_outside, seen_limbs
 
 
 @dataclass(frozen=True)
@@ -68,10 +65,7 @@ class BodyConfidence:
 
     def describe_guessed(self) -> str:
         """Words for the limbs that are guessed and why, such as "left arm hidden, guessed"; empty if all are seen."""
-        groups: dict[str, list[str]] = {}
-        for name in self.guessed:
-            groups.setdefault(_WHY[self.limbs[name].sight], []).append(name)
-        return "; ".join(f"{' and '.join(names)} {why}, guessed" for why, names in groups.items())
+        return describe_guessed({name: limb.sight for name, limb in self.limbs.items()})
 
 
 def confidence_record(confidence: BodyConfidence) -> dict[str, Any]:
@@ -153,22 +147,11 @@ def _confidence(fit: FitResult, probability: float, limbs: Sequence[float]) -> B
 
 def _sights(fit: FitResult) -> list[Sight]:
     """Tell of each limb whether it is seen, from the keypoints in the picture and the body."""
-    keypoints = fit.evidence.keypoints
-    found: list[Sight] = []
-    for limb in LIMBS:
-        rows = limb.rows(keypoints.format.landmarks)
-        if rows and keypoints.confidence[rows].max() >= MIN_CONFIDENCE:
-            found.append("seen")
-        else:
-            found.append("outside" if _is_outside(fit, limb.landmarks) else "hidden")
-    return found
-
-
-def _is_outside(fit: FitResult, landmarks: tuple[str, ...]) -> bool:
-    """True if all of these landmarks of the body lie outside the picture, whose size is known."""
-    size = fit.evidence.image_size
-    if size is None:
-        return False
-    camera, points = fit.camera, torch.from_numpy(fit.landmarks(landmarks)).float()
-    pixels = camera.project(points[None].to(camera.intrinsics))[0, :, :2].cpu().numpy()
-    return bool(((pixels < 0) | (pixels > (size[1], size[0]))).any(axis=1).all())
+    keypoints, size = fit.evidence.keypoints, fit.evidence.image_size
+    seen = seen_limbs(keypoints.format.landmarks, keypoints.confidence[None])
+    outside = np.zeros_like(seen)
+    if size is not None and not seen.all():
+        points = torch.from_numpy(fit.landmarks(LIMB_LANDMARKS)).float()
+        pixels = fit.camera.project(points[None].to(fit.camera.intrinsics))[..., :2].cpu().numpy()
+        outside = limbs_outside(LIMB_LANDMARKS, pixels, size)
+    return [SIGHTS[index] for index in limb_sights(seen, outside)[0].tolist()]

@@ -6,6 +6,7 @@ How well the drawn body covers the labels adds nothing to them, and a person's h
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,10 +70,22 @@ def measure_bodies(bodies: BodyParameters, observations: Observations, uncertain
     """
     posed, camera = place_bodies(bodies, bodies.posed(), observations.lens, 2)
     points = camera.project(LandmarkGather(observations.marks, posed.joints.device)(posed))[..., :2] - 1
-    distances = (points - observations.points).norm(dim=-1) / 2
-    names = [name for name in BODY_LANDMARKS if name in observations.landmarks]
-    rows = [observations.landmarks.index(name) for name in names]
+    return measure_points(points[:, body_rows(observations.landmarks)], observations, uncertainty)
+
+
+@torch.no_grad()
+def measure_points(points: torch.Tensor, observations: Observations, uncertainty: Uncertainty | None) -> BodyMeasures:
+    """Measure bodies of N people by their joints alone, such as those of meshes.
+
+    Args:
+        points: Joints of the bodies at ``body_rows`` of the observations, in the crops of side 2, shape (N, M, 2).
+        observations: Keypoints in these crops.
+        uncertainty: Uncertainty as for ``measure_bodies``.
+    """
+    rows = body_rows(observations.landmarks)
+    names = [observations.landmarks[row] for row in rows]
     confidence = observations.confidence
+    distances = (points - observations.points[:, rows]).norm(dim=-1) / 2
     weights = confidence[:, rows] + _LEAST  # where nothing is seen, all count alike
     limbs = [limb.rows(observations.landmarks) for limb in LIMBS]
     least = [confidence[:, own].amin(1) if own else torch.zeros_like(confidence[:, 0]) for own in limbs]
@@ -84,10 +97,15 @@ def measure_bodies(bodies: BodyParameters, observations: Observations, uncertain
     return BodyMeasures(
         seen=_numbers(confidence[:, rows].mean(1)),
         depths=depths,
-        keypoints=_numbers((distances[:, rows] * weights).sum(1) / weights.sum(1)),
+        keypoints=_numbers((distances * weights).sum(1) / weights.sum(1)),
         limb_depths=limb_depths,
         limb_keypoints=_numbers(torch.stack(least, dim=1)),
     )
+
+
+def body_rows(landmarks: Sequence[str]) -> list[int]:
+    """Rows of the joints of trunk and limbs (``BODY_LANDMARKS``) that are among the landmarks of a format."""
+    return [landmarks.index(name) for name in BODY_LANDMARKS if name in landmarks]
 
 
 def detection_measures(person: FoundPerson) -> dict[str, float]:

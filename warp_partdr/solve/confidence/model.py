@@ -48,7 +48,12 @@ class ConfidenceModel:
     least: float
 
     def judge(self, measures: BodyMeasures, further: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Probabilities that bodies (N,) and their limbs (N, 5) are right.
+        """Probabilities that bodies (N,) and their limbs (N, 5) are right, from the arguments of ``log_odds``."""
+        bodies, limbs = self.log_odds(measures, further)
+        return probabilities(bodies), probabilities(limbs)
+
+    def log_odds(self, measures: BodyMeasures, further: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithms of the odds that bodies (N,) and their limbs (N, 5) are right.
 
         Args:
             measures: Measures of N bodies.
@@ -59,8 +64,8 @@ class ConfidenceModel:
         limbs = np.zeros_like(measures.limb_keypoints)
         for column, limb in enumerate(LIMBS):
             own = {name: values[:, column] for name, values in columns.items()}
-            limbs[:, column] = _probabilities(_logits(self.limbs[limb.kind], own))
-        return _probabilities(logits), limbs
+            limbs[:, column] = _logits(self.limbs[limb.kind], own)
+        return logits, limbs
 
 
 def _logits(regressions: Sequence[Logistic], columns: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -68,7 +73,8 @@ def _logits(regressions: Sequence[Logistic], columns: Mapping[str, np.ndarray]) 
     return next(each for each in regressions if columns.keys() >= set(each.measures)).logits(columns)
 
 
-def _probabilities(logits: np.ndarray) -> np.ndarray:
+def probabilities(logits: np.ndarray) -> np.ndarray:
+    """Probabilities from logarithms of odds, of the same shape."""
     found: np.ndarray = 1 / (1 + np.exp(-logits))
     return found
 
