@@ -44,8 +44,8 @@ def read_people(maps: Mapping[str, torch.Tensor], min_heat: float) -> tuple[torc
     half, middle = at_centre("size").clamp_min(0.0) / 2, cells[:, None] + at_centre("centre_offset")
     boxes = torch.cat([middle - half, middle + half], dim=1)
     expected = cells[:, None] + at_centre("keypoints")
-    parts = zip(*(each.split(_TOGETHER) for each in (pictures, boxes, expected)), strict=True)
-    keypoints = torch.cat([_read_keypoints(maps, *part) for part in parts])
+    parts = [slice(start, start + _TOGETHER) for start in range(0, max(len(pictures), 1), _TOGETHER)]
+    keypoints = torch.cat([_read_keypoints(maps, pictures[part], boxes[part], expected[part]) for part in parts])
     sure = keypoints[..., 2] > SURE
     mean = (keypoints[..., 2] * sure).sum(dim=1) / sure.sum(dim=1).clamp_min(1)
     return pictures, heat[pictures, 0, rows, columns] * mean, keypoints

@@ -12,6 +12,7 @@ from .asset import PeopleNetworks
 from .crops import Pyramid, TurnedCrops, join_crops, no_crops
 from .detector import Detections, detect_people, distinct_detections, join_detections, tiles, turned_views
 from .look import FoundLandmarks, join_landmarks, look
+from .masks import mask_shows
 from .person import SKELETON, FoundPerson
 from .same_person import first_of_each, similarity
 
@@ -19,6 +20,7 @@ _COCO = skeleton("coco17")
 _COCO_LANDMARKS = [skeleton(SKELETON).landmarks.index(name) for name in _COCO.landmarks]
 _MIRRORED = _COCO.mirror
 _HEAD = slice(0, 11)  # the head's landmarks
+_COCO_HEAD = slice(0, 5)  # the head's keypoints
 _TOGETHER = 64  # people whose masks are made at a time
 _FEWEST, _MOST = 2, 4  # levels where the pictures decide
 _SMALL = 1.4  # side of the crop about the smallest person that a level finds, in quarters of the level's tiles
@@ -28,6 +30,9 @@ _DETECTED = 0.15  # least score of a person whom the detector sees
 _CERTAIN = 0.3  # score of the detector from which on it takes nothing off a person's score
 _KEPT = 0.95  # least score of the second look, that of the first being 1
 _POWER = 2 / 3  # of the product of all evidence; it brings the best limit, on photos, to 0.5
+_HEAD_SEEN = 0.45  # mean confidence in a head's keypoints from which on the detector sees a head
+_WITHIN = 0.8  # share of somebody's mask, within those of others, from which on it needs a head of its own
+_GRID = 48  # points a side at which masks are compared
 _FIRST = 0.4  # least score of the first look at a person, as a share of the least score
 
 
@@ -188,7 +193,26 @@ class _Search:
         second = self._second.at(known[rows], first.next_crops)
         closer = _agreement_scores(detected, second)
         stayed = closer >= _KEPT * scores  # else the second look went to a neighbour
-        return _told_apart(first.or_better(second, stayed), np.where(stayed, closer, scores), self._min_score)
+        found, scores = first.or_better(second, stayed), np.where(stayed, closer, scores)
+        rows = _distinct(found, scores, self._min_score)
+        people = ScoredLandmarks(found.select(rows), scores[rows])
+        return self._without_phantoms(people, detected.confidence[rows][:, _COCO_HEAD].mean(axis=1))
+
+    def _without_phantoms(self, people: ScoredLandmarks, heads: np.ndarray) -> ScoredLandmarks:
+        """The people but those who are nothing but a second look at others.
+
+        Somebody who is within the outlines of people of higher scores must have a head that the detector sees.
+
+        Args:
+            people: People of any of the pictures.
+            heads: The detector's mean confidence in the keypoints of each one's head, shape (N,).
+        """
+        kept = np.ones(len(heads), dtype=bool)
+        for row in np.flatnonzero(heads < _HEAD_SEEN).tolist():
+            picture = int(people.pictures[row])
+            better = np.flatnonzero((people.pictures == picture) & (people.scores > people.scores[row]))
+            kept[row] = _share_within(people.landmarks, row, better, self._pyramids[picture].size) < _WITHIN
+        return ScoredLandmarks(people.landmarks.select(np.flatnonzero(kept)), people.scores[kept])
 
 
 class _Looks:
@@ -218,7 +242,28 @@ def follow(
             crop = person.next_crop
             crops.append(TurnedCrops(crop.centres, crop.sides, crop.angles, np.full(len(crop), index)))
     found = look(networks, pyramids, join_crops(crops))
-    return _told_apart(found, found.presence, min_score)
+    rows = _distinct(found, found.presence, min_score)
+    return ScoredLandmarks(found.select(rows), found.presence[rows])
+
+
+def _share_within(landmarks: FoundLandmarks, row: int, others: np.ndarray, size: tuple[int, int]) -> float:
+    """Share of one person's mask, as far as a picture of size (H, W) shows it, that the masks of others cover.
+
+    Args:
+        landmarks: People of the picture, and perhaps of more.
+        row: Row of the person.
+        others: Rows of the others, shape (N,).
+        size: Height and width of the picture [px].
+    """
+    steps = (np.arange(_GRID) + 0.5) / _GRID
+    crop = landmarks.crops[row : row + 1]
+    positions = crop.to_picture(np.stack(np.meshgrid(steps, steps), axis=-1).reshape(1, -1, 2))[0]
+    positions = positions[((positions >= 0) & (positions <= size[::-1])).all(axis=1)]
+    positions = positions[mask_shows(landmarks.masks[row].sigmoid(), crop, positions)]
+    covered = np.zeros(len(positions), dtype=bool)
+    for other in others.tolist():
+        covered |= mask_shows(landmarks.masks[other].sigmoid(), landmarks.crops[other : other + 1], positions)
+    return float(covered.sum() / max(len(positions), 1))
 
 
 def _agreement_scores(detected: Detections, found: FoundLandmarks) -> np.ndarray:
@@ -227,21 +272,13 @@ def _agreement_scores(detected: Detections, found: FoundLandmarks) -> np.ndarray
     It is less where the detector is unsure, for parts of people look like people to the other network. Networks that
     exchange left and right agree: on backs, the detector often does.
     """
-    theirs = found.points[:, _COCO_LANDMARKS], found.confidence[:, _COCO_LANDMARKS], found.next_crops.sides
-    agreement = np.maximum(
-        *(
-            similarity((detected.points[:, order], detected.confidence[:, order], theirs[2]), theirs)
-            for order in (slice(None), _MIRRORED)
-        )
-    )
+    sides = found.next_crops.sides
+    theirs = found.points[:, _COCO_LANDMARKS], found.confidence[:, _COCO_LANDMARKS], sides
+    straight = similarity((detected.points, detected.confidence, sides), theirs)
+    exchanged = similarity((detected.points[:, _MIRRORED], detected.confidence[:, _MIRRORED], sides), theirs)
+    agreement = np.maximum(straight, exchanged)
     certainty = np.minimum(detected.scores / _CERTAIN, 1.0)
     return (found.presence * agreement * certainty) ** _POWER
-
-
-def _told_apart(found: FoundLandmarks, scores: np.ndarray, min_score: float) -> ScoredLandmarks:
-    """People whose score is enough, each once."""
-    rows = _distinct(found, scores, min_score)
-    return ScoredLandmarks(found.select(rows), scores[rows])
 
 
 def _distinct(found: FoundLandmarks, scores: np.ndarray, min_score: float) -> np.ndarray:
