@@ -8,6 +8,7 @@ import torch
 
 from warp_partdr.networks.detection.asset import packaged_people_networks
 from warp_partdr.networks.detection.crops import Pyramid, TurnedCrops
+from warp_partdr.networks.detection.detector import Detections
 from warp_partdr.networks.detection.look import NUM_LANDMARKS, FoundLandmarks
 from warp_partdr.networks.detection.search import ScoredLandmarks, _Search, _share_within
 
@@ -55,6 +56,31 @@ def test_whoever_is_within_another_needs_a_head(scores: list[float], heads: list
     people = ScoredLandmarks(outlines((20, 20, 120, 180), (25, 20, 120, 170)), np.array(scores))
     left = search._without_phantoms(people, np.array(heads))
     np.testing.assert_array_equal(left.scores, np.array(scores)[kept])
+
+
+@pytest.mark.parametrize(
+    ("middle", "score", "angle", "more"),
+    [
+        ((60.0, 60.0), 0.06, 0.0, False),
+        ((140.0, 60.0), 0.06, 0.0, True),
+        ((60.0, 140.0), 0.06, 0.0, True),
+        ((10.0, 60.0), 0.06, 0.0, True),
+        ((140.0, 60.0), 0.04, 0.0, False),  # too faint
+        ((60.0, 60.0), 0.06, np.pi / 2, True),  # who lies may be seen better in a turned picture
+    ],
+)
+def test_somebody_seen_faintly_beside_all_who_stand_is_more(
+    middle: tuple[float, float], score: float, angle: float, more: bool
+) -> None:
+    """Somebody stands, or lies, between 20 and 120 px."""
+    search = _Search(packaged_people_networks("cpu"), [Pyramid(np.zeros((*SIZE, 3), np.uint8), "cpu")], 0.5)
+    points, one = np.broadcast_to(middle, (1, 17, 2)), np.ones(1)
+    search._detected = Detections(points, np.full((1, 17), 0.5), score * one, np.zeros(1, int))
+    found = outlines((20, 20, 120, 120))
+    found.points[0, :2] = [[20, 20], [120, 120]]
+    found.points[0, 2:] = 70
+    found.next_crops.angles[:] = angle
+    assert search.sees_more_than_upright(ScoredLandmarks(found, one), 0) is more
 
 
 def test_people_beside_others_and_in_other_pictures_need_no_head() -> None:
