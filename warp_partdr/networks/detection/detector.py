@@ -138,8 +138,14 @@ def join_detections(parts: Sequence[Detections]) -> Detections:
     )
 
 
-def distinct_detections(detected: Detections) -> np.ndarray:
-    """Rows of people, each once, as far as keypoints in several views tell."""
+def distinct_detections(detected: Detections, preferred: np.ndarray) -> np.ndarray:
+    """Rows of people, each once, as far as keypoints in several views tell.
+
+    Args:
+        detected: People in views.
+        preferred: Mask of those who are taken before all others, shape (N,), bool.
+    """
     quality = detected.scores * detected.confidence.sum(axis=1)
+    quality = quality + preferred * (1 + quality.max(initial=0.0))
     sides = detected.crops().sides
     return first_of_each(detected.points, detected.confidence, sides, detected.pictures, quality)

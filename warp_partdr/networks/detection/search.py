@@ -30,6 +30,7 @@ _DETECTED = 0.15  # least score of a person whom the detector sees
 _CERTAIN = 0.3  # score of the detector from which on it takes nothing off a person's score
 _KEPT = 0.95  # least score of the second look, that of the first being 1
 _POWER = 2 / 3  # of the product of all evidence; it brings the best limit, on photos, to 0.5
+_CLEAR = 0.9  # score from which on somebody is not looked at once more as smaller tiles show them
 _HEAD_SEEN = 0.45  # mean confidence in a head's keypoints from which on the detector sees a head
 _WITHIN = 0.8  # share of somebody's mask, within those of others, from which on it needs a head of its own
 _GRID = 48  # points a side at which masks are compared
@@ -143,6 +144,7 @@ class _Search:
         self._networks, self._pyramids, self._min_score = networks, pyramids, min_score
         self._detected = join_detections([])
         self._first, self._second = _Looks(networks, pyramids), _Looks(networks, pyramids)
+        self._clear = self._settled = np.zeros(0, dtype=np.int64)  # rows of what was detected
 
     def look_at_tiles(self, pictures: Sequence[int], levels: int) -> None:
         """Show the detector all tiles of so many levels."""
@@ -161,6 +163,7 @@ class _Search:
             apart = np.abs(some.centres[:, None] - middles).max(axis=2)
             views.append(some[(apart <= some.sides[:, None] / 2).any(axis=1)])
         self._detect(views)
+        self._settled = self._clear
 
     def _detect(self, views: Sequence[TurnedCrops]) -> None:
         found = detect_people(self._networks, self._pyramids, join_crops([no_crops(), *views]), _DETECTED)
@@ -184,17 +187,20 @@ class _Search:
     def people(self, pictures: Sequence[int]) -> ScoredLandmarks:
         """People in some pictures, by all that the detector has seen."""
         known = np.flatnonzero(np.isin(self._detected.pictures, pictures) & (self._detected.scores >= _DETECTED))
-        known = known[distinct_detections(self._detected[known])]
+        known = known[distinct_detections(self._detected[known], np.isin(known, self._settled))]
         detected = self._detected[known]
         first = self._first.at(known, detected.crops())
         scores = _agreement_scores(detected, first)
         rows = _distinct(first, scores, _FIRST * self._min_score)
         detected, first, scores = detected[rows], first.select(rows), scores[rows]
-        second = self._second.at(known[rows], first.next_crops)
+        known = known[rows]
+        second = self._second.at(known, first.next_crops)
         closer = _agreement_scores(detected, second)
         stayed = closer >= _KEPT * scores  # else the second look went to a neighbour
         found, scores = first.or_better(second, stayed), np.where(stayed, closer, scores)
         rows = _distinct(found, scores, self._min_score)
+        before = self._clear[~np.isin(self._detected.pictures[self._clear], pictures)]
+        self._clear = np.concatenate([before, known[rows][scores[rows] >= _CLEAR]])
         people = ScoredLandmarks(found.select(rows), scores[rows])
         return self._without_phantoms(people, detected.confidence[rows][:, _COCO_HEAD].mean(axis=1))
 
