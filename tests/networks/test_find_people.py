@@ -16,11 +16,12 @@ from warp_partdr.errors import InputError
 from warp_partdr.inputs.keypoints import Keypoints2D, person_height
 from warp_partdr.networks.detection.asset import packaged_people_networks
 from warp_partdr.networks.detection.crops import Pyramid
-from warp_partdr.networks.detection.detector import detect_people
+from warp_partdr.networks.detection.detector import detect_people, tiles
 from warp_partdr.networks.detection.look import look
 from warp_partdr.networks.detection.masks import draw_mask, instance_map
-from warp_partdr.networks.detection.people import _agreement_scores, find_people, find_people_in
+from warp_partdr.networks.detection.people import find_people, find_people_in
 from warp_partdr.networks.detection.person import FoundPerson
+from warp_partdr.networks.detection.search import _agreement_scores
 
 MAX_ERROR = 0.01  # of keypoints, as a share of the person's height, against MediaPipe's own
 PEOPLE = {"000000032081": (1, 1), "000000203864": (2, 2), "000000468632": (3, 4)}  # to be found, and there
@@ -137,7 +138,7 @@ def test_a_score_is_lower_where_the_networks_disagree() -> None:
     photo = example_photo()
     networks = packaged_people_networks("cpu")
     pyramids = [Pyramid(photo, "cpu")]
-    detected = detect_people(networks, pyramids, [0], 0.5, 1)
+    detected = detect_people(networks, pyramids, tiles(pyramids[0].size, 0), 0.5)
     found = look(networks, pyramids, detected.crops())
     (agreed,) = _agreement_scores(detected, found)
     mirrored = skeleton("coco17").mirror
@@ -154,9 +155,7 @@ def test_a_film_follows_people_without_the_detector(monkeypatch):
     """The person moves from frame to frame. A frame without them ends the track."""
     before = example_people("cpu")
     shifted = np.roll(example_photo(), (6, 10), axis=(0, 1))
-    monkeypatch.setattr(
-        "warp_partdr.networks.detection.detector.detector_views", lambda *_: pytest.fail("the detector ran")
-    )
+    monkeypatch.setattr("warp_partdr.networks.detection.search.detect_people", lambda *_: pytest.fail("it ran"))
     (person,) = find_people(shifted, previous=before)
     moved = person.keypoints.points - before[0].keypoints.points
     assert np.linalg.norm(moved - [10, 6], axis=1).mean() < 3

@@ -6,28 +6,29 @@ import numpy as np
 import pytest
 
 from warp_partdr import skeleton
-from warp_partdr.networks.detection.detector import SMALLEST, Detections, detector_views, tiles
+from warp_partdr.networks.detection.detector import SMALLEST, Detections, tiles, turned_views
 from warp_partdr.networks.detection.same_person import first_of_each, similarity
 
 
 @pytest.mark.parametrize("size", [(497, 884), (480, 640), (900, 300), (3000, 4000)])
-@pytest.mark.parametrize("levels", [2, 3])
-def test_tiles_cover_the_picture_and_overlap(size, levels):
-    crops = tiles(size, levels)
-    assert crops.sides[0] == max(size)
-    assert crops.sides.min() == max(size) / 2 ** (levels - 1) or crops.sides.min() / 2 < SMALLEST
-    smallest = crops[crops.sides == crops.sides.min()]
-    side = smallest.sides[0]
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_tiles_cover_the_picture_and_overlap(size: tuple[int, int], level: int) -> None:
+    crops = tiles(size, level)
+    side = max(size) / 2**level
+    if level and side < SMALLEST:
+        assert len(crops) == 0
+        return
+    assert (crops.sides == side).all()
     for point in np.random.default_rng(0).uniform((0, 0), size[::-1], (50, 2)):
-        distance = np.abs(smallest.centres - point).max(axis=1)
+        distance = np.abs(crops.centres - point).max(axis=1)
         assert distance.min() <= side / 2 + 1e-6
         inner = (point > side / 2) & (point < np.array(size[::-1]) - side / 2)
         if inner.all():  # whoever is not at the border is well inside some tile
             assert distance.min() <= side / 4 + 1e-6
 
 
-def test_small_pictures_are_looked_at_once():
-    assert len(tiles((300, 380), 3)) == 1
+def test_small_pictures_are_looked_at_once() -> None:
+    assert [len(tiles((300, 380), level)) for level in range(3)] == [1, 0, 0]
 
 
 def test_landmarks_that_coincide_are_one_person(rng):
@@ -72,9 +73,14 @@ def test_crops_are_turned_as_hips_and_shoulders_stand() -> None:
 
 
 def test_the_whole_picture_is_looked_at_turned_too() -> None:
-    views = detector_views((480, 640), 2, 3)
-    upright = tiles((480, 640), 2, 3)
-    assert len(views) == len(upright) + 3
-    np.testing.assert_allclose(np.sort(views.angles[len(upright) :] % (2 * np.pi)), [np.pi / 2, np.pi, 1.5 * np.pi])
-    assert (views.sides[len(upright) :] == 640).all()
+    views = turned_views((480, 640), 3)
+    np.testing.assert_allclose(np.sort(views.angles % (2 * np.pi)), [np.pi / 2, np.pi, 1.5 * np.pi])
+    assert (views.sides == 640).all()
     assert (views.pictures == 3).all()
+
+
+def test_the_middle_of_somebody_is_that_of_the_keypoints_that_are_seen() -> None:
+    points, seen = np.full((1, 17, 2), 500.0), np.zeros((1, 17))
+    points[0, :2], seen[0, :2] = [[10, 20], [40, 20]], [0.8, 0.4]
+    middles = Detections(points, seen, np.ones(1), np.zeros(1, int)).middles()
+    np.testing.assert_allclose(middles, [[20, 20]], atol=0.1)

@@ -113,8 +113,9 @@ class MarkedPhoto:
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> MarkedPhoto:
         """Photo from an object of the JSON file."""
-        boxes = (np.array(values[name], dtype=np.float64).reshape(-1, 4) for name in ("people", "ignored"))
-        return cls(values["file"], values.get("turn", 0), values.get("frame"), values["held_out"], *boxes)
+        people = np.array(values["people"], dtype=np.float64).reshape(-1, 4)
+        ignored = np.array(values["ignored"], dtype=np.float64).reshape(-1, 4)
+        return cls(values["file"], values.get("turn", 0), values.get("frame"), values["held_out"], people, ignored)
 
     @property
     def name(self) -> str:
@@ -166,8 +167,8 @@ def _box_overlaps(ours: np.ndarray, theirs: np.ndarray, *, of_ours: bool = False
     low = np.maximum(ours[:, None, :2], theirs[None, :, :2])
     high = np.minimum(ours[:, None, 2:], theirs[None, :, 2:])
     both = np.clip(high - low, 0, None).prod(axis=2)
-    areas = [(boxes[:, 2:] - boxes[:, :2]).prod(axis=1) for boxes in (ours, theirs)]
-    whole = areas[0][:, None] if of_ours else areas[0][:, None] + areas[1] - both
+    areas = (ours[:, 2:] - ours[:, :2]).prod(axis=1)[:, None]
+    whole = areas if of_ours else areas + (theirs[:, 2:] - theirs[:, :2]).prod(axis=1) - both
     return both / np.maximum(whole, 1e-9)
 
 

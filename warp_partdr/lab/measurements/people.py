@@ -26,8 +26,8 @@ from ...inputs.own_pixels import Mask
 from ...inputs.part_labels import read_photo
 from ...networks.detection import MIN_SCORE
 from ...networks.detection.asset import packaged_people_networks
-from ...networks.detection.crops import Pyramid
-from ...networks.detection.detector import detect_people
+from ...networks.detection.crops import Pyramid, join_crops
+from ...networks.detection.detector import detect_people, tiles
 from ...networks.detection.look import look
 from ...networks.detection.masks import instance_maps
 from ...networks.detection.people import find_people_in
@@ -107,7 +107,9 @@ def _timed(pictures: list[np.ndarray], device: str, half: bool) -> dict[str, np.
     side = len(pictures[0])
     sizes = [(side, side)] * len(pictures)
     pyramids = stage("pictures to the device", lambda: Pyramid.each(pictures, networks.device))
-    detected = stage("detector", lambda: detect_people(networks, pyramids, rows.tolist(), MIN_SCORE, 1))
+    wholes = join_crops([tiles(size, 0, index) for index, size in enumerate(sizes)])
+    detected = stage("detector", lambda: detect_people(networks, pyramids, wholes, MIN_SCORE))
+    detected = detected[detected.scores >= MIN_SCORE]
     assert len(detected) == len(pictures)
     first = stage("landmarks, first look", lambda: look(networks, pyramids, detected.crops()))
     found = stage("landmarks, second look", lambda: look(networks, pyramids, first.next_crops))

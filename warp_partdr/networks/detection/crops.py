@@ -27,7 +27,7 @@ from ...kernels.launch import get_num_threads, run_slices
 _MARGIN = 1.25  # side of a person's crop, as a share of the diameter of the circle about the person
 _LARGEST = 4096  # [px], longer side of the finest picture that crops are cut from
 _SHARPER = 0.5  # levels that crops are sharper than free of all aliasing
-_BATCH = {"cpu": 4, "cuda": 256}  # crops at a time: on CPU, what caches hold
+_BATCH = {"cpu": 3, "cuda": 256}  # crops at a time: on CPU, as many as need no pages of memory anew from the system
 _STRIP = 512  # rows that are halved at a time, even
 _UPLOAD = 2**25  # bytes of pictures that go to a device at a time: while one part goes there, the next is gathered
 _UPLOADERS = 4  # threads that gather them
@@ -99,9 +99,12 @@ def crops_of_people(centres: np.ndarray, tops: np.ndarray, pictures: np.ndarray)
 
 def join_crops(parts: Sequence[TurnedCrops]) -> TurnedCrops:
     """All of the crops, which are square, in a row."""
-    fields = ("centres", "sides", "angles", "pictures")
-    centres, sides, angles, pictures = (np.concatenate([getattr(part, name) for part in parts]) for name in fields)
-    return TurnedCrops(centres, sides, angles, pictures)
+    return TurnedCrops(
+        np.concatenate([part.centres for part in parts]),
+        np.concatenate([part.sides for part in parts]),
+        np.concatenate([part.angles for part in parts]),
+        np.concatenate([part.pictures for part in parts]),
+    )
 
 
 def no_crops() -> TurnedCrops:

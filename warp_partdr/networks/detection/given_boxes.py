@@ -182,8 +182,6 @@ def _coincide(one: FoundPerson, other: FoundPerson) -> bool:
 
 def same_keypoints(one: Keypoints2D, other: Keypoints2D, sides: tuple[float, float]) -> bool:
     """True if keypoints of one format are about the same, for people in crops of these sides [px]."""
-    ours, theirs = (
-        (each.points[None].astype(np.float64), each.confidence[None], np.array([side]))
-        for each, side in zip((one, other), sides, strict=True)
-    )
+    ours = one.points[None].astype(np.float64), one.confidence[None], np.array([sides[0]])
+    theirs = other.points[None].astype(np.float64), other.confidence[None], np.array([sides[1]])
     return bool(similarity(ours, theirs)[0] >= _ALIKE)

@@ -59,13 +59,16 @@ def _activate(values: torch.Tensor, name: str) -> torch.Tensor:
 def convolve(
     node: Node, values: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, activation: str | None = None
 ) -> torch.Tensor:
-    """Convolution, then the node's activation, or another one."""
+    """Convolution, then the node's activation, or another one.
+
+    Torch pads both sides alike. Where the node doesn't, zeros beside the weights do the same as a padded copy of the
+    values, which would take twice as long as the convolution itself.
+    """
     left, right, above, below = node.zeros
-    if left == right and above == below:
-        padding = (above, left)
-    else:
-        values, padding = F.pad(values, node.zeros), (0, 0)
-    found = F.conv2d(values, weight, bias, node.stride, padding, groups=node.groups)
+    across, down = max(left, right), max(above, below)
+    if left != right or above != below:
+        weight = F.pad(weight, (across - left, across - right, down - above, down - below))
+    found = F.conv2d(values, weight, bias, node.stride, (down, across), groups=node.groups)
     return _activate(found, node.activation if activation is None else activation)
 
 

@@ -35,7 +35,8 @@ class HalfGraph(OperatorGraph):
         self._exact = _numbers(graph)
         for node in self.nodes:
             if node.kind == "convolution" and node.output not in self._exact:
-                weight, bias = (getattr(self, f"{node.output}_{name}").half() for name in ("weight", "bias"))
+                weight = getattr(self, f"{node.output}_weight").half()
+                bias = getattr(self, f"{node.output}_bias").half()
                 if _is_depthwise(node, weight):
                     weight = weight[:, 0].permute(1, 2, 0).contiguous()
                 setattr(self, f"{node.output}_weight", weight)
@@ -106,7 +107,8 @@ def _by_channel(
     values = values.permute(0, 2, 3, 1).contiguous()
     batch, height, width, channels = values.shape
     size, (left, right, above, below) = len(weight), node.zeros
-    rows, columns = ((length - size) // node.stride + 1 for length in (height + above + below, width + left + right))
+    rows = (height + above + below - size) // node.stride + 1
+    columns = (width + left + right - size) // node.stride + 1
     found = values.new_empty(batch, rows, columns, channels)
     words = [warp_array(each.view(torch.int64).flatten()) for each in (values, weight, bias)]
     numbers = [height, width, channels // depthwise.TOGETHER, size, node.stride, left, above]

@@ -74,11 +74,14 @@ class FoundLandmarks:
 
 def join_landmarks(parts: Sequence[FoundLandmarks]) -> FoundLandmarks:
     """All of the people in a row."""
-    points, confidence, presence = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("points", "confidence", "presence")
+    return FoundLandmarks(
+        join_crops([part.crops for part in parts]),
+        np.concatenate([part.points for part in parts]),
+        np.concatenate([part.confidence for part in parts]),
+        np.concatenate([part.presence for part in parts]),
+        join_crops([part.next_crops for part in parts]),
+        torch.cat([part.masks for part in parts]),
     )
-    crops, next_crops = (join_crops([getattr(part, name) for part in parts]) for name in ("crops", "next_crops"))
-    return FoundLandmarks(crops, points, confidence, presence, next_crops, torch.cat([part.masks for part in parts]))
 
 
 def look(networks: PeopleNetworks, pyramids: Sequence[Pyramid], crops: TurnedCrops) -> FoundLandmarks:
@@ -94,9 +97,11 @@ def look(networks: PeopleNetworks, pyramids: Sequence[Pyramid], crops: TurnedCro
         none = np.zeros((0, NUM_LANDMARKS))
         masks = torch.zeros(0, network.size, network.size, device=networks.device)
         return FoundLandmarks(crops, np.zeros((*none.shape, 2)), none, none[:, 0], crops, masks)
-    landmarks, presence, masks = (torch.cat(values) for values in zip(*said, strict=True))
-    points, confidence, next_crops = place_landmarks(landmarks.cpu().numpy(), crops)
-    return FoundLandmarks(crops, points, confidence, presence.cpu().numpy(), next_crops, masks)
+    landmarks = torch.cat([each[0] for each in said]).cpu().numpy()
+    presence = torch.cat([each[1] for each in said]).cpu().numpy()
+    masks = torch.cat([each[2] for each in said])
+    points, confidence, next_crops = place_landmarks(landmarks, crops)
+    return FoundLandmarks(crops, points, confidence, presence, next_crops, masks)
 
 
 def read_landmarks(values: Mapping[str, torch.Tensor], size: int) -> torch.Tensor:

@@ -42,6 +42,24 @@ def draw_mask(person: FoundPerson, size: tuple[int, int]) -> np.ndarray:
     return full
 
 
+def mask_shows(mask: torch.Tensor, crop: TurnedCrops, positions: np.ndarray) -> np.ndarray:
+    """True where a mask shows its person.
+
+    Args:
+        mask: Probability that a pixel of the crop shows the person, shape (S, S).
+        crop: The one crop that the mask belongs to.
+        positions: Places in the picture [px], shape (N, 2).
+
+    Returns:
+        Whether the person is shown at each place, shape (N,), bool.
+    """
+    side = len(mask)
+    column, row = np.floor(crop.from_picture(positions[None])[0] * side).astype(int).T
+    inside = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < side)
+    pixels = torch.from_numpy(row.clip(0, side - 1)), torch.from_numpy(column.clip(0, side - 1))
+    return inside & (mask[pixels] > 0.5).cpu().numpy()
+
+
 def instance_map(people: Sequence[FoundPerson], size: tuple[int, int], *, threshold: float = 0.5) -> np.ndarray:
     """Map of the people in a picture: each pixel shows the person whose mask is strongest there.
 

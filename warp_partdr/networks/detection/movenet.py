@@ -20,13 +20,13 @@ SURE = 0.127  # confidence above which a keypoint counts for a person's score
 _TOGETHER = 64  # people whose maps are read at a time
 
 
-def read_people(maps: Mapping[str, torch.Tensor], min_score: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """People with a heat of at least ``min_score`` at their centre; scores may be less.
+def read_people(maps: Mapping[str, torch.Tensor], min_heat: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """People with a heat of at least ``min_heat`` at their centre; scores may be less.
 
     Args:
         maps: The detector's maps of B pictures, (B, C, H, W): "centre" and "heat", logits; "size" and "centre_offset"
             of boxes; "keypoints", the way from a centre to each, and "keypoint_offset" [cells].
-        min_score: Least heat of a centre, 0 to 1.
+        min_heat: Least heat of a centre, 0 to 1.
 
     Returns:
         Index of each person's picture, shape (N,), rising; scores, 0 to 1, shape (N,); and 17 keypoints with x, y [px]
@@ -34,7 +34,7 @@ def read_people(maps: Mapping[str, torch.Tensor], min_score: float) -> tuple[tor
     """
     heat = maps["centre"].sigmoid()
     highest = F.max_pool2d(heat, _AROUND, stride=1, padding=_AROUND // 2)
-    pictures, rows, columns = ((heat > highest - _EQUAL) & (heat >= min_score))[:, 0].nonzero(as_tuple=True)
+    pictures, rows, columns = ((heat > highest - _EQUAL) & (heat >= min_heat))[:, 0].nonzero(as_tuple=True)
     cells = torch.stack([columns, rows], dim=1).to(heat)
 
     def at_centre(name: str) -> torch.Tensor:
@@ -44,8 +44,8 @@ def read_people(maps: Mapping[str, torch.Tensor], min_score: float) -> tuple[tor
     half, middle = at_centre("size").clamp_min(0.0) / 2, cells[:, None] + at_centre("centre_offset")
     boxes = torch.cat([middle - half, middle + half], dim=1)
     expected = cells[:, None] + at_centre("keypoints")
-    parts = zip(*(each.split(_TOGETHER) for each in (pictures, boxes, expected)), strict=True)
-    keypoints = torch.cat([_read_keypoints(maps, *part) for part in parts])
+    parts = [slice(start, start + _TOGETHER) for start in range(0, max(len(pictures), 1), _TOGETHER)]
+    keypoints = torch.cat([_read_keypoints(maps, pictures[part], boxes[part], expected[part]) for part in parts])
     sure = keypoints[..., 2] > SURE
     mean = (keypoints[..., 2] * sure).sum(dim=1) / sure.sum(dim=1).clamp_min(1)
     return pictures, heat[pictures, 0, rows, columns] * mean, keypoints

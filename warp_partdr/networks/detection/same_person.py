@@ -42,17 +42,18 @@ def first_of_each(
         while len(left):
             best, left = left[0], left[1:]
             kept.append(best)
-            if len(left):
-                alike = [
-                    similarity(
-                        *(
-                            (points[rows][..., part, :], confidence[rows][..., part], sides[rows])
-                            for rows in (best, left)
-                        )
-                    )
-                    for part in ([slice(None)] if head is None else [slice(None), head])
-                ]
-                left = left[np.max(alike, axis=0) < _ALIKE]
+            if not len(left):
+                break
+            alike = similarity(
+                (points[best], confidence[best], sides[best]), (points[left], confidence[left], sides[left])
+            )
+            if head is not None:
+                heads = similarity(
+                    (points[best, head], confidence[best, head], sides[best]),
+                    (points[left, head], confidence[left, head], sides[left]),
+                )
+                alike = np.maximum(alike, heads)
+            left = left[alike < _ALIKE]
     return np.sort(np.array(kept, dtype=np.int64))
 
 

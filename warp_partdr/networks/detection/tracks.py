@@ -17,6 +17,7 @@ from ...errors import check_whole
 from ...inputs.cuts import Change
 from . import MIN_SCORE, LandmarkNetwork
 from .crops import Pyramid, TurnedCrops
+from .masks import mask_shows
 from .people import find_people
 from .person import FoundPerson
 from .same_person import similarity
@@ -156,9 +157,8 @@ def likeness(one: FoundPerson, other: FoundPerson) -> float:
 
 
 def _keypoint_similarity(one: FoundPerson, other: FoundPerson) -> float:
-    ours, theirs = (
-        (each.keypoints.points[None], each.keypoints.confidence[None], each.next_crop.sides) for each in (one, other)
-    )
+    ours = one.keypoints.points[None], one.keypoints.confidence[None], one.next_crop.sides
+    theirs = other.keypoints.points[None], other.keypoints.confidence[None], other.next_crop.sides
     return float(similarity(ours, theirs)[0])
 
 
@@ -181,17 +181,9 @@ def _mask_overlap(one: FoundPerson, other: FoundPerson) -> float:
     low, high = np.minimum(one.box[:2], other.box[:2]), np.maximum(one.box[2:], other.box[2:])
     steps = (np.arange(_GRID) + 0.5) / _GRID
     positions = low + (high - low) * np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    first, second = (_shown(person, positions) for person in (one, other))
+    first = mask_shows(one.mask, one.crop, positions)
+    second = mask_shows(other.mask, other.crop, positions)
     return float((first & second).sum() / max((first | second).sum(), 1))
-
-
-def _shown(person: FoundPerson, positions: np.ndarray) -> np.ndarray:
-    """True where the mask shows the person at places in the picture (N, 2), shape (N,)."""
-    side = len(person.mask)
-    column, row = np.floor(person.crop.from_picture(positions[None])[0] * side).astype(int).T
-    inside = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < side)
-    pixels = torch.from_numpy(row.clip(0, side - 1)), torch.from_numpy(column.clip(0, side - 1))
-    return inside & (person.mask[pixels] > 0.5).cpu().numpy()
 
 
 def _followed(person: FoundPerson, last: FoundPerson) -> float:
