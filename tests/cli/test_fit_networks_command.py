@@ -97,7 +97,7 @@ def test_both_networks_see_a_film(run: Run, film: Path, networks: Path) -> None:
     code, said, complaint = run(f"fit stand.mp4 {given} --out out {FILM}")
     assert code == 0
     # Knees and ankles are seen in wrong places, and so the body is likely wrong.
-    expected = "labels of the given network", "person0: confidence below 0.25 from 0.0 to 0.3 s"
+    expected = "labels of the given network", "person0: confidence below 0.40 from 0.0 to 0.3 s"
     assert not [line for line in complaint.splitlines() if not any(words in line for words in expected)]
     parts, keypoints, person, last = said.splitlines()
     assert parts.startswith(f"parts from {networks}/segformer: ")

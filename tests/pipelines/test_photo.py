@@ -77,10 +77,14 @@ def test_half_a_body_of_a_real_photo_is_fitted(device):
     mesh = found.fits[0]
     drawn = mesh.draw(photo.shape[:2]).labels[0].cpu().numpy() > 0
     seen = found.owners == 1
-    assert (drawn & seen).sum() / (drawn | seen).sum() > 0.85
-    nose = mesh.ellipbody.camera.project(torch.from_numpy(mesh.landmarks(("nose",)))[None].to(device))[0, 0].tolist()
-    assert abs(nose[0] - 226) < 30
-    assert abs(nose[1] - 112) < 35
+    # The mask shows a space suit, which the body within does not fill. Keypoints count more.
+    assert (drawn & seen).sum() / drawn.sum() > 0.95
+    assert (drawn & seen).sum() / seen.sum() > 0.7
+    keypoints, names = found.people[0].keypoints, ("nose", "left_shoulder", "right_shoulder")
+    points = torch.from_numpy(mesh.landmarks(names))[None].to(device)
+    rows = [keypoints.format.landmarks.index(name) for name in names]
+    distances = mesh.ellipbody.camera.project(points)[0, :, :2].cpu().numpy() - keypoints.points[rows]
+    assert np.linalg.norm(distances, axis=1).max() < 8  # [px], of 188 between the shoulders
     assert {"left leg", "right leg"} <= set(found.confidences[0].guessed)
     assert _pixels(draw_pictures(found, 0, photo).body).shape[0] == 320
 
@@ -240,7 +244,7 @@ def test_the_page_shows_everyone_the_least_confident_first(everyone, tmp_path):
     assert len(page.images) == 1 + 2 * 3
     for words in (
         "2 people in <b>'s & mine.png",
-        "1 of 2 bodies has a confidence below 0.25.",
+        "1 of 2 bodies has a confidence below 0.40.",
         "person1 confidence 0.12: likely wrong",
         "person0 confidence 0.60: more likely right than wrong",
         "left armhidden, guessed0.31",

@@ -320,21 +320,21 @@ def test_stretches_that_are_near_to_one_another_are_one() -> None:
 
 def test_a_warning_says_when_and_why_and_counts_the_shorter_stretches() -> None:
     low, high = 0.2, 0.9
-    end = "; expected 0.25 or more; compare overlay.mp4 with the film"
+    end = "; expected 0.40 or more; compare overlay.mp4 with the film"
     once = confidence_of([high, low, low, low, high], "hidden")
     times = np.arange(5) / 2.5
     assert motion_warning("person0", once, times) == (
-        f"person0: confidence below 0.25 from 0.4 to 1.2 s (left arm hidden, guessed){end}"
+        f"person0: confidence below 0.40 from 0.4 to 1.2 s (left arm hidden, guessed){end}"
     )
     assert motion_warning("person0", confidence_of([high, high]), times[:2]) is None
     one_frame = confidence_of([high, low, high], "outside")
     assert motion_warning("person3", one_frame, times[:3]) == (
-        f"person3: confidence below 0.25 at 0.4 s (left arm outside the picture, guessed){end}"
+        f"person3: confidence below 0.40 at 0.4 s (left arm outside the picture, guessed){end}"
     )
     lengths = (1, 3, 1, 4, 2)  # frames of each stretch, of which the last one is the third in length
     often = confidence_of([each for length in lengths for each in (*[low] * length, high)])
     assert motion_warning("person1", often, np.arange(len(often.bodies), dtype=float)) == (
-        f"person1: confidence below 0.25 from 2.0 to 4.0 s, from 8.0 to 11.0 s, from 13.0 to 14.0 s and in 2 shorter "
+        f"person1: confidence below 0.40 from 2.0 to 4.0 s, from 8.0 to 11.0 s, from 13.0 to 14.0 s and in 2 shorter "
         f"stretches{end}"
     )
 

@@ -9,7 +9,7 @@ joints lie nearer to the truth after left and right are exchanged.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +22,13 @@ from ...models.anny import anny
 from ...models.measuring import BODY_MEASURES, measure_body
 from ...pipelines.photo import fit_photo
 from ...solve.confidence.model import packaged_model
+from ...solve.ellipsoids.options import FitOptions
 from ...solve.mesh.mesh_stage import MeshFit
 from ..options import Device, People, tracked
 from ..synthetic.hard_photos import KINDS, PhotographedPerson, make_hard_photo
 from ..tables import FigureTable, estimate_mean
 from .confidence import RIGHT, WRONG
+from .kept_keypoints import as_part_labels
 from .photo_truth import match_truth, seen_errors
 
 _THIGH, _STATURE = BODY_MEASURES.index("thigh girth"), BODY_MEASURES.index("stature")
@@ -71,12 +73,12 @@ class HardCase:
         return bool(np.isfinite(self.depth))
 
 
-def hard_cases(index: int, kind: str, device: str) -> Iterator[HardCase]:
-    """The people of photo ``index`` of a kind, found or not."""
+def hard_cases(index: int, kind: str, device: str, options: FitOptions | None = None) -> Iterator[HardCase]:
+    """The people of photo ``index`` of a kind, found or not, with fits that have these options."""
     photo = make_hard_photo(index, kind)
     cases = {row: HardCase(index, kind, row) for row in range(len(photo.people))}
     try:
-        fit = fit_photo(photo.pixels, device=device)
+        fit = fit_photo(photo.pixels, device=device, options=options)
     except InputError:  # nobody is found
         yield from cases.values()
         return
@@ -112,6 +114,7 @@ def measure_hard_cases(
     *,
     people: People = range(70_000, 70_020),
     kinds: tuple[str, ...] = KINDS,
+    as_parts: bool = False,
     device: Device = "cpu",
     save: Path | None = None,
 ) -> Iterator[FigureTable]:
@@ -120,6 +123,7 @@ def measure_hard_cases(
     Args:
         people: Indices of photos, the same for each kind.
         kinds: Kinds of photos.
+        as_parts: Let masks count as much as part labels, as they did before 2026-11-28.
         device: Device of the fits.
         save: File .npz for the rows of all people.
     """
@@ -127,7 +131,10 @@ def measure_hard_cases(
         if kind not in KINDS:
             raise InputError(f"kinds: {kind!r}; expected some of {', '.join(KINDS)}")
     pairs = [(index, kind) for kind in kinds for index in people]
-    cases = [case for index, kind in tracked(pairs) for case in hard_cases(index, kind, device)]
+    options = FitOptions.at("balanced")
+    if as_parts:
+        options = replace(options, mesh=as_part_labels(options.mesh))
+    cases = [case for index, kind in tracked(pairs) for case in hard_cases(index, kind, device, options)]
     if save is not None:
         save_cases(save, cases)
     yield describe_cases(cases)
