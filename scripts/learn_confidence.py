@@ -27,8 +27,8 @@ ALWAYS = ("keypoints", "seen")
 SETS = (("depths", "score", "mirror"), ("depths", "score"), ("depths",), ("score", "mirror"), ("score",), ())
 _RIDGE, _STEPS = 1e-3, 60
 _WARNED = 0.1  # share of right bodies that warnings may hit, for the figures that are printed
-# Confidence below which a body is warned of. Of 97 bodies in real photos, 7 of 8 that look wrong are below it, and 6 of 72
-# that look right (docs/evaluation.md).
+# Confidence below which a body is warned of. Of 97 bodies in real photos, 7 of 8 that look wrong are below it, and 6
+# of 72 that look right (docs/evaluation.md).
 _LEAST = 0.4
 
 
