@@ -103,6 +103,18 @@ def test_small_tiles_are_looked_at_only_where_somebody_is_seen_faintly(monkeypat
     assert (join_crops(views.seen).sides == 400).sum() == 21
 
 
+def test_who_is_found_clearly_is_not_looked_at_again_in_smaller_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    picture, _ = crowd(6)
+    assert min(person.score for person in find_people(picture, levels=2)) >= 0.9
+    views = Views(monkeypatch)
+    find_people(picture, levels=2)
+    before = len(join_crops(views.people))
+    views.people.clear()
+    find_people(picture)
+    assert len(views.seen) > 3
+    assert len(join_crops(views.people)) <= before + 3  # six people, looked at twice each, would be more
+
+
 @pytest.mark.parametrize(("quarters", "turned"), [(0, 0), (1, 3)])
 def test_the_picture_is_turned_where_not_all_is_explained_by_upright_people(
     monkeypatch: pytest.MonkeyPatch, quarters: int, turned: int

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warp_partdr import skeleton
-from warp_partdr.networks.detection.detector import SMALLEST, Detections, tiles, turned_views
+from warp_partdr.networks.detection.detector import SMALLEST, Detections, distinct_detections, tiles, turned_views
 from warp_partdr.networks.detection.same_person import first_of_each, similarity
 
 
@@ -84,3 +84,10 @@ def test_the_middle_of_somebody_is_that_of_the_keypoints_that_are_seen() -> None
     points[0, :2], seen[0, :2] = [[10, 20], [40, 20]], [0.8, 0.4]
     middles = Detections(points, seen, np.ones(1), np.zeros(1, int)).middles()
     np.testing.assert_allclose(middles, [[20, 20]], atol=0.1)
+
+
+def test_people_who_are_found_clearly_are_taken_before_better_views_of_them(rng: np.random.Generator) -> None:
+    points = rng.uniform(0, 200, (17, 2))
+    seen = Detections(np.stack([points, points + 2]), np.full((2, 17), 0.9), np.array([0.3, 0.8]), np.zeros(2, int))
+    np.testing.assert_array_equal(distinct_detections(seen, np.array([False, False])), [1])
+    np.testing.assert_array_equal(distinct_detections(seen, np.array([True, False])), [0])

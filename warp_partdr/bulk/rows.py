@@ -60,7 +60,7 @@ from ..inputs.observation import REFERENCE_SIZE
 from ..models.clothes import CLOTHED
 from ..models.measuring import statures
 from ..models.model import DetailedModel
-from ..solve.confidence.judge import judge_bodies, judge_fits
+from ..solve.confidence.judge import judge_bodies, judge_fits, low_confidence
 from ..solve.ellipsoids.batch_fits import BatchFits
 from ..solve.ellipsoids.result import FitResult
 from ..solve.mesh.mesh_stage import MeshFit
@@ -257,7 +257,10 @@ def describe_bodies(fits: Sequence[FitResult] | Sequence[MeshFit]) -> list[RowPa
         "keypoint_error": _keypoint_errors(known, projected.cpu().numpy()),
         "confidence": known.confidences,
         "energy": known.energies,
-        "warnings": known.warnings,
+        "warnings": [
+            [*warnings, *low_confidence(probability)]
+            for warnings, probability in zip(known.warnings, known.confidences, strict=True)
+        ],
     }
     every = RowPart(np.arange(len(fits)), columns)
     if fine.all():

@@ -267,12 +267,9 @@ def cut_crops(
     centres = (np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])) / (width, height)
     positions = crops.to_picture(np.broadcast_to(centres, (len(crops), 3, 2))) / scales[:, None, None]
     positions[:, 1:] -= positions[:, :1]
-    tables = (
-        np.array([values.data_ptr() for values, _ in sources]),
-        np.array([values.shape[-2:] for values, _ in sources], dtype=np.int32),
-        positions.astype(np.float32),
-    )
-    pointers, sizes, steps = (torch.from_numpy(each).to(device) for each in tables)
+    pointers = torch.tensor([values.data_ptr() for values, _ in sources]).to(device)
+    sizes = torch.tensor([values.shape[-2:] for values, _ in sources], dtype=torch.int32).to(device)
+    steps = torch.from_numpy(positions.astype(np.float32)).to(device)
     cut = torch.empty(len(crops), 3, height, width, device=device)
     with on_torch_stream(device):
         arrays = [warp_array(pointers), warp_array(sizes), warp_array(steps, wp.vec2)]

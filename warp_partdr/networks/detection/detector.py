@@ -67,8 +67,8 @@ def tiles(size: tuple[int, int], level: int, picture: int = 0) -> TurnedCrops:
 
     Args:
         size: Height and width (H, W) of the picture [px].
-        level: 0 for one square about the whole picture. Each further level has tiles of half the side, which overlap
-            by half; there are none if their sides are below ``SMALLEST``.
+        level: Number of the size. Level 0 is one square about the whole picture. Each further level has tiles of half
+            the side, which overlap by half; there are none if their sides are below ``SMALLEST``.
         picture: Index of the picture.
     """
     height, width = size

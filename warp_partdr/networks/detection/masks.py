@@ -100,7 +100,8 @@ def instance_maps(
             shapes[:, 1].astype(np.int32),
             _starts(counts),
         )
-        windows, steps, *pictures = (torch.from_numpy(each).to(device) for each in tables)
+        on_device = [torch.from_numpy(each).to(device) for each in tables]
+        windows, steps, pictures = on_device[0], on_device[1], on_device[2:]
         with on_torch_stream(device) as where:
             maps = torch.stack([person.mask for person in everyone])
             masks = [warp_array(maps), warp_array(windows), warp_array(steps, wp.vec2)]

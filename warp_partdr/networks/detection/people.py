@@ -34,8 +34,9 @@ def find_people(
         min_score: Least confidence that there is a person (``FoundPerson.score``), 0 to 1.
         levels: Number of sizes at which the picture is looked at. With 1, the whole picture alone is, where people of a
             quarter of its longer side and more are found. Each further level, at overlapping tiles of half the size,
-            finds people half as large. Tiles smaller than 192 pixels are left out. If it is None, there
-            are 2, and more where people are so small that there may be smaller ones, or where nobody is found.
+            finds people half as large. Tiles smaller than 192 pixels are left out. If it is None, there are 2, and
+            more where people are so small that there may be smaller ones, or where nobody is found; then only those
+            smaller tiles are looked at in which the detector has seen somebody, however faintly.
         previous: The people of a film's last frame. Where they are given, only they are followed, and the detector
             doesn't run; nobody new is found.
         landmarks: Network whose keypoints are taken. "heavy" is nearer to the truth, and takes five times as long as a

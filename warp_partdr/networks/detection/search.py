@@ -63,7 +63,7 @@ class ScoredLandmarks:
         return np.bincount(self.pictures, minlength=num_pictures)
 
     def with_those_of(self, others: ScoredLandmarks, pictures: Sequence[int]) -> ScoredLandmarks:
-        """The same people, but in some pictures the others who were found there."""
+        """Returns a copy in which the people of some pictures are the others who were found there."""
         kept = np.flatnonzero(~np.isin(self.pictures, pictures))
         new = np.flatnonzero(np.isin(others.pictures, pictures))
         return ScoredLandmarks(

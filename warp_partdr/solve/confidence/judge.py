@@ -55,17 +55,28 @@ class BodyConfidence:
     @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence if the body is likely wrong, which says why and what to do; else none."""
-        least = packaged_model().least
-        if self.probability >= least:
-            return ()
-        reason = self.describe_guessed()
-        reason = f"{reason}; " if reason else ""
-        expected = f"expected {least:.2f} or more"
-        return (f"body: confidence {self.probability:.2f}; {expected}; {reason}compare overlay.png with the picture",)
+        return low_confidence(self.probability, self.describe_guessed(), "overlay.png")
 
     def describe_guessed(self) -> str:
         """Words for the limbs that are guessed and why, such as "left arm hidden, guessed"; empty if all are seen."""
         return describe_guessed({name: limb.sight for name, limb in self.limbs.items()})
+
+
+def low_confidence(probability: float, reason: str = "", drawn: str = "the body") -> tuple[str, ...]:
+    """Warn of a body that is likely wrong: one sentence, or none if the probability is above the limit.
+
+    Args:
+        probability: Probability that the body is right.
+        reason: Words for the limbs that are guessed; empty if all are seen.
+        drawn: Name of what is to be compared with the picture.
+    """
+    least = packaged_model().least
+    if probability >= least:
+        return ()
+    reason = f"{reason}; " if reason else ""
+    return (
+        f"body: confidence {probability:.2f}; expected {least:.2f} or more; {reason}compare {drawn} with the picture",
+    )
 
 
 def confidence_record(confidence: BodyConfidence) -> dict[str, Any]:
