@@ -97,3 +97,12 @@ def test_columns_are_those_of_rows_made_one_by_one() -> None:
     assert [row["energy"] for row in found] == [None, 2.0, None, None]
     assert [row["lengths"] for row in found] == [None, lengths[1].tolist(), None, lengths[0].tolist()]
     assert {row["annotation"] for row in found} == {None}
+
+
+def test_rows_of_bodies_that_are_likely_wrong_warn_of_it(batch: BatchFits) -> None:
+    rows = rows_of(batch)
+    told = [[text for text in row["warnings"] if text.startswith("body: confidence")] for row in rows]
+    assert [len(each) for each in told] == [0, 1]
+    assert rows[0]["confidence"] >= 0.4 > rows[1]["confidence"]
+    end = "; expected 0.40 or more; compare the body with the picture"
+    assert told[1] == [f"body: confidence {rows[1]['confidence']:.2f}{end}"]

@@ -123,7 +123,7 @@ def measure_hard_cases(
     Args:
         people: Indices of photos, the same for each kind.
         kinds: Kinds of photos.
-        as_parts: Let masks count as much as part labels, as they did before 2026-11-28.
+        as_parts: Switch that lets masks count as much as part labels.
         device: Device of the fits.
         save: File .npz for the rows of all people.
     """
