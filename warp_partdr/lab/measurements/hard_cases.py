@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -189,7 +190,8 @@ def describe_cases(cases: Sequence[HardCase]) -> FigureTable:
 def save_cases(path: Path, cases: Sequence[HardCase]) -> None:
     """Write cases as columns."""
     names = list(HardCase.__dataclass_fields__)
-    np.savez_compressed(path, **{name: np.array([getattr(case, name) for case in cases]) for name in names})
+    table: dict[str, Any] = {name: np.array([getattr(case, name) for case in cases]) for name in names}
+    np.savez_compressed(path, **table)
 
 
 def read_cases(path: Path) -> list[HardCase]:
