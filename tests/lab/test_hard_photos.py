@@ -18,7 +18,7 @@ from warp_partdr.lab.measurements.hard_cases import (
     read_cases,
     save_cases,
 )
-from warp_partdr.lab.measurements.photo_truth import seen_errors
+from warp_partdr.lab.photo_truth import seen_errors
 from warp_partdr.lab.synthetic.hard_photos import KINDS, make_hard_photo
 from warp_partdr.lab.synthetic.partbench_people import PersonRequest, make_person
 from warp_partdr.models.anny import anny

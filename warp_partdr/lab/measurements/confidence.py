@@ -23,9 +23,9 @@ from ...solve.confidence.limbs import LIMBS
 from ...solve.confidence.measures import detection_measures, measure_bodies
 from ...solve.confidence.model import packaged_model
 from ..options import Device, People, tracked
+from ..photo_truth import match_truth, seen_errors
 from ..synthetic.hard_photos import make_hard_photo
 from ..tables import FigureTable
-from .photo_truth import match_truth, seen_errors
 
 RIGHT, WRONG = 0.1, 0.2  # [m], largest error of a right body, and least error of a wrong body
 LIMB_RIGHT = 0.2  # [m], largest mean distance of a right limb's joints from the truth

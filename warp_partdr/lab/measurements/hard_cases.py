@@ -26,11 +26,11 @@ from ...solve.confidence.model import packaged_model
 from ...solve.ellipsoids.options import FitOptions
 from ...solve.mesh.mesh_stage import MeshFit
 from ..options import Device, People, tracked
+from ..photo_truth import match_truth, seen_errors
 from ..synthetic.hard_photos import KINDS, PhotographedPerson, make_hard_photo
 from ..tables import FigureTable, estimate_mean
 from .confidence import RIGHT, WRONG
 from .kept_keypoints import as_part_labels
-from .photo_truth import match_truth, seen_errors
 
 _THIGH, _STATURE = BODY_MEASURES.index("thigh girth"), BODY_MEASURES.index("stature")
 _MIRRORED = [
@@ -54,7 +54,7 @@ class HardCase:
         pa_mpjpe: PA-MPJPE of all joints, for a person of the true stature [m].
         stature: Ratio of the found stature to the true one.
         thigh: Ratio of the found thigh's girth to the true one, each as a share of the stature.
-        exchanged: 1 if left and right are exchanged, else 0.
+        exchanged: Flag, 1 if left and right are exchanged, else 0.
     """
 
     photo: int

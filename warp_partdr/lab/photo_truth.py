@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...body.skeletons import MPJPE_JOINTS, skeleton
-from ...pipelines.photo import PhotoFit
-from ...solve.confidence.limbs import LIMBS
-from ..synthetic.hard_photos import HardPhoto, PhotographedPerson
+from ..body.skeletons import MPJPE_JOINTS, skeleton
+from ..pipelines.photo import PhotoFit
+from ..solve.confidence.limbs import LIMBS
+from .synthetic.hard_photos import HardPhoto, PhotographedPerson
 
 _STATURE = 1.7  # [m], to which errors are scaled
 _FEWEST = 3  # joints that must be seen; otherwise, all joints count
