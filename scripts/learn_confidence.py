@@ -20,7 +20,7 @@ import numpy as np
 from warp_partdr.lab.harness import run_script
 from warp_partdr.lab.measurements.confidence import HELD_OUT, LIMB_RIGHT, RIGHT, WRONG, area_under_curve
 from warp_partdr.solve.confidence.limbs import LIMBS
-from warp_partdr.solve.confidence.model import FORMAT
+from warp_partdr.solve.confidence.model import FORMAT, Logistic, probabilities
 
 ASSET = Path(__file__).resolve().parents[1] / "warp_partdr" / "assets" / "body_confidence.json"
 ALWAYS = ("keypoints", "seen")
@@ -48,13 +48,13 @@ def learn(*rows: Path) -> None:
     for names in ((*ALWAYS, *some) for some in SETS):
         known = np.all([np.isfinite(columns[name]) for name in names], axis=0)
         bodies.append(_regression(names, columns, right, known & ~held_out))
-        logits, clear = _logits(bodies[-1], columns), known & held_out & (right | wrong)
-        least = float(np.quantile(logits[known & ~held_out & right], _WARNED))
+        logits, clear = Logistic(**bodies[-1]).logits(columns), known & held_out & (right | wrong)
+        least = np.quantile(logits[known & ~held_out & right], _WARNED)
         warned = 100 * float((logits[known & held_out & wrong] < least).mean())
         area = area_under_curve(logits[clear], right[clear])
         print(
             f"{', '.join(names)}: held out, AUC {area:.3f}, {int(clear.sum())} bodies; "
-            f"{warned:.0f} % of the wrong ones are warned of below {_probability(least):.2f}"
+            f"{warned:.0f} % of the wrong ones are warned of below {probabilities(least):.2f}"
         )
     content = {
         "format": FORMAT,
@@ -82,7 +82,7 @@ def _limbs(table: Mapping[str, np.ndarray], body: np.ndarray, held_out: np.ndarr
         for names in (("depths", "keypoints", "body"), ("keypoints", "body")):
             known = np.all([np.isfinite(columns[name]) for name in names], axis=0)
             found[kind].append(_regression(names, columns, right, known & ~out))
-            logits = _logits(found[kind][-1], columns)[known & out]
+            logits = Logistic(**found[kind][-1]).logits(columns)[known & out]
             print(f"{kind}, {', '.join(names)}: held out, AUC {area_under_curve(logits, right[known & out]):.3f}")
     return found
 
@@ -97,7 +97,7 @@ def _regression(
     ridge = np.append(np.full(len(names), _RIDGE), 1e-9)
     weights = np.zeros(len(ridge))
     for _ in range(_STEPS):
-        chance = 1 / (1 + np.exp(-design @ weights))
+        chance = probabilities(design @ weights)
         gradient = design.T @ (chance - right[rows]) / len(design) + ridge * weights
         curvature = (design * (chance * (1 - chance))[:, None]).T @ design / len(design) + np.diag(ridge)
         weights -= np.linalg.solve(curvature, gradient)
@@ -106,23 +106,13 @@ def _regression(
     return {"measures": list(names), "weights": [round(float(each), 4) for each in scaled], "bias": round(bias, 4)}
 
 
-def _logits(regression: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    pairs = zip(regression["weights"], regression["measures"], strict=True)
-    found: np.ndarray = regression["bias"] + sum(weight * columns[name] for weight, name in pairs)
-    return found
-
-
 def _body_logits(bodies: Sequence[Mapping[str, Any]], columns: Mapping[str, np.ndarray]) -> np.ndarray:
     """Logarithms of each body's odds, by the first regression whose measures the body has."""
     found = np.full(len(columns["keypoints"]), np.nan)
     for regression in bodies:
-        own = _logits(regression, columns)
+        own = Logistic(**regression).logits(columns)
         found = np.where(np.isnan(found), own, found)
     return found
-
-
-def _probability(logit: float) -> float:
-    return float(1 / (1 + np.exp(-logit)))
 
 
 if __name__ == "__main__":

@@ -150,7 +150,7 @@ def test_numbers_of_vertices_that_no_mesh_can_have_are_refused(count):
 
 @pytest.mark.parametrize(("error", "size"), [(0.004, 1.0), (0.01, 2.5)])
 def test_as_many_vertices_are_kept_as_an_error_needs(error, size):
-    """For a giant, the first number that is tried is too small."""
+    """The first number that is tried is too small for a giant."""
     model = replace(anny(), rest_vertices=size * anny().rest_vertices)
     few = reduce_within(model, error)
     assert few.error <= error

@@ -27,7 +27,7 @@ from warp_partdr.solve.scene.start import gather_scene
 def beside(
     observation: SceneObservation, person: int, widths: float, *, frame: int = 0, parts: bool = True
 ) -> SceneObservation:
-    """The same person stands so many widths of the box farther to the right."""
+    """A copy of the person stands so many widths of the box farther to the right."""
     points, seen = observation.keypoints.points, observation.keypoints.visible
     aside = round(widths * 1.3 * float(np.ptp(points[seen, 0])))
     moved = replace(observation.keypoints, points=points + np.float32([aside, 0]))

@@ -51,11 +51,24 @@ def seen_errors(joints: np.ndarray, person: PhotographedPerson) -> tuple[float, 
     names = list(MPJPE_JOINTS)
     body = [names.index(name) for name in _BODY]
     seen = person.seen[5:] if person.seen[5:].sum() >= _FEWEST else np.ones(len(_BODY), dtype=bool)
-    differences = differences - differences[body][seen].mean(axis=0)
     shown = differences[body][seen]
+    depth, across = depth_and_across(shown)
+    differences = differences - shown.mean(axis=0)
     limbs = []
     for limb in LIMBS:
         rows = [names.index(name) for name in _LIMB_JOINTS.get(limb.name, limb.joints)]
         limbs.append(np.linalg.norm(differences[rows], axis=1).mean())
-    depth, across = float(np.abs(shown[:, 2]).mean()), float(np.linalg.norm(shown[:, :2], axis=1).mean())
-    return depth, across, np.array(limbs)
+    return float(depth), float(across), np.array(limbs)
+
+
+def depth_and_across(differences: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean errors in depth and across the picture, after a move that brings the mean of the joints to the truth.
+
+    Args:
+        differences: Joints minus the true ones in the frame of a camera [m], NaN where unknown, shape (..., J, 3).
+
+    Returns:
+        Errors in depth, and across the picture [m], shape (...) each.
+    """
+    errors = differences - np.nanmean(differences, axis=-2, keepdims=True)
+    return np.nanmean(np.abs(errors[..., 2]), axis=-1), np.nanmean(np.linalg.norm(errors[..., :2], axis=-1), axis=-1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,7 +27,7 @@ def person_window(box: Sequence[float] | np.ndarray, points: np.ndarray, side: i
         points: Points of the body in the picture [px], shape (N, 2).
         side: Longer side of the window's own picture [px].
     """
-    left, top, right, bottom = (float(edge) for edge in box)
+    left, top, right, bottom = np.asarray(box, dtype=np.float64).tolist()
     beyond = _BEYOND * max(right - left, bottom - top, 1.0)
     inside = np.clip(points, (left - beyond, top - beyond), (right + beyond, bottom + beyond))
     return _window_of(np.minimum(inside.min(0), (left, top)), np.maximum(inside.max(0), (right, bottom)), side)
@@ -39,7 +38,7 @@ def _window_of(low: np.ndarray, high: np.ndarray, side: int) -> Crop:
     margin = _MARGIN * max(*(high - low), 1.0) + 1
     low, high = np.floor(low - margin), np.ceil(high + margin)
     zoom = side / float((high - low).max())
-    width, height = (max(math.ceil(length * zoom), 1) for length in (high - low).tolist())
+    width, height = np.maximum(np.ceil((high - low) * zoom), 1).astype(int).tolist()
     return Crop(float(low[0]), float(low[1]), zoom, (height, width))
 
 
@@ -48,9 +47,10 @@ def cut_window(photo: np.ndarray, crop: Crop) -> np.ndarray:
     from PIL import Image
 
     left, top = int(crop.left), int(crop.top)
-    height, width = (round(side / crop.zoom) for side in crop.size)
+    height, width = round(crop.size[0] / crop.zoom), round(crop.size[1] / crop.zoom)
     window = Image.new("RGB", (width, height), GRAY)
-    rows, columns = (slice(max(start, 0), max(start + side, 0)) for start, side in ((top, height), (left, width)))
+    rows = slice(max(top, 0), max(top + height, 0))
+    columns = slice(max(left, 0), max(left + width, 0))
     part = photo[rows, columns]
     if part.size:
         window.paste(Image.fromarray(part), (columns.start - left, rows.start - top))

@@ -17,6 +17,7 @@ from ..models.measuring import BODY_MEASURES
 from ..pipelines.photo import PhotoFit
 from ..solve.confidence.limbs import guessed_parts
 from ..solve.confidence.model import packaged_model
+from ..solve.confidence.sights import sight_in_words
 from ..solve.confidence.words import confidence_in_words
 from .overlays import overlay_size, skin_over
 from .person_pictures import cut_window, draw_side_view, jpeg_file, person_window
@@ -24,7 +25,6 @@ from .person_pictures import cut_window, draw_side_view, jpeg_file, person_windo
 PAGE = "report.html"
 _SIDE = 320  # [px], longer side of a person's pictures
 _OVERVIEW = 1200  # [px], longer side of the picture of everyone
-_SIGHTS = {"seen": "seen", "hidden": "hidden, guessed", "outside": "outside the picture, guessed"}
 # Files of a person that the page links to.
 _LINKED = (
     "detailed.png", "overlay.png", "parts.png", "detailed.glb", "detailed.obj", "detailed.bvh", "body.json", "body.npz",
@@ -185,7 +185,7 @@ def _person(person: Mapping[str, Any], pictures: PersonPictures, folder: Path) -
 def _limbs(person: Mapping[str, Any]) -> str:
     """Table of the limbs with their state and confidence."""
     rows = [
-        f"<tr><td>{name.replace('_', ' ')}<td>{_SIGHTS[limb['sight']]}<td class=n>{limb['confidence']:.2f}</tr>"
+        f"<tr><td>{name.replace('_', ' ')}<td>{sight_in_words(limb['sight'])}<td class=n>{limb['confidence']:.2f}</tr>"
         for name, limb in person["limbs"].items()
     ]
     return f"<table><tr><th>limb<th>how it is known<th class=n>confidence</tr>{''.join(rows)}</table>"

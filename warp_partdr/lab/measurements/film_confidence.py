@@ -24,6 +24,7 @@ from ...pipelines.observed_film import ObservedFilm
 from ..evaluation.datasets.trajectories import read_trajectories
 from ..evaluation.datasets.views import Views
 from ..options import Device
+from ..photo_truth import depth_and_across
 from ..tables import FigureTable
 from .confidence import RIGHT, area_under_curve
 
@@ -99,10 +100,7 @@ def stated_and_true(fit: FilmFit, views: Views, film: str) -> np.ndarray:
             joints = fit.films[0].view.to_camera(motion.model.landmarks(bodies, BODY_LANDMARKS)).cpu()
             pixels = fit.camera.project(joints)[..., :2].numpy()
         away = np.nanmean(np.linalg.norm(pixels - np.stack([points[frame] for frame in frames]), axis=-1))
-        errors = joints.numpy() - np.stack([true[frame] for frame in frames])
-        errors = errors - np.nanmean(errors, axis=1, keepdims=True)
-        depth = np.nanmean(np.abs(errors[..., 2]), axis=1)
-        across = np.nanmean(np.linalg.norm(errors[..., :2], axis=-1), axis=1)
+        depth, across = depth_and_across(joints.numpy() - np.stack([true[frame] for frame in frames]))
         found.append((float(away), np.stack([motion.confidence.bodies[rows], np.maximum(depth, across)])))
     if not found:
         raise InputError(f"{film}: no frame with a body and known joints; expected the person whose joints are known")

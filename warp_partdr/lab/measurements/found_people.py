@@ -57,8 +57,7 @@ def measure_found_people(
     Raises:
         InputError: If a photo is missing.
     """
-    text = (photos or resources.files(__package__).joinpath("found_people.json")).read_text(encoding="utf-8")
-    marked = [MarkedPhoto.from_json(each) for each in json.loads(text)["photos"]]
+    marked = marked_photos(photos)
     outcomes = []
     for index in tracked(range(len(marked))):
         picture = marked[index].read(folder)
@@ -71,6 +70,12 @@ def measure_found_people(
         if outcome.missed or outcome.false:
             half = "held out" if photo.held_out else "chosen on"
             yield f"{photo.name} ({half}): missed {list(outcome.missed)}, false {list(outcome.false)}"
+
+
+def marked_photos(path: Path | None = None) -> list[MarkedPhoto]:
+    """Read the marked photos of a file, or those that belong to this measurement."""
+    text = (path or resources.files(__package__).joinpath("found_people.json")).read_text(encoding="utf-8")
+    return [MarkedPhoto.from_json(each) for each in json.loads(text)["photos"]]
 
 
 @dataclass(frozen=True)

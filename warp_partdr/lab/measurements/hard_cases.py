@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ...body.landmarks import mirror_order
 from ...body.skeletons import MPJPE_JOINTS
 from ...errors import InputError
 from ...metrics import pa_mpjpe
@@ -33,10 +34,7 @@ from .confidence import RIGHT, WRONG
 from .kept_keypoints import as_part_labels
 
 _THIGH, _STATURE = BODY_MEASURES.index("thigh girth"), BODY_MEASURES.index("stature")
-_MIRRORED = [
-    MPJPE_JOINTS.index(name.replace("left", "*").replace("right", "left").replace("*", "right"))
-    for name in MPJPE_JOINTS
-]
+_MIRRORED = mirror_order(MPJPE_JOINTS)
 _ARMS_AND_LEGS = [row for row, name in enumerate(MPJPE_JOINTS) if name.startswith(("left", "right"))]
 
 
@@ -94,9 +92,7 @@ def _case(case: HardCase, fit: MeshFit, person: PhotographedPerson, confidence: 
     model = anny()
     true = measure_body(model, model.rest(person.shape))[0].numpy()
     own = measure_body(fit.body.model, fit.body.rest())[0].cpu().numpy()
-    limbs = joints[_ARMS_AND_LEGS], person.joints[_ARMS_AND_LEGS], person.joints[_MIRRORED][_ARMS_AND_LEGS]
-    found, truth, mirrored = (each - each.mean(axis=0) for each in limbs)
-    exchanged = np.linalg.norm(found - mirrored, axis=1).mean() < np.linalg.norm(found - truth, axis=1).mean()
+    exchanged = _limbs_apart(joints, person.joints[_MIRRORED]) < _limbs_apart(joints, person.joints)
     return HardCase(
         case.photo,
         case.kind,
@@ -109,6 +105,12 @@ def _case(case: HardCase, fit: MeshFit, person: PhotographedPerson, confidence: 
         float(own[_THIGH] / own[_STATURE] / (true[_THIGH] / true[_STATURE])),
         float(exchanged),
     )
+
+
+def _limbs_apart(joints: np.ndarray, others: np.ndarray) -> float:
+    """Mean distance of the joints of arms and legs, after a move that brings their means together [m]."""
+    differences = joints[_ARMS_AND_LEGS] - others[_ARMS_AND_LEGS]
+    return float(np.linalg.norm(differences - differences.mean(axis=0), axis=1).mean())
 
 
 def measure_hard_cases(

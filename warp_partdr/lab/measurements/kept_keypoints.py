@@ -7,10 +7,8 @@ of the person's height. Without a true pose, this says only whether heads and ar
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +29,7 @@ from ...solve.mesh.mesh_options import MeshOptions
 from ...solve.mesh.mesh_stage import MeshFit, refine_mesh
 from ..options import Device, tracked
 from ..tables import FigureTable, estimate_mean
-from .found_people import MarkedPhoto
+from .found_people import marked_photos
 
 _FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear", "mouth_left", "mouth_right")
 _ARMS = ("left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist")
@@ -48,10 +46,8 @@ def measure_kept_keypoints(folder: Path, /, *, device: Device = "cpu") -> Iterat
     Raises:
         InputError: If a photo is missing, or nobody is found in any.
     """
-    text = resources.files(__package__).joinpath("found_people.json").read_text(encoding="utf-8")
-    photos = [MarkedPhoto.from_json(each) for each in json.loads(text)["photos"]]
     found: dict[str, list[tuple[float, float]]] = {}
-    for photo in tracked([each for each in photos if each.turn == 0]):
+    for photo in tracked([each for each in marked_photos() if each.turn == 0]):
         for name, distances in _distances(photo.read(folder), device).items():
             found.setdefault(name, []).append(distances)
     if not found:

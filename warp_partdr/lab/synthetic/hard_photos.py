@@ -224,7 +224,8 @@ def _kept_box(canvas: _Canvas, kind: str, rng: np.random.Generator) -> tuple[int
     if kind == "cut":
         box = _cut_box(canvas.owners == 1, rng)
     elif kind == "half body":
-        hips, shoulders = (canvas.keypoints[0][rows, 1].mean() for rows in (_HIPS, _SHOULDERS))
+        rows = canvas.keypoints[0][:, 1]
+        hips, shoulders = rows[_HIPS].mean(), rows[_SHOULDERS].mean()
         box = 0, 0, width, int(hips + rng.uniform(-0.35, 0.5) * (hips - shoulders))
     large = min(box[2] - box[0], box[3] - box[1]) > _SMALLEST
     return (box[0], box[1], box[2], min(box[3], height)) if large else (0, 0, width, height)

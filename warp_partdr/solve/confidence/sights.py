@@ -53,10 +53,15 @@ def limb_sights(seen: np.ndarray, outside: np.ndarray) -> np.ndarray:
     return found
 
 
+def sight_in_words(sight: Sight) -> str:
+    """Say how a limb is known: "seen", "hidden, guessed" or "outside the picture, guessed"."""
+    return sight if sight == "seen" else f"{_WHY[sight]}, guessed"
+
+
 def describe_guessed(sights: Mapping[str, Sight]) -> str:
     """Words for the limbs that are guessed and why, such as "left arm hidden, guessed"; empty if all are seen."""
     groups: dict[str, list[str]] = {}
     for name, sight in sights.items():
         if sight != "seen":
-            groups.setdefault(_WHY[sight], []).append(name)
-    return "; ".join(f"{' and '.join(names)} {why}, guessed" for why, names in groups.items())
+            groups.setdefault(sight_in_words(sight), []).append(name)
+    return "; ".join(f"{' and '.join(names)} {words}" for words, names in groups.items())
