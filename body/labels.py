@@ -266,7 +266,7 @@ def _from_json(data: Mapping[str, Any], where: str) -> LabelSet:
             return known[0]
         raise InputError(
             f"{where}: the ids and names of no known label set; expected those of {', '.join(LABEL_SETS)}, or groups "
-            "and ids (docs/inputs.md)"
+            "and ids (docs/reference/inputs.md)"
         )
     try:
         groups, ids, left_out = data.get("groups"), data.get("ids"), data.get("left_out", ())

@@ -77,7 +77,8 @@ Offset = tuple[float, float, float]  # to the person's left, up and forward in t
 
 # Where joints of data sets lie from the landmarks of the same names, of the left side, fixed to the trunk or
 # the head. Joints that are not here lie at the landmarks. Offsets were learned as ``scripts/learn_landmarks.py``
-# does it, from people whose 3D joints are known; docs/inputs.md says from how many, and how well each offset is known.
+# does it, from people whose 3D joints are known; docs/reference/inputs.md says from how many, and how well each offset
+# is known.
 CONVENTIONS: dict[str, dict[str, tuple[str, Offset]]] = {
     "h36m": {
         "mid_hip": ("pelvis", (0.0, 29.3, 24.2)),

@@ -33,7 +33,7 @@ _AT_THE_TOP = ("kernels", "body")  # folders of the repository that lie in the p
 def make_pages(folder: Path) -> None:
     """Write all pages and what they show."""
     shutil.rmtree(folder, ignore_errors=True)
-    waiting = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+    waiting = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
     waiting += [*sorted((ROOT / "warp_partdr/assets").glob("*.md")), *demos(), ROOT / "docs" / "iframe-worker.js"]
     done: set[Path] = set()
     while waiting:
@@ -74,7 +74,7 @@ def page(source: Path) -> tuple[str, list[Path]]:
         return (tutorial(text) if source in demos() else code(source.relative_to(ROOT).as_posix(), text)), []
     if source.suffix != ".md":
         return code(source.name, text, ""), []
-    if source == ROOT / "docs" / "equations.md":
+    if source == ROOT / "docs/reference/formula_book.md":
         text = re.sub(r"(?m)(?:^\|.*\n)+", lambda _: equations(), text, count=1)
     linked: list[Path] = []
 
@@ -114,7 +114,7 @@ def equation_section(number: str, equation: dict[str, Any]) -> str:
 
 
 def code_link(name: str) -> str:
-    """A link from docs/ to where a dotted name of the package is defined."""
+    """A link from docs/reference/ to where a dotted name of the package is defined."""
     parts = name.split(".")
     folder = ROOT if parts[0] in _AT_THE_TOP else ROOT / "warp_partdr"
     files = (folder.joinpath(*parts[:count]).with_suffix(".py") for count in range(1, len(parts)))
@@ -122,11 +122,11 @@ def code_link(name: str) -> str:
 
 
 def link(name: str, file: Path) -> str:
-    """A link from docs/ to the line of a file that defines a name."""
+    """A link from docs/reference/ to the line of a file that defines a name."""
     lines = file.read_text(encoding="utf-8").splitlines()
     definition = re.compile(rf"\s*(?:def|class) {name.rpartition('.')[2]}\b")
     number = next(count for count, line in enumerate(lines, 1) if definition.match(line))
-    return f"[`{name}`](../{file.relative_to(ROOT).as_posix()}#L{number})"
+    return f"[`{name}`](../../{file.relative_to(ROOT).as_posix()}#L{number})"
 
 
 def gallery() -> str:
@@ -138,9 +138,9 @@ def gallery() -> str:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "MEASURED"
     )
     shown: dict[str, str] = {}
-    for source in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+    for source in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
         for line, path in _PICTURE.findall(source.read_text(encoding="utf-8")):
-            picture = (source.parent / path).relative_to(ROOT).as_posix()
+            picture = (source.parent / path).resolve().relative_to(ROOT).as_posix()
             command = measured.get(Path(path).name, "make pictures")
             page = source.relative_to(ROOT).as_posix()
             shown.setdefault(picture, f"![{line}]({picture})\n\n{line}: [{source.stem}]({page}), by `{command}`.\n")
@@ -169,7 +169,7 @@ def fenced(text: str, language: str) -> str:
 
 def api_page(name: str, module: str) -> str:
     """A public name's page: its docstring, and where it is used."""
-    places = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *demos()]
+    places = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *demos()]
     used = [path for path in places if re.search(rf"\b{re.escape(name)}\b", path.read_text(encoding="utf-8"))]
     links = ", ".join(f"[{path.stem}](../{page_path(path).as_posix()})" for path in used)
     return f"# {name}\n\n`from warp_partdr import {name}`\n\n::: warp_partdr.{module}.{name}\n\nUsed in: {links}\n"

@@ -293,7 +293,7 @@ _FEW = 32  # threads a block where a launch has few: more blocks, so more of the
 BLOCK = 64  # of the kernels that fill forces
 NUM_SUMS = SIXTEEN  # of an ellipsoid's forces
 _WARPS_TO_FILL = 2048  # of 132 multiprocessors
-_MAX_SHARES = 16  # measured: docs/performance.md
+_MAX_SHARES = 16  # measured: docs/measured/performance.md
 
 
 def make_forces(batch: int, parts: int, device: wp.Device) -> wp.array:

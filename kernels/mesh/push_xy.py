@@ -1,7 +1,7 @@
 """Backward pass of the mesh renderer in x and y: change of the part maps with silhouette edges (paper, eq. 10 and 11).
 
-The definition is docs/renderer.md; ``reference/mesh.py`` is the same in slow float64. The result is linear in the loss
-gradient of the part maps.
+The definition is docs/explanation/mesh_renderer.md; ``reference/mesh.py`` is the same in slow float64. The result is
+linear in the loss gradient of the part maps.
 """
 
 from typing import Any, NamedTuple, Self

@@ -1,7 +1,7 @@
 """Backward pass of the mesh renderer in z: a hidden face that should be seen comes forward (paper, eq. 12).
 
-The definition is docs/renderer.md; ``reference/mesh.py`` is the same in slow float64. The result is linear in the loss
-gradient of the part maps.
+The definition is docs/explanation/mesh_renderer.md; ``reference/mesh.py`` is the same in slow float64. The result is
+linear in the loss gradient of the part maps.
 """
 
 import math

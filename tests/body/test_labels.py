@@ -105,7 +105,7 @@ def test_sapiens2_has_one_class_more() -> None:
 
 def test_the_docs_list_each_set_with_its_ids() -> None:
     """Name, data set, classes, ids and what is ignored."""
-    page = (Path(__file__).resolve().parents[2] / "docs" / "inputs.md").read_text()
+    page = (Path(__file__).resolve().parents[2] / "docs/reference/inputs.md").read_text()
     rows = [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in page.splitlines() if "| `" in line]
     told = {row[0]: (row[1], row[2], row[3], row[5]) for row in rows if row[0] in LABEL_SETS}
     for name, labels in LABEL_SETS.items():

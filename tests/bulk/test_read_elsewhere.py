@@ -1,4 +1,4 @@
-"""Data sets are read as docs/outputs.md shows it: by other packages, and without this one."""
+"""Data sets are read as docs/reference/outputs.md shows it: by other packages, and without this one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from helpers.people_rows import body_row, write_shards
 
 from warp_partdr.body.template import JOINT_NAMES
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "outputs.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs/reference/outputs.md"
 
 pytest.importorskip("pyarrow", reason="needs pyarrow, the extra dataset")
 pytestmark = pytest.mark.skipif(not PAGE.exists(), reason="needs the pages beside the tests")

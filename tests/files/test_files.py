@@ -267,6 +267,6 @@ def test_arrays_that_are_not_asked_for_may_be_anything(tmp_path: Path) -> None:
 
 def test_json_of_the_docs_has_no_key_twice() -> None:
     """Examples of pages can be read."""
-    page = Path(__file__).resolve().parents[2] / "docs" / "inputs.md"
+    page = Path(__file__).resolve().parents[2] / "docs/reference/inputs.md"
     for block in page.read_text().split("```json\n")[1:]:
         assert parse_json(block.split("```")[0], "page", "JSON") == json.loads(block.split("```")[0])

@@ -76,7 +76,7 @@ def test_pictures_of_the_docs_are_all_told_where_they_come_from():
     drawn = [name for names, _ in pictures.DRAWN for name in names]
     kept = {path.name for path in pictures.IMAGES.iterdir()}
     assert sorted([*drawn, *pictures.MEASURED]) == sorted(kept)
-    pages = [pictures.ROOT / "README.md", *(pictures.ROOT / "docs").glob("*.md")]
+    pages = [pictures.ROOT / "README.md", *(pictures.ROOT / "docs").rglob("*.md")]
     shown = {name for page in pages for name in re.findall(r"images/([\w.-]+\.(?:png|gif))", page.read_text())}
     assert shown == kept
 

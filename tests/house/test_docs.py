@@ -15,7 +15,7 @@ from warp_partdr.solve.mesh.energy import TERMS
 
 ROOT = Path(__file__).resolve().parents[2]
 FILM = "walk.mp4"  # the film of pages' readers
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -55,7 +55,10 @@ def test_links_of_pages_lead_somewhere_and_json_is_valid(page):
 
 def test_the_page_of_scenes_lists_the_energy_s_terms():
     section = (
-        (ROOT / "docs" / "scenes.md").read_text(encoding="utf-8").partition("## Energy\n")[2].partition("\n## ")[0]
+        (ROOT / "docs/explanation/scenes.md")
+        .read_text(encoding="utf-8")
+        .partition("## Energy\n")[2]
+        .partition("\n## ")[0]
     )
     assert re.findall(r"(?m)^\| `(\w+)` \|", section) == [term.name for term in TERMS]
 

@@ -69,8 +69,8 @@ TOLD_IN_WORDS = {
 }
 # Inner modules that pages name for those who read the code.
 INNER_MODULES_OF_PAGES = {
-    "docs/ellipsoids.md: warp_partdr.reference": "the formula book",
-    "docs/equations.md: warp_partdr.body.posing.pose": "an example of the table's names",
+    "docs/explanation/exact_renderer.md: warp_partdr.reference": "the formula book",
+    "docs/reference/formula_book.md: warp_partdr.body.posing.pose": "an example of the table's names",
 }
 # Where arguments are parsed: the command line, the harness of measurements, tutorials, and tools of the repository.
 PARSERS = ("warp_partdr/cli/", "warp_partdr/lab/harness.py", "demos/", "scripts/", "benchmarks/")
@@ -243,7 +243,7 @@ def test_a_name_is_defined_once():
 
 
 def pages() -> list[Path]:
-    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 @cache

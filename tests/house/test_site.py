@@ -34,7 +34,7 @@ def entries(nav: object) -> list[str]:
 def test_the_navigation_has_each_page(pages: Path) -> None:
     nav = entries(yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"])
     assert len(set(nav)) == len(nav)
-    expected = {f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")}
+    expected = {path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md")}
     expected |= {f"demos/{path.stem}.md" for path in (ROOT / "demos").glob("*.py")}
     expected |= {f"api/{name}.md" for name in [*warp_partdr._EXPORTS, "benchmark", "metrics", "plot"]}
     expected |= {f"warp_partdr/assets/{path.name}" for path in (ROOT / "warp_partdr/assets").glob("*.md")}
@@ -87,7 +87,7 @@ def test_a_demo_is_a_page_of_its_own_words(pages: Path) -> None:
 
 
 def test_each_equation_is_rendered_and_leads_to_its_code(pages: Path) -> None:
-    page = (pages / "docs" / "equations.md").read_text()
+    page = (pages / "docs" / "reference" / "formula_book.md").read_text()
     sections = re.split(r"(?m)^### Equation (\d+): ", page)
     assert [int(number) for number in sections[1::2]] == list(EQUATIONS)
     for equation, section in zip(EQUATIONS.values(), sections[2::2], strict=True):
@@ -96,7 +96,7 @@ def test_each_equation_is_rendered_and_leads_to_its_code(pages: Path) -> None:
         names = [f"reference.{equation.book}", *equation.kernels, *equation.torch]
         names += [test.partition("::")[2] for test in equation.tests]
         for name in names:
-            (link,) = re.findall(rf"\[`{re.escape(name)}`\]\(\.\./([^)]+)\.md#__span-0-(\d+)\)", section)
+            (link,) = re.findall(rf"\[`{re.escape(name)}`\]\(\.\./\.\./([^)]+)\.md#__span-0-(\d+)\)", section)
             line = (ROOT / link[0]).read_text().splitlines()[int(link[1]) - 1]
             assert re.match(rf"\s*(def|class) {name.rpartition('.')[2]}\b", line), name
     assert "| eq. |" not in page
@@ -107,4 +107,4 @@ def test_the_gallery_shows_all_pictures(pages: Path) -> None:
     shown = re.findall(r"!\[[^\]]+\]\((docs/images/[^)]+)\)", page)
     assert sorted(shown) == sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs/images").iterdir())
     assert all((pages / picture).is_file() for picture in shown)
-    assert "[performance](docs/performance.md), by `partdr bench kernels --device cuda`" in page
+    assert "[performance](docs/measured/performance.md), by `partdr bench kernels --device cuda`" in page

@@ -1,4 +1,4 @@
-"""The accuracy benchmark reads what it says; what it measures is in docs/fitting.md."""
+"""The accuracy benchmark reads what it says; what it measures is in docs/explanation/fitting.md."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from warp_partdr.reference.__main__ import markdown, print_equations
 from warp_partdr.reference.index import EQUATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "equations.md"
+PAGE = ROOT / "docs/reference/formula_book.md"
 
 
 @cache
@@ -80,5 +80,5 @@ def test_other_numbers_are_refused_in_a_line(capsys, number):
 
 
 def test_the_page_is_up_to_date():
-    how = "docs/equations.md: its table is out of date; expected what python -m warp_partdr.reference --markdown prints"
-    assert markdown() in PAGE.read_text(encoding="utf-8"), how
+    command = "python -m warp_partdr.reference --markdown"
+    assert markdown() in PAGE.read_text(encoding="utf-8"), f"{PAGE.name}: table out of date; expected that of {command}"

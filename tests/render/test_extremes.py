@@ -1,4 +1,4 @@
-"""The extremes of docs/stability.md: each gives a right, finite answer or a clear error, in both renderers.
+"""The extremes of docs/measured/stability.md: each gives a right, finite answer or a clear error, in both renderers.
 
 "Right" is what the float64 references say, wherever no outline, crease or tie in depth is nearer than ``PLACE`` and
 ``LEAD``. What test_ellipsoids.py and test_mesh.py hold at ordinary sizes is not repeated here.

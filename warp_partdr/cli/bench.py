@@ -36,7 +36,8 @@ _SAVINGS_HELP = """Time what is saved if only the parts of the model are compute
 Example: `partdr bench savings --device cpu`
 
 A table appears on the screen, one row for each saving. FOLDER gets the same figures as bench-savings-DEVICE.json, with
-machine and versions. On the CPU, one core is used. It takes about 40 s. docs/savings.md explains what is left out.
+machine and versions. On the CPU, one core is used. It takes about 40 s. docs/measured/savings.md explains what is left
+out.
 """
 
 _TRADEOFF_HELP = """Measure what accuracy costs: meshes E0 to E3 and exact ellipsoids, gradients, picture sizes.
@@ -46,8 +47,8 @@ Example: `partdr bench tradeoff --device cpu --quick`
 People whose true bodies are known, EllipBodies and Anny bodies, are refined from starts with known errors. Tables on
 the screen compare the time of an iteration with part F1, joint error and error of the gradient; then iterations,
 float64, and whole fits at each quality. FOLDER gets the same figures as bench-tradeoff-DEVICE.json, and a chart as
-.png, with machine and versions. It takes ten minutes on two idle cores, one minute with --quick. docs/accuracy.md has
-the results.
+.png, with machine and versions. It takes ten minutes on two idle cores, one minute with --quick.
+docs/measured/speed_and_accuracy.md has the results.
 """
 
 

@@ -15,7 +15,8 @@ Examples: `partdr fit photo.jpg`; `partdr fit p.jpg --keypoints p.json --parts p
 COCO, MMPose and others. Formats: {", ".join(SKELETONS)}; or your own.
 
 **Part labels** are as large as the picture: ids, a network's probabilities, or each person's mask (full1). Without
-them, only keypoints are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file of your own (docs/inputs.md).
+them, only keypoints are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file of your own
+(docs/reference/inputs.md).
 
 **Results** for a person: overlay.png (look at it first), parts.png, loss.png, body.json (measurements), body.npz,
 ellipbody.glb (for Blender), report.json; and for the mesh detailed.png, detailed.glb, detailed.obj, detailed.ply,
@@ -23,8 +24,9 @@ detailed.bvh, detailed.npz, registration.json. For a photo, each person has a fo
 least confident body first (look at it first), and people.json lists them. For a film: overlay.mp4, scene.glb,
 people.json, and a .npz, .glb and .bvh for each person. Older results are replaced.
 
-**Settings** (docs/fitting.md): `stature=1.78` (a person's height [m], in films, too), `trust_background=true`,
-`landmarks=full` (for photos and films: faster keypoints, farther from the truth), `weights.prior=5`, `labels.size=256`,
+**Settings** (docs/explanation/fitting.md): `stature=1.78` (a person's height [m], in films, too),
+`trust_background=true`, `landmarks=full` (for photos and films: faster keypoints, farther from the truth),
+`weights.prior=5`, `labels.size=256`,
 `mesh.apart=0.1`, `threads=4`, `also=usdz,fbx` (more files, also usda); with --model none also `outline=true`
 (outlines nearer to the labels, joints farther from the truth) and `outline=labels-first` (even more so).
 """

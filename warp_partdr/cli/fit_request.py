@@ -36,7 +36,8 @@ QualityName = StrEnum("QualityName", ["fast", "balanced", "accurate"])
 # These texts name the default themselves; typer would add a line for each.
 _MODEL_HELP = f"Detailed model: {MODEL_HELP}; none skips it. Default: anny."
 _QUALITY_HELP = (
-    "Quality: fast, balanced (default) or accurate, whose mesh stage takes three times as long (docs/accuracy.md)."
+    "Quality: fast, balanced (default) or accurate, whose mesh stage takes three times as long "
+    "(docs/measured/speed_and_accuracy.md)."
 )
 _START_HELP = "Start: network (default; if it ends far from the keypoints, a search follows) or search."
 

@@ -15,7 +15,8 @@ Films (or photos) must start at the same moment; otherwise `--align` finds their
 vary, because frames are matched by their times. People are matched between the films by the points where rays meet.
 
 **Cameras** must stand still. --cameras takes a file or a folder of Pose2Sim, Anipose, FreeMoCap, Caliscope, OpenCV,
-EasyMocap, MC-Calib, Kalibr or Qualisys, or a JSON file of this project (docs/inputs.md), in metres. A camera belongs to
+EasyMocap, MC-Calib, Kalibr or Qualisys, or a JSON file of this project (docs/reference/inputs.md), in metres. A camera
+belongs to
 the film with its name or number (cam1 to cam1_sync.mp4); without such names, cameras are in the order of the films.
 Distortion is removed. Without --cameras, the positions of the cameras are found from the people. Then give a person's
 height, `--set stature=1.78` (metres), or distances follow from the sizes that people seem to have.

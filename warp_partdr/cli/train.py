@@ -11,7 +11,8 @@ from typer import Argument, Option
 from ..errors import InputError
 from .options import DeviceOption, SetOption
 
-TRAIN_HELP = """Train a network: label-network, ellipbodynet, or a config of your own (see docs/training.md).
+TRAIN_HELP = """Train a network: label-network, ellipbodynet, or a config of your own (see
+docs/how_to/train_a_network.md).
 
 Examples:
 

@@ -2,7 +2,7 @@
 
 The detailed model takes EllipBody's pose, and a shape whose bones have EllipBody's lengths. Then Adam refines shape,
 turns of the parts and position together, all bodies of a batch side by side. Where EllipBody's lengths and thicknesses
-are none of the model's people, parts grow. ``docs/registration.md`` has the formulas.
+are none of the model's people, parts grow. ``docs/explanation/registration.md`` has the formulas.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _CENTIMETRES = 1e4  # square metres to square centimetres
 
 @dataclass(frozen=True)
 class RegistrationWeights:
-    """Weights of the loss's terms, which ``docs/registration.md`` defines; distances count in centimetres.
+    """Weights of the loss's terms, which ``docs/explanation/registration.md`` defines; distances count in centimetres.
 
     The defaults are for ellipsoids that match a person's outlines, so that half of the skin is inside, and whose
     thicknesses are known: measured or edited.

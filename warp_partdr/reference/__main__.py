@@ -14,7 +14,7 @@ def print_equations(arguments: list[str] | None = None) -> int:
     """Print what is asked for; the exit code is 2 where there is no such equation."""
     parser = argparse.ArgumentParser(prog="python -m warp_partdr.reference", description=__doc__)
     parser.add_argument("number", metavar="N", nargs="?", help="3 to 6 or 8 to 19; by default, the table of all")
-    parser.add_argument("--markdown", action="store_true", help="the table of docs/equations.md")
+    parser.add_argument("--markdown", action="store_true", help="the table of docs/reference/formula_book.md")
     options = parser.parse_args(arguments)
     if options.number is None:
         print(markdown() if options.markdown else table())
@@ -51,16 +51,16 @@ def page(number: int) -> str:
 
 
 def markdown() -> str:
-    """All equations as a table with links, as docs/equations.md has it."""
+    """All equations as a table with links, as docs/reference/formula_book.md has it."""
     lines = ["| eq. | formula | book | kernels | torch | tests |", "|---|---|---|---|---|---|"]
     for number, each in EQUATIONS.items():
         module, _, name = each.book.partition(".")
         cells = [
             str(number),
             f"{each.title}: `{each.formula}`",
-            f"[`{name}`](../warp_partdr/reference/{module}.py)",
+            f"[`{name}`](../../warp_partdr/reference/{module}.py)",
             *(", ".join(f"`{entry}`" for entry in entries) for entries in (each.kernels, each.torch)),
-            ", ".join(f"[`{test.partition('::')[2]}`](../{test.partition('::')[0]})" for test in each.tests),
+            ", ".join(f"[`{test.partition('::')[2]}`](../../{test.partition('::')[0]})" for test in each.tests),
         ]
         lines.append(f"| {' | '.join(cell or 'none' for cell in cells)} |")
     return "\n".join(lines)

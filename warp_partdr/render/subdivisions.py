@@ -74,7 +74,7 @@ def _error(
     points = centres[..., None, :] + unit @ columns.mT  # (B, P, N, 3)
     spread = columns @ columns.mT
     if camera.perspective:
-        # The dual conic of the outline (docs/ellipsoids.md), in the plane at depth 1.
+        # The dual conic of the outline (docs/explanation/exact_renderer.md), in the plane at depth 1.
         conic = centres[..., :, None] * centres[..., None, :] - spread
         drawn = (conic[..., 2, 2] > 0) & (centres[..., 2] > 0)
         scale = torch.where(drawn, conic[..., 2, 2], 1.0)[..., None]

@@ -57,7 +57,8 @@ def fit_body(
         keypoints: The person's 2D keypoints in the picture.
         parts: The picture's part labels; None fits keypoints alone.
         others: Other people's keypoints, which keep their labels apart from the person's.
-        quality: Quality "fast", "balanced" or "accurate": it chooses stages and picture sizes; docs/accuracy.md has
+        quality: Quality "fast", "balanced" or "accurate": it chooses stages and picture sizes;
+        docs/measured/speed_and_accuracy.md has
             the accuracy of each.
         options: Stages and weights of your own, instead of those of ``quality``.
         device: Device of the fit, "cpu" or a CUDA device.
