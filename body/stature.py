@@ -13,6 +13,8 @@ from .template import LENGTH_NAMES
 # Of the bones between sole and crown, how much of each length counts: learned by scripts/learn_stature.py.
 SHARES = {"abdomen": 0.99, "chest": 1.2, "neck": 1.71, "head": 0.81, "upper leg": 1.02, "lower leg": 0.86}
 LEAST_STATURE, MOST_STATURE = 0.4, 2.8  # [m]
+# One man in a thousand of ANSUR II (US Army, 2012) is taller than 1.97 m, and some peoples are some centimetres taller.
+_TALL = 2.05  # [m]
 
 
 def bone_statures(lengths: torch.Tensor) -> torch.Tensor:
@@ -24,6 +26,25 @@ def bone_statures(lengths: torch.Tensor) -> torch.Tensor:
 def _shares(device: torch.device, dtype: torch.dtype) -> torch.Tensor:
     with torch.inference_mode(False):  # kept for calls outside of it, too
         return torch.tensor([SHARES.get(name, 0.0) for name in LENGTH_NAMES], device=device, dtype=dtype)
+
+
+def tall_warning(person: str, stature: float) -> tuple[str, ...]:
+    """Warn of a height that was guessed from one picture or film, and that hardly anybody has.
+
+    Args:
+        person: Name of the person, for the sentence.
+        stature: Height of the person standing [m].
+
+    Returns:
+        One sentence, or none if people of this height are common. Small people may be children: they are not told.
+    """
+    if stature <= _TALL:
+        return ()
+    return (
+        f"{person} is {stature:.2f} m tall, and hardly anybody is taller than {_TALL} m. One camera does not show how "
+        "tall somebody is: size and distance may both be too large. Please give the height if you know it, for example "
+        "--set stature=1.8",
+    )
 
 
 def check_stature(stature: float | None) -> float | None:

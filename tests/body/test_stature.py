@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from warp_partdr.body.stature import bone_statures, check_stature
+from warp_partdr.body.stature import bone_statures, check_stature, tall_warning
 from warp_partdr.body.template import MEAN_STATURE, template
 from warp_partdr.errors import InputError
 from warp_partdr.lab.synthetic import people
@@ -41,3 +41,11 @@ def test_known_statures_are_plain_numbers_of_metres():
     for stature in (0, -1, 0.3, 9, 178, True, np.nan, np.bool_(True), "1.75", 1.7j):
         with pytest.raises(InputError, match=r"stature: .*; expected metres, 0.4 to 2.8"):
             check_stature(stature)
+
+
+def test_heights_that_hardly_anybody_has_are_told() -> None:
+    assert tall_warning("person0", 1.97) == ()
+    assert tall_warning("person0", 1.1) == ()  # a child
+    (sentence,) = tall_warning("person3", 2.14)
+    assert sentence.startswith("person3 is 2.14 m tall, and hardly anybody is taller than 2.05 m")
+    assert "--set stature=1.8" in sentence

@@ -15,7 +15,7 @@ from warp_partdr.inputs.calibrated_camera import CalibratedCamera
 from warp_partdr.lab.synthetic.scene_people import SceneSample, make_pair
 from warp_partdr.models.measuring import statures
 from warp_partdr.pipelines.camera_units import in_metres
-from warp_partdr.pipelines.film import find_impossible_people
+from warp_partdr.pipelines.film import find_impossible_people, find_tall_people
 from warp_partdr.pipelines.observed_film import ObservedFilm
 from warp_partdr.pipelines.rig_warnings import distant_rays, unmatched_films
 from warp_partdr.pipelines.same_people import match_people
@@ -159,3 +159,17 @@ def test_bodies_far_from_one_of_several_cameras_are_told() -> None:
     (sentence,) = find_impossible_people(grown)
     assert sentence.startswith("person1 is ")
     assert "m tall; expected 0.5 to 2.6 m" in sentence
+
+
+def test_people_who_are_too_tall_in_one_film_are_told() -> None:
+    """One camera shows no sizes, so a height that nobody has is a warning; several cameras have their own."""
+    fit = made_fit()
+    (film,) = fit.films
+    assert find_tall_people(fit) == []
+    motion = fit.motions[1]
+    shape = replace(motion.shape, values=motion.shape.values + 40.0)
+    tall = replace(fit, motions={1: replace(motion, shape=shape)})
+    (sentence,) = find_tall_people(tall)
+    assert sentence.startswith("person1 is ")
+    assert "One camera does not show how tall somebody is" in sentence
+    assert find_tall_people(replace(tall, films=(film, film))) == []

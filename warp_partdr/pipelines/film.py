@@ -17,6 +17,7 @@ import torch
 from ..body.landmarks import annotated
 from ..body.rotations import nearest_rotation
 from ..body.skeletons import skeleton
+from ..body.stature import tall_warning
 from ..cameras import Perspective
 from ..errors import check_type
 from ..inputs.scene import PersonShape, Scene, SceneObservation, View
@@ -207,6 +208,8 @@ def fit_film(
         report("motions", index + 1, len(parts))
     motions = {each: blends[each].motion(model, film.span(each)) for each in everyone}
     found = FilmFit(film.films, everyone, motions)
+    if options.stature is None:
+        warnings += find_tall_people(found)
     warnings += [*find_impossible_people(found), *find_distant_keypoints(found), *find_unsure_people(found)]
     return replace(found, warnings=tuple(warnings))
 
@@ -222,6 +225,17 @@ def find_impossible_people(fit: FilmFit) -> list[str]:
         for person, motion in fit.motions.items()
     }
     return impossible_people(heights, distances)
+
+
+def find_tall_people(fit: FilmFit) -> list[str]:
+    """Warnings about people in a film of one camera who are taller than hardly anybody is: their size is a guess."""
+    if len(fit.films) > 1:
+        return []
+    return [
+        warning
+        for person, motion in fit.motions.items()
+        for warning in tall_warning(f"person{person}", float(statures(motion.model, motion.shape.values[None])))
+    ]
 
 
 def find_distant_keypoints(fit: FilmFit) -> list[str]:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ..body.stature import tall_warning
 from ..cameras import Perspective, UsualLens, zoomed
 from ..errors import InputError, check_type, check_whole, told_as
 from ..inputs.evidence import MASK_LABELS, Evidence, weigh_evidence
@@ -22,6 +23,7 @@ from ..inputs.own_pixels import Mask
 from ..inputs.part_labels import PartLabels, exif_focal_length, read_photo
 from ..inputs.person import PersonInputs
 from ..interop.arrays import tensor_over
+from ..models.measuring import heights
 from ..models.model import DetailedModel
 from ..networks.detection import MIN_SCORE, LandmarkNetwork
 from ..networks.detection.crops import Pyramid
@@ -145,6 +147,8 @@ def fit_photo(
     fits = refine_people(results, model, options=options.mesh, progress=progress)
     confidences = judge_fits([fit.ellipbody for fit in fits], [detection_measures(found[index]) for index in chosen])
     judged = [fit.with_warnings(each.warnings) for fit, each in zip(fits, confidences, strict=True)]
+    if options.stature is None:
+        judged = [fit.with_warnings(_tall(fit)) for fit in judged]
     return PhotoFit(
         tuple(found),
         dict(zip(chosen, judged, strict=True)),
@@ -152,6 +156,11 @@ def fit_photo(
         sources,
         dict(zip(chosen, confidences, strict=True)),
     )
+
+
+def _tall(fit: MeshFit) -> tuple[str, ...]:
+    """Warning about a height that hardly anybody has: a photo alone does not show how tall somebody is."""
+    return tall_warning("the person", float(heights(fit.body.rest())))
 
 
 class _PeopleEvidence:
