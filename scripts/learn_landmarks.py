@@ -5,7 +5,8 @@
 VIEWS.npz holds people with true 3D joints, as `partdr evaluate real` reads them (docs/how_to/evaluate.md).
 EllipBody's skeleton is put on the joints of all frames of these sets together: each frame has a pose, held by the pose
 prior and the joint limits, and each person has a size and bone lengths near the mean adult's. One offset per joint is
-shared by all frames and both sides. Limbs have none: from joints alone, an offset of a knee is no other than a turn or a length.
+shared by all frames and both sides. Limbs have none: from joints alone, an offset of a knee is no other than a turn or
+a length.
 
 Printed are rows of the table, millimetres of the mean adult, and each offset's standard error: the jackknife over
 people. Offsets along a bone and up and forward at the hips are known least, for lengths and the pose explain as much.
