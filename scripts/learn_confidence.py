@@ -28,7 +28,7 @@ SETS = (("depths", "score", "mirror"), ("depths", "score"), ("depths",), ("score
 _RIDGE, _STEPS = 1e-3, 60
 _WARNED = 0.1  # share of right bodies that warnings may hit, for the figures that are printed
 # Confidence below which a body is warned of. Of 97 bodies in real photos, 7 of 8 that look wrong are below it, and 6
-# of 72 that look right (docs/measured/evaluation.md).
+# of 72 that look right (docs/measured/confidence.md).
 _LEAST = 0.4
 
 

@@ -2,7 +2,7 @@
 
     python scripts/learn_landmarks.py VIEWS.npz SET [SET ...]
 
-VIEWS.npz holds people with true 3D joints, as `partdr evaluate real` reads them (docs/measured/evaluation.md).
+VIEWS.npz holds people with true 3D joints, as `partdr evaluate real` reads them (docs/how_to/evaluate.md).
 EllipBody's skeleton is put on the joints of all frames of these sets together: each frame has a pose, held by the pose
 prior and the joint limits, and each person has a size and bone lengths near the mean adult's. One offset per joint is
 shared by all frames and both sides. Limbs have none: from joints alone, an offset of a knee is no other than a turn or
@@ -73,7 +73,7 @@ class Frames:
 def read_frames(path: Path, sets: Sequence[str]) -> Frames:
     """Moments of sets in a file of views, each once however many cameras saw it."""
     names = ("set", "person", "frame", "joints_world", "joint_names")
-    data = read_npz(path, names, expected="a file of views (docs/measured/evaluation.md)")
+    data = read_npz(path, names, expected="a file of views (docs/how_to/evaluate.md)")
     keys = [f"{data['set'][row]} {data['person'][row]}" for row in range(len(data["set"]))]
     rows: dict[tuple[str, int], int] = {}
     for row, key in enumerate(keys):

@@ -14,7 +14,7 @@ with its ``error``; a person who can't be fitted has ``error``, too, and no body
 | score, box | (), (4) | confidence that there is a person; left, top, right, bottom [px] |
 | keypoints | (J, 3) | x, y [px] and confidence, in the order of ``skeleton``'s keypoints |
 | keypoint_error | | mean distance of sure keypoints from the body, as a share of the person's height |
-| confidence | | probability that the body is right (docs/measured/evaluation.md) |
+| confidence | | probability that the body is right (docs/measured/confidence.md) |
 | energy | | of the last stage of the fit; none without refinement |
 | warnings | | sentences about faults of the input or of the body |
 | global_orient, rotations, translation | (3, 3), (20, 3, 3), (3) | as ``body.npz``, in the camera frame |

@@ -26,7 +26,7 @@ PEOPLE, QUICK_PEOPLE = 20, 6  # take ten minutes and one minute on two cores
 
 evaluate = typer.Typer(
     help="Measure how good fits are on a data set: parts, keypoints and 3D joints, with 95 % intervals. "
-    "See docs/measured/evaluation.md.",
+    "See docs/how_to/evaluate.md.",
     no_args_is_help=True,
 )
 

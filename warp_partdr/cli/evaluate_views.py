@@ -119,7 +119,7 @@ def real(
 
     Example: `partdr evaluate real views.npz --rows baseline --camera none`
 
-    It reads views.npz (docs/measured/evaluation.md), SPIN's .npz, MPI-INF-3DHP's annot.mat, Human3.6M's annot.h5, and
+    It reads views.npz (docs/how_to/evaluate.md), SPIN's .npz, MPI-INF-3DHP's annot.mat, Human3.6M's annot.h5, and
     .trc.
     """
     from ..lab.evaluation.datasets import read_real, write_views

@@ -31,10 +31,10 @@ from .predicted import Predicted
 from .upright import leans, turn_inputs, turn_predicted
 
 # Networks learn how sure they are from people who are made. Of seven real people, 60 % of depths were within the
-# stated 68 %, and so many times wider intervals hold 68 % (`partdr evaluate real`, docs/measured/evaluation.md).
+# stated 68 %, and so many times wider intervals hold 68 % (`partdr evaluate real`, docs/measured/real_people.md).
 REAL_PEOPLE = 1.2
 # Joints of real people are 1 to 3 mm nearer to the truth if bodies are so many times larger, in each set of views that
-# docs/measured/evaluation.md names. PartBench's people, whose bodies are of the kind that networks learn from, become
+# docs/measured/real_people.md names. PartBench's people, whose bodies are of the kind that networks learn from, become
 # too large.
 REAL_SIZE = 1.015
 

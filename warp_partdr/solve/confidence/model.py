@@ -101,6 +101,6 @@ def _logistics(rows: Sequence[Mapping[str, Any]]) -> tuple[Logistic, ...]:
 
 @lru_cache(maxsize=1)
 def packaged_model() -> ConfidenceModel:
-    """Packaged model; docs/measured/evaluation.md says how it was learned and measured."""
+    """Packaged model; docs/measured/confidence.md says how it was learned and measured."""
     path = resources.files("warp_partdr").joinpath("assets", "body_confidence.json")
     return read_confidence_model(path.read_text("utf-8"))

@@ -14,7 +14,7 @@ from ...networks.regression.predicted import Predicted, landmarks_in_crop
 
 # For PartBench's first 40 people at the level "hard", all values from 20 to 40 px give the same errors within 0.6 mm.
 # Few keypoints of the real people are wrong; with any of these values, or without, their errors are the same
-# (docs/measured/evaluation.md).
+# (docs/measured/partbench.md).
 GROSS_ERROR = 30.0  # [px of a crop of 256 px], about 15 cm of an adult; a keypoint this far off counts a quarter
 
 

@@ -2,7 +2,7 @@
 
 A mask shows hair, clothes and bags that a body lacks, and it has no borders between parts. A fit that trusts it as much
 as part labels brings heads and shoulders nearer to the camera, where they cover more of the mask. The factors were
-chosen on 48 free photos of real people and on photos with a true pose (docs/measured/evaluation.md).
+chosen on 48 free photos of real people and on photos with a true pose (docs/measured/hard_situations.md).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Data sets that fits are evaluated on: each reader yields ``Sample`` records, one a person.
 
-What a user has to get, and from where, is in the errors and in docs/measured/evaluation.md. Nothing is ever unpickled.
+What a user has to get, and from where, is in the errors and in docs/how_to/evaluate.md. Nothing is ever unpickled.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ _TEST = 1001  # number of the first picture of the test set; 1 to 1000 are for t
 _JOINTS = len(skeleton("lsp14"))
 _EXPECTED_NPZ = (
     "lsp_dataset_test.npz of SPIN's datasets/preprocess/lsp_dataset.py, or up_3d_*.npz of GraphCMR's "
-    "datasets/preprocess/up_3d.py (docs/measured/evaluation.md)"
+    "datasets/preprocess/up_3d.py (docs/how_to/evaluate.md)"
 )
 _EXPECTED = (
     "the folder lsp_dataset with joints.mat and images (Leeds Sports Pose, Johnson and Everingham), or joints.npz with "

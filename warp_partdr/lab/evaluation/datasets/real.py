@@ -28,7 +28,7 @@ def read_real(
     """Read views of real people with 3D truth, of whatever kind the file or folder is.
 
     Args:
-        path: File or folder, as docs/measured/evaluation.md lists them.
+        path: File or folder, as docs/how_to/evaluate.md lists them.
         cameras: Calibrated cameras, which joints over time need.
         films: Folder of the films of these cameras.
         axes: Axes of the joints, as in ``read_trajectories``.

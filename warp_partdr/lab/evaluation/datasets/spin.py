@@ -1,6 +1,6 @@
 """Annotation arrays of SPIN (nkolot/SPIN) and the many projects after it, for Human3.6M, 3DPW and others.
 
-One ``.npz`` a data set, a row a person; docs/measured/evaluation.md says what each array holds. 3DPW's own sequence
+One ``.npz`` a data set, a row a person; docs/how_to/evaluate.md says what each array holds. 3DPW's own sequence
 files are
 pickles, which are not read.
 """
@@ -49,11 +49,11 @@ _FORMATS = ("lsp14", "h36m17", "coco17")  # what ``part`` may be; all of them wi
 _HUMAN36M = (
     "an .npz of plain arrays: h36m_valid_protocol1.npz or h36m_valid_protocol2.npz, which SPIN's "
     "datasets/preprocess/h36m.py makes from the poses and boxes of vision.imar.ro/human3.6m "
-    "(docs/measured/evaluation.md). VideoPose3D's data_3d_h36m.npz and data_2d_h36m_*.npz hold pickles"
+    "(docs/how_to/evaluate.md). VideoPose3D's data_3d_h36m.npz and data_2d_h36m_*.npz hold pickles"
 )
 _PW3D = (
     "3dpw_test.npz, an .npz of plain arrays that SPIN's datasets/preprocess/pw3d.py makes from 3DPW's sequenceFiles "
-    "(docs/measured/evaluation.md)"
+    "(docs/how_to/evaluate.md)"
 )
 
 

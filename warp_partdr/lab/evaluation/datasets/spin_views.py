@@ -12,7 +12,7 @@ from ....errors import InputError, told_of
 from .spin import SPIN_JOINTS, read_spin_arrays, select_joints
 from .views import Views
 
-_EXPECTED = "an .npz of SPIN's arrays imgname, center, scale, part or openpose, and S (docs/measured/evaluation.md)"
+_EXPECTED = "an .npz of SPIN's arrays imgname, center, scale, part or openpose, and S (docs/how_to/evaluate.md)"
 _SUBJECT = re.compile(r"(?:^|/)(T?S\d+)[_/]")  # of Human3.6M and MPI-INF-3DHP
 
 

@@ -1,7 +1,7 @@
 """Views of real people with 3D truth: one layout of arrays, in an ``.npz`` file.
 
 A row is a person, a moment and a camera. ``Views`` says what each array holds; readers of data sets make them, and
-``view_samples`` makes samples of their rows. docs/measured/evaluation.md says how to bring a data set of one's own.
+``view_samples`` makes samples of their rows. docs/how_to/evaluate.md says how to bring a data set of one's own.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ _ARRAYS = {
 }
 _MAY_BE_NAN = ("joints_camera", "keypoints", "stature")
 _REQUIRED = ("joint_names", "joints_camera", "keypoints", "person")
-_EXPECTED = "views of people with 3D truth: views.npz or sights.npz with the arrays of docs/measured/evaluation.md"
+_EXPECTED = "views of people with 3D truth: views.npz or sights.npz with the arrays of docs/how_to/evaluate.md"
 # Sets whose joints are another convention's: Panoptic's are triangulated from detections of a network that learned from
 # COCO, and Campus was annotated as Shelf.
 _CONVENTION_OF_SET = {"panoptic": "coco", "campus": "shelf"}
