@@ -24,7 +24,7 @@ detailed.bvh, detailed.npz, registration.json. For a photo, each person has a fo
 least confident body first (look at it first), and people.json lists them. For a film: overlay.mp4, scene.glb,
 people.json, and a .npz, .glb and .bvh for each person. Older results are replaced.
 
-**Settings** (docs/explanation/fitting.md): `stature=1.78` (a person's height [m], in films, too),
+**Settings** (docs/reference/settings.md): `stature=1.78` (a person's height [m], in films, too),
 `trust_background=true`, `landmarks=full` (for photos and films: faster keypoints, farther from the truth),
 `weights.prior=5`, `labels.size=256`,
 `mesh.apart=0.1`, `threads=4`, `also=usdz,fbx` (more files, also usda); with --model none also `outline=true`
