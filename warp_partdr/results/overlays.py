@@ -11,9 +11,8 @@ import torch
 from ..body.posing import Posed
 from ..cameras import Camera, zoomed
 from ..inputs.keypoints import Keypoints2D
-from ..models.model import DetailedModel, detailed_mesh
+from ..models.model import DetailedModel
 from ..models.registration import Registered
-from ..render.mesh import draw_mesh
 from ..solve.ellipsoids.result import FitResult
 from .shading import SKIN_COLOUR, blend, shade_body, shade_skin
 
@@ -22,8 +21,7 @@ if TYPE_CHECKING:
 
 GRAY = (235, 235, 235)
 OVERLAY_SIDE = 2048  # [px]; overlays of larger photos are scaled down: no screen shows more, and shading takes memory
-_ELLIPSOIDS, _SKIN = 0.72, 0.9  # opacities
-_PALE = 0.4  # opacity of guessed limbs, as a share of the others'
+_ELLIPSOIDS, _SKIN = 0.85, 0.97  # opacities
 
 
 def body_over(picture: np.ndarray, posed: Posed, camera: Camera, opacity: float = _ELLIPSOIDS) -> np.ndarray:
@@ -38,6 +36,8 @@ def skin_over(
     camera: Camera,
     colour: np.ndarray = SKIN_COLOUR,
     pale: np.ndarray | None = None,
+    *,
+    bare: bool = False,
 ) -> np.ndarray:
     """Draw the first detailed body over a picture, shape (H, W, 3), uint8.
 
@@ -48,15 +48,10 @@ def skin_over(
         camera: Camera of the picture.
         colour: RGB of the skin, shape (3,), uint8.
         pale: Flags of the part labels that are drawn pale because they are guessed (``guessed_parts``), shape (21,).
+        bare: True draws the skin alone. By default the body wears a plain T-shirt and shorts.
     """
     size = picture.shape[0], picture.shape[1]
-    drawn = blend(picture, shade_skin(vertices, model, camera, size, colour), _SKIN)
-    if pale is None or not pale.any():
-        return drawn
-    labels = draw_mesh(vertices, detailed_mesh(model), camera, size).labels[0].cpu().numpy()
-    guessed = pale[labels]
-    drawn[guessed] = (_PALE * drawn[guessed] + (1 - _PALE) * picture[guessed]).astype(np.uint8)
-    return drawn
+    return blend(picture, shade_skin(vertices, model, camera, size, colour, pale=pale, bare=bare), _SKIN)
 
 
 def gray_picture(size: tuple[int, int]) -> np.ndarray:

@@ -1,8 +1,8 @@
-"""Bodies as shaded pictures, drawn with the project's own renderer: no window, no OpenGL."""
+"""Bodies as shaded pictures in soft light, drawn with the project's own renderer: no window, no OpenGL."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,15 +12,45 @@ from ..body.rotations import rotation_from_axis_angle
 from ..cameras import Camera, Crop, WeakPerspective, first_of
 from ..inputs.person import label_bounds
 from ..models.model import Detailed, DetailedModel, detailed_mesh
+from ..models.normals import vertex_normals
+from ..models.suit import suit_of
 from ..render.mesh import draw_mesh
 from ..render.part_mesh import PartMesh, ellipbody_mesh
 from .palette import PART_COLOURS
 
 _SUBDIVISIONS = 3
-_LIGHT = np.array([-0.35, -0.6, -0.72])  # direction toward the light, camera frame
-_AMBIENT = 0.45
-SKIN_COLOUR = np.array([196, 208, 226], dtype=np.uint8)  # unlike all PEOPLE_COLOURS
-_SAMPLES = 2  # samples of a pixel in each direction, for smooth outlines
+SKIN_COLOUR = np.array([205, 212, 222], dtype=np.uint8)  # unlike all PEOPLE_COLOURS
+_TONES = (0.86, 0.74)  # brightness of the T-shirt and of the shorts, as shares of the skin's
+_PALE, _FADE = 0.4, 0.4  # opacity of guessed limbs, and the width of their border as a share of parts
+# Unit vectors toward the lamps, camera frame: x right, y down, z away from the viewer.
+_KEY_FROM, _FILL_FROM = np.array([-0.45, -0.65, -0.612]), np.array([0.8, 0.1, -0.592])
+_SKY, _GROUND, _KEY, _FILL, _RIM = 0.60, 0.34, 0.50, 0.08, 0.12  # brightness that each light adds at most
+_WRAP = 0.3  # how far the key lamp's light reaches around the body
+_BRIGHTEST = 1.2
+_REACH, _CREVICE = 0.06, 0.22  # [m], surroundings that take light away, and how much of it
+_THIN = 1e-3  # [px²], twice the area below which a face is seen from its edge
+_STEP = 0.03  # [m], difference of depths within a pixel that makes it an edge
+_FEW_SAMPLES, _MANY_SAMPLES = 2, 3  # samples of a pixel in each direction, for smooth outlines
+_SMALL = 400_000  # [px], area of a picture up to which a pixel has many samples
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """_Surface of one body, as it is drawn.
+
+    Attributes:
+        vertices: Vertices in the camera frame [m], shape (1, V, 3).
+        mesh: Faces and their part labels.
+        colours: RGB of each label, 0 for the background, shape (21, 3), uint8.
+        cloth: Distance of each vertex from the edges of the garments of a ``Suit`` [m], shape (V, 2).
+        guessed: Share of parts that are drawn pale in each vertex, shape (V,).
+    """
+
+    vertices: torch.Tensor
+    mesh: PartMesh
+    colours: np.ndarray
+    cloth: np.ndarray | None = None
+    guessed: np.ndarray | None = None
 
 
 def shade_body(posed: Posed, camera: Camera, image_size: tuple[int, int]) -> np.ndarray:
@@ -29,9 +59,14 @@ def shade_body(posed: Posed, camera: Camera, image_size: tuple[int, int]) -> np.
     return shade_mesh(posed.vertices(_SUBDIVISIONS)[:1], mesh, camera, image_size, PART_COLOURS)
 
 
-def shade_detailed(detailed: Detailed, model: DetailedModel, camera: Camera, image_size: tuple[int, int]) -> np.ndarray:
-    """Draw the first body's skin in one colour, lit, on a transparent ground: RGBA, shape (H, W, 4), uint8."""
-    return shade_skin(detailed.vertices, model, camera, image_size)
+def shade_detailed(
+    detailed: Detailed, model: DetailedModel, camera: Camera, image_size: tuple[int, int], *, bare: bool = False
+) -> np.ndarray:
+    """Draw the first body in one colour, lit, on a transparent ground: RGBA, shape (H, W, 4), uint8.
+
+    It wears a plain T-shirt and shorts, unless ``bare``.
+    """
+    return shade_skin(detailed.vertices, model, camera, image_size, bare=bare)
 
 
 def shade_skin(
@@ -40,52 +75,219 @@ def shade_skin(
     camera: Camera,
     image_size: tuple[int, int],
     colour: np.ndarray = SKIN_COLOUR,
+    *,
+    pale: np.ndarray | None = None,
+    bare: bool = False,
 ) -> np.ndarray:
-    """Draw the skin of the first body with given vertices, like ``shade_detailed``: RGBA, shape (H, W, 4), uint8.
+    """Draw the first body of a model with given vertices, like ``shade_detailed``: RGBA, shape (H, W, 4), uint8.
 
     Args:
         vertices: Vertices of the model's bodies in the camera frame [m], shape (B, V, 3).
         model: Model of the bodies.
         camera: Camera of the picture.
         image_size: Size (H, W) of the picture [px].
-        colour: Colour of the skin, RGB, shape (3,), uint8.
+        colour: Colour of the body, RGB, shape (3,), uint8.
+        pale: Flags of the part labels that are drawn half transparent, shape (21,); None: no part is.
+        bare: True draws the skin alone. By default the body wears a plain T-shirt and shorts in darker tones.
     """
-    colours = np.broadcast_to(colour, PART_COLOURS.shape)
-    return shade_mesh(vertices[:1], detailed_mesh(model).to("cpu"), camera, image_size, colours)
+    mesh, colours, guessed = detailed_mesh(model).to("cpu"), np.broadcast_to(colour, PART_COLOURS.shape), None
+    if pale is not None and pale.any():
+        guessed = model.spread_weights.cpu().numpy() @ pale[1:].astype(np.float32)
+    if bare:
+        return _shade(_Surface(vertices[:1], mesh, colours, guessed=guessed), camera, image_size)
+    suit = suit_of(model)
+    return _shade(_Surface(suit.put_on(vertices[0])[None], mesh, colours, suit.cloth, guessed), camera, image_size)
 
 
 def shade_mesh(
     vertices: torch.Tensor, mesh: PartMesh, camera: Camera, image_size: tuple[int, int], colours: np.ndarray
 ) -> np.ndarray:
     """Draw a mesh with vertices (1, V, 3) in the camera frame [m] in its labels' colours: RGBA, (H, W, 4), uint8."""
-    points, camera = vertices.detach().cpu(), first_of(camera).to("cpu")
+    return _shade(_Surface(vertices, mesh, colours), camera, image_size)
+
+
+def _shade(surface: _Surface, camera: Camera, image_size: tuple[int, int]) -> np.ndarray:
+    """Draw a surface in soft light on a transparent ground: RGBA, shape (H, W, 4), uint8."""
+    points, camera = surface.vertices.detach().cpu().float(), first_of(camera).to("cpu")
     rgba = np.zeros((*image_size, 4), dtype=np.uint8)
     rows, columns = _window(points, camera, image_size)  # most of a photo shows no body
-    size = (rows.stop - rows.start) * _SAMPLES, (columns.stop - columns.start) * _SAMPLES
-    if 0 in size:
+    height, width = rows.stop - rows.start, columns.stop - columns.start
+    if 0 in (height, width):
         return rgba
-    image = draw_mesh(points, mesh, camera.in_crop(Crop(columns.start, rows.start, _SAMPLES, size)), size)
-    corners = points[0].numpy()[mesh.faces.numpy()]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
-    light = _LIGHT / np.linalg.norm(_LIGHT)
-    brightness = _AMBIENT + (1 - _AMBIENT) * np.clip(normals @ light, 0, 1)
-    index = image.face_index[0].numpy()
-    labels = image.labels[0].numpy()
-    # Colours are weighted by the covered share of a pixel, or outlines would turn dark.
-    covered = (labels > 0)[..., None].astype(np.float32)
-    colour = _sum_samples(colours[labels] * brightness[index][..., None].astype(np.float32) * covered)
-    alpha = _sum_samples(covered)
-    shaded = np.concatenate([colour / np.maximum(alpha, 1), alpha * 255.0 / _SAMPLES**2], axis=-1)
-    rgba[rows, columns] = shaded.clip(0, 255).astype(np.uint8)
+    samples = _MANY_SAMPLES if height * width <= _SMALL else _FEW_SAMPLES
+    size = height * samples, width * samples
+    own_camera = camera.in_crop(Crop(columns.start, rows.start, samples, size))
+    image = draw_mesh(points, surface.mesh, own_camera, size)
+    shown, depth = image.face_index[0].numpy(), image.depth[0]
+    paint = _Paint.of(surface, own_camera, shown)
+    middle = slice(samples // 2, None, samples)
+
+    # Within the body one sample shows as much as many: only pixels on edges and seams need them.
+    even = _is_even(image.labels[0].numpy(), depth.numpy(), samples)
+    even &= ~paint.mixed[shown[middle, middle]]
+    drawn = np.zeros((height, width, 4), dtype=np.float32)
+    row, column = np.nonzero(even)
+    at = np.stack([column, row], axis=1).astype(np.float32) * samples + samples / 2
+    drawn[row, column] = paint.at(at, shown[middle, middle][row, column])
+    row, column = np.nonzero(~even & (_greatest(shown, samples) >= 0))
+    for down, across in np.ndindex(samples, samples):
+        y, x = row * samples + down, column * samples + across
+        covered = shown[y, x] >= 0
+        y, x = y[covered], x[covered]
+        at = np.stack([x, y], axis=1).astype(np.float32) + 0.5
+        drawn[row[covered], column[covered]] += paint.at(at, shown[y, x]) / samples**2
+
+    # Colours are weighted by the opacity of a sample, or outlines would turn dark.
+    opacity = drawn[..., 3:]
+    drawn[..., :3] *= _open_sky(depth[middle, middle], own_camera, samples)[..., None] / np.maximum(opacity, 1e-6)
+    opacity *= 255
+    rgba[rows, columns] = (drawn + 0.5).clip(0, 255).astype(np.uint8)
     return rgba
 
 
-def _sum_samples(samples: np.ndarray) -> np.ndarray:
-    """Sums over the samples of each pixel: (H S, W S, C) to (H, W, C)."""
-    height, width, channels = samples.shape
-    sums: np.ndarray = samples.reshape(height // _SAMPLES, _SAMPLES, width // _SAMPLES, _SAMPLES, channels).sum((1, 3))
-    return sums
+def _is_even(labels: np.ndarray, depth: np.ndarray, samples: int) -> np.ndarray:
+    """True for pixels all of whose samples show one part without a step in depth, shape (H, W)."""
+    highest, farthest = _greatest(labels, samples), _greatest(depth, samples)
+    lowest, nearest = 255 - _greatest(255 - labels, samples), -_greatest(-depth, samples)
+    even: np.ndarray = (lowest == highest) & (lowest > 0) & (farthest < nearest + _STEP)
+    return even
+
+
+def _greatest(values: np.ndarray, samples: int) -> np.ndarray:
+    """Greatest value among the samples of each pixel: (H S, W S) to (H, W)."""
+    greatest = values[::samples, ::samples].copy()
+    for down, across in np.ndindex(samples, samples):
+        np.maximum(greatest, values[down::samples, across::samples], out=greatest)
+    return greatest
+
+
+@dataclass(frozen=True)
+class _Paint:
+    """Colours of a surface in a picture. What no sample shows is left at 0.
+
+    Attributes:
+        colours: RGB of each face, shape (F, 3), float32.
+        light: Brightness of each face, as ``_planes`` gives it, shape (F, 3).
+        opacities: Opacity of each face, shape (F,).
+        mixed: True for faces on a seam or on the border of a pale limb, shape (F + 1,); the last one is no face.
+        fields: Planes of the distances from the edges of garments, and of the share of guessed parts, of mixed faces,
+            shape (F, 3, 3).
+    """
+
+    colours: np.ndarray
+    light: np.ndarray
+    opacities: np.ndarray
+    mixed: np.ndarray
+    fields: np.ndarray
+
+    @classmethod
+    def of(cls, surface: _Surface, camera: Camera, shown: np.ndarray) -> _Paint:
+        """Paint a surface whose faces ``shown``, -1 for none, are seen in a picture."""
+        faces, points = surface.mesh.faces.numpy(), surface.vertices.detach().cpu().float()
+        screen, vertices = camera.project(points)[0, :, :2].double().numpy(), points[0].numpy()
+        seen = np.zeros(len(faces) + 1, dtype=bool)
+        seen[shown] = True
+        seen = np.flatnonzero(seen[:-1])
+        light = np.zeros((len(faces), 3, 1), dtype=np.float32)
+        light[seen] = _planes(screen, faces[seen], _brightness(vertices, faces, camera)[:, None])
+
+        none = np.full((len(vertices), 1), -1.0)
+        cloth = none.repeat(2, axis=1) if surface.cloth is None else surface.cloth
+        guessed = none[:, 0] if surface.guessed is None else surface.guessed
+        tone, opacity = _tone(cloth), _opacity(guessed)
+        one, two, three = faces.T
+        mixed = (tone[one] != tone[two]) | (tone[one] != tone[three])
+        mixed |= (opacity[one] != opacity[two]) | (opacity[one] != opacity[three])
+        fields = np.zeros((len(faces), 3, 3), dtype=np.float32)
+        fields[mixed] = _planes(screen, faces[mixed], np.column_stack([cloth, guessed]))
+        colours = surface.colours.astype(np.float32)[surface.mesh.face_labels.numpy()]
+        colours[~mixed] *= tone[one[~mixed], None]
+        return cls(colours, light[..., 0], opacity[one], np.append(mixed, True), fields)
+
+    def at(self, points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+        """RGB times opacity, and opacity, of points in the picture (N, 2) that show the given faces, shape (N, 4)."""
+        light, opacity = self.light[faces], self.opacities[faces]
+        brightness = light[:, 0] + light[:, 1] * points[:, 0] + light[:, 2] * points[:, 1]
+        some = np.flatnonzero(self.mixed[faces])
+        fields = self.fields[faces[some]]
+        values = fields[:, 0] + fields[:, 1] * points[some, :1] + fields[:, 2] * points[some, 1:]
+        brightness[some] *= _tone(values[:, :2])
+        opacity[some] = _opacity(values[:, 2])
+        painted = np.empty((len(faces), 4), dtype=np.float32)
+        painted[:, :3] = self.colours[faces] * (brightness.clip(0, _BRIGHTEST) * opacity)[:, None]
+        painted[:, 3] = opacity
+        return painted
+
+
+def _tone(cloth: np.ndarray) -> np.ndarray:
+    """Brightness as a share of the skin's, by the distances from the edges of garments (N, 2), shape (N,)."""
+    return np.where(cloth > 0, np.array(_TONES, dtype=np.float32), np.float32(1)).min(1)
+
+
+def _opacity(guessed: np.ndarray) -> np.ndarray:
+    """Opacity by the share of guessed parts, shape (N,), float32."""
+    return (1 - (1 - _PALE) * ((guessed - 0.5) / _FADE + 0.5).clip(0, 1)).astype(np.float32)
+
+
+def _brightness(points: np.ndarray, faces: np.ndarray, camera: Camera) -> np.ndarray:
+    """Brightness of each vertex (V, 3) in the light of a sky, a key lamp, a weak lamp and on rims, shape (V,)."""
+    normals = vertex_normals(points, faces)
+    view = -points / np.linalg.norm(points, axis=1, keepdims=True).clip(1e-6) if camera.perspective else [[0, 0, -1]]
+    sky = _GROUND + (_SKY - _GROUND) * (0.5 - 0.5 * normals[:, 1])
+    key = _KEY * ((normals @ _KEY_FROM + _WRAP) / (1 + _WRAP)).clip(0)
+    fill = _FILL * (normals @ _FILL_FROM).clip(0)
+    rim = _RIM * (1 - (normals * view).sum(1)).clip(0, 1) ** 3
+    brightness: np.ndarray = sky + key + fill + rim
+    return brightness
+
+
+def _planes(screen: np.ndarray, faces: np.ndarray, fields: np.ndarray) -> np.ndarray:
+    """Planes of fields that change evenly between the corners of faces: value at (0, 0), slope along x, along y.
+
+    Args:
+        screen: Vertices in the picture [px], shape (V, 2).
+        faces: Indices of the corners, shape (F, 3).
+        fields: Values at the vertices, shape (V, C).
+
+    Returns:
+        Planes, shape (F, 3, C), float32. The planes of faces that are seen from their edge are level.
+    """
+    corners, values = screen[faces], fields[faces]
+    (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    area = ax * by - ay * bx
+    level = np.abs(area) < _THIN
+    scale = np.where(level, 0.0, 1.0 / np.where(level, 1.0, area))[:, None]
+    first, second = values[:, 1] - values[:, 0], values[:, 2] - values[:, 0]
+    along_x = (first * by[:, None] - second * ay[:, None]) * scale
+    along_y = (second * ax[:, None] - first * bx[:, None]) * scale
+    middle = corners.mean(1)
+    base = values.mean(1) - along_x * middle[:, :1] - along_y * middle[:, 1:]
+    return np.stack([base, along_x, along_y], axis=1).astype(np.float32)
+
+
+def _open_sky(depth: torch.Tensor, camera: Camera, samples: int) -> np.ndarray:
+    """Share of the light that reaches each pixel: less where the surface lies behind its surroundings, shape (H, W).
+
+    Args:
+        depth: Depth of each pixel [m], infinite for the background, shape (H, W).
+        camera: Camera of the samples.
+        samples: Samples of a pixel in each direction.
+    """
+    body = torch.isfinite(depth)
+    if not bool(body.any()):
+        return np.ones(depth.shape, dtype=np.float32)
+    distance = float(depth[body].median()) if camera.perspective else 1.0
+    reach = _REACH * float(camera.intrinsics[0, 0]) / samples / distance
+    step = min(max(round(reach / 3), 1), *depth.shape)
+    pair = torch.stack([body.float(), torch.where(body, depth, 0.0)])[None]
+    coarse = torch.nn.functional.avg_pool2d(pair, step, ceil_mode=True)
+    for _ in range(2):
+        coarse = torch.nn.functional.avg_pool2d(coarse, 3, stride=1, padding=1)
+    mean = coarse[:, 1:] / coarse[:, :1].clamp_min(1e-6)
+    around = torch.nn.functional.interpolate(mean, scale_factor=step, mode="bilinear", align_corners=False)[0, 0]
+    around = around[: depth.shape[0], : depth.shape[1]]
+    hidden = ((torch.where(body, depth, around) - around) / _REACH).clamp(-0.5, 1.0)
+    return (1 - _CREVICE * hidden).numpy()
 
 
 def _window(vertices: torch.Tensor, camera: Camera, size: tuple[int, int]) -> tuple[slice, slice]:
