@@ -53,7 +53,6 @@ FACES = ("warp_partdr", "warp_partdr.benchmark", "warp_partdr.metrics", "warp_pa
 TOLD_IN_WORDS = {
     "BoxNetwork": "needs a network that finds people",
     "KeypointNetwork": "needs a network of another's",
-    "PartNetwork": "needs a network of another's",
     "align_films": "needs films that start apart",
     "find_film_predictions": "needs a network of another's",
     "from_smplx": "needs a file that nobody may pass on",

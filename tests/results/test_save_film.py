@@ -20,6 +20,7 @@ from warp_partdr.cameras import Perspective, UsualLens
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.films import read_frames
 from warp_partdr.models.anny import anny
+from warp_partdr.models.model import DetailedModel
 from warp_partdr.networks.detection.person import SKELETON
 from warp_partdr.pipelines.film import FilmFit, find_distant_keypoints
 from warp_partdr.results.confidence_chart import confidence_chart
@@ -58,6 +59,22 @@ def test_a_body_far_from_its_keypoints_is_told(tmp_path: Path, off: float) -> No
     told = save_film_fit(fit, tmp_path / "out", films=[film])["warnings"]
     expected = f"{film}: person1 ends 9.0 % of the person's size from BlazePose's keypoints; expected at most 6 %"
     assert told == ([expected] if off > 0.06 else [])
+
+
+def test_keypoints_that_a_model_lacks_are_not_compared() -> None:
+    """SMPL has no landmark at the inner corner of the eye, which BlazePose's keypoints have."""
+    fit = seen_fit()
+    column = skeleton(SKELETON).landmarks.index("left_eye_inner")
+    fit.people.rows["keypoints"][:, column, 0] += 1e4
+    assert find_distant_keypoints(fit) != []
+    motions = {person: replace(motion, model=without_an_eye(motion.model)) for person, motion in fit.motions.items()}
+    assert find_distant_keypoints(replace(fit, motions=motions)) == []
+
+
+def without_an_eye(model: DetailedModel) -> DetailedModel:
+    kept = [index for index, name in enumerate(model.landmark_names) if not name.endswith("left_eye_inner")]
+    names = tuple(model.landmark_names[index] for index in kept)
+    return replace(model, landmark_names=names, landmark_weights=model.landmark_weights[kept])
 
 
 def gray_film(folder: Path) -> Path:

@@ -245,16 +245,19 @@ def find_distant_keypoints(fit: FilmFit) -> list[str]:
     for person, motion in fit.motions.items():
         model = motion.model
         names = annotated(skeleton(SKELETON).landmarks, model.landmark_names)
+        known = [column for column, name in enumerate(names) if name in model.landmark_names]  # SMPL lacks some
+        compared = [names[column] for column in known]
         for index, film in enumerate(fit.films):
             rows = fit.rows(person, index)
             if not len(rows):
                 continue
             some = rows[np.linspace(0, len(rows) - 1, _COMPARED).round().astype(int)]
             bodies = motion.bodies(np.searchsorted(motion.frames, some["frames"])).detailed
-            points = film.view.camera.project(film.view.to_camera(model.landmarks(bodies, names).cpu()))[..., :2]
-            off = np.linalg.norm(points.numpy() - some["keypoints"][..., :2], axis=-1)
+            points = film.view.camera.project(film.view.to_camera(model.landmarks(bodies, compared).cpu()))[..., :2]
+            keypoints = some["keypoints"][:, known]
+            off = np.linalg.norm(points.numpy() - keypoints[..., :2], axis=-1)
             sizes = (some["boxes"][:, 2:] - some["boxes"][:, :2]).max(1, keepdims=True).clip(1.0)
-            confidence = some["keypoints"][..., 2]
+            confidence = keypoints[..., 2]
             share = float((confidence * off / sizes).sum() / max(confidence.sum(), 1e-9))
             if not share < _MOST_OFF:
                 far = f"films[{index}]: person{person} ends {100 * share:.1f} % of the person's size from BlazePose's"
