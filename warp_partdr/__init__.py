@@ -81,6 +81,7 @@ _EXPORTS = {
     "load_keypoint_network": "networks.predictors.checkpoints",
     "load_part_network": "networks.predictors.checkpoints",
     "find_film_predictions": "networks.predictors.film_predictions",
+    "GivenNetworks": "networks.predictors.film_predictions",
     "KeypointNetwork": "networks.predictors.networks",
     "PartNetwork": "networks.predictors.networks",
     "Energy": "solve.ellipsoids.energy",
@@ -175,6 +176,7 @@ if TYPE_CHECKING:
     from .networks.detection.given_boxes import BoxNetwork as BoxNetwork
     from .networks.predictors.checkpoints import load_keypoint_network as load_keypoint_network
     from .networks.predictors.checkpoints import load_part_network as load_part_network
+    from .networks.predictors.film_predictions import GivenNetworks as GivenNetworks
     from .networks.predictors.film_predictions import find_film_predictions as find_film_predictions
     from .networks.predictors.networks import KeypointNetwork as KeypointNetwork
     from .networks.predictors.networks import PartNetwork as PartNetwork
