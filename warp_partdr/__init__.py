@@ -7,6 +7,9 @@ public path. All other modules are the implementation and may change at any time
 Importing this package loads nothing but itself: each public name is fetched from its module when it is first used
 (PEP 562), so that neither torch nor Warp nor PyVista starts before it is needed, and no kernel is compiled.
 
+Where this package is the first to import Warp, Warp tells warnings and errors alone; after that,
+``wp.config.log_level = wp.LOG_INFO`` shows its other messages. A program that imports Warp first keeps its own setting.
+
 A new public name goes into ``_EXPORTS`` and into the ``TYPE_CHECKING`` block; a test keeps the two alike.
 """
 
