@@ -118,6 +118,15 @@ class EllipBody(WarpArrays):
         rotations: Local rotation of each bone with respect to its parent, shape (B, 20), mat33.
         lengths: Lengths ``LENGTH_NAMES`` [m], shape (B, 12).
         thicknesses: Thicknesses ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
+
+    Examples:
+        >>> from warp_partdr import EllipBody
+        >>> body = EllipBody.mean(batch_size=2)
+        >>> body.torch()["lengths"][1] *= 1.1  # the second body's bones are 10 % longer
+        >>> body.pose().torch()["joints"].shape
+        torch.Size([2, 21, 3])
+        >>> f"{body.measure(0)['left forearm length']:.2f} m, {body.measure(1)['left forearm length']:.2f} m"
+        '0.23 m, 0.25 m'
     """
 
     global_orient: wp.array
@@ -134,6 +143,11 @@ class EllipBody(WarpArrays):
             batch_size: B; 0 is fine.
             device: Warp device; the current one by default.
             dtype: ``warp.float32`` or ``warp.float64``.
+
+        Examples:
+            >>> from warp_partdr import EllipBody
+            >>> EllipBody.mean(batch_size=3).lengths.shape
+            (3, 12)
         """
         batch_size = check_whole("batch_size", batch_size, 0)
         constants = template()
@@ -165,6 +179,14 @@ class EllipBody(WarpArrays):
         Raises:
             ValueError: If a shape differs, a value is not finite or beyond 1e12, a rotation is none, or a size is not
                 positive.
+
+        Examples:
+            >>> import numpy as np
+            >>> from warp_partdr import EllipBody
+            >>> arrays = EllipBody.mean().numpy()
+            >>> arrays["translation"] = np.array([[0.0, 0.0, 4.0]])
+            >>> EllipBody.from_numpy(**arrays).pose().numpy()["joints"][0, 0]
+            array([0., 0., 4.], dtype=float32)
         """
         import torch  # only where bodies come from outside: the rest of this module needs Warp alone
 
@@ -201,6 +223,12 @@ class EllipBody(WarpArrays):
 
         Args:
             subdivisions: Level of the mesh, 0 to 3: 20, 80, 320 or 1280 faces for each ellipsoid.
+
+        Examples:
+            >>> from warp_partdr import EllipBody
+            >>> posed = EllipBody.mean().pose(subdivisions=2).torch()
+            >>> posed["vertices"].shape
+            torch.Size([1, 20, 162, 3])
         """
         tree = bone_tree(self.device.alias, self.lengths.dtype, subdivisions)
         vec, mat = _PRECISIONS[self.lengths.dtype]
@@ -224,6 +252,12 @@ class EllipBody(WarpArrays):
 
         Raises:
             ValueError: If there is no body ``index``.
+
+        Examples:
+            >>> from warp_partdr import EllipBody
+            >>> sizes = EllipBody.mean().measure()
+            >>> len(sizes), f"{sizes['head length']:.2f} m"
+            (48, '0.18 m')
         """
         index = check_whole("index", index, 0, self.batch_size - 1)
         lengths, thicknesses = self.lengths.numpy()[index], self.thicknesses.numpy()[index]

@@ -243,6 +243,15 @@ def label_set(source: str | Path | Mapping[str, Any] | LabelSet) -> LabelSet:
 
     Raises:
         InputError: If there is no such set or file, or its content does not fit.
+
+    Examples:
+        >>> from warp_partdr import label_set
+        >>> labels = label_set("lsp6")
+        >>> labels.ids[1], labels.groups["left_leg"]
+        ('left_arm', ('left_upper_leg', 'left_lower_leg', 'left_foot'))
+        >>> mine = label_set({"groups": {"arm": ["left_forearm", "left_hand"]}, "ids": {"0": "background", "1": "arm"}})
+        >>> mine.ids
+        {0: 'background', 1: 'arm'}
     """
     if isinstance(source, LabelSet):
         return source

@@ -257,6 +257,13 @@ def landmark_positions(
 
     Raises:
         ValueError: If there is no landmark of a name; the message lists all.
+
+    Examples:
+        >>> from warp_partdr import EllipBody, landmark_positions
+        >>> posed = EllipBody.mean().pose().numpy()
+        >>> points = landmark_positions(["nose", "left_wrist"], posed["centres"], posed["axes"], posed["semi_axes"])
+        >>> points.shape
+        (1, 2, 3)
     """
     parts, normalised, weights = landmark_points(names)
     offsets = np.einsum("...ij,...j->...i", axes[..., parts, :, :], semi_axes[..., parts, :] * normalised)

@@ -54,6 +54,16 @@ class BodyParameters(Movable):
 
     Raises:
         ValueError: If a shape or dtype is wrong, or they differ in dtype or device.
+
+    Examples:
+        >>> from dataclasses import replace
+        >>> from warp_partdr import BodyParameters
+        >>> body = BodyParameters.mean(1)
+        >>> taller = replace(body, lengths=1.1 * body.lengths)
+        >>> taller.posed().joints.shape
+        torch.Size([1, 21, 3])
+        >>> taller.camera(256).project(taller.posed().joints).shape  # u [px], v [px], z [m] in a crop of 256 px
+        torch.Size([1, 21, 3])
     """
 
     orientation: torch.Tensor
@@ -77,7 +87,13 @@ class BodyParameters(Movable):
 
     @classmethod
     def mean(cls, batch_size: int, *, device: torch.device | str = "cpu") -> BodyParameters:
-        """Mean adults in the rest pose, upright, facing the camera, 2 m high in the crop."""
+        """Mean adults in the rest pose, upright, facing the camera, 2 m high in the crop.
+
+        Examples:
+            >>> from warp_partdr import BodyParameters
+            >>> BodyParameters.mean(4).rotations.shape
+            torch.Size([4, 20, 3])
+        """
         batch_size = check_whole("batch_size", batch_size, 0)
         constants = template()
         facing = torch.tensor([1.0, 0.0, 0.0, 0.0, -1.0, 0.0], device=device)
@@ -151,6 +167,12 @@ class BodyParameters(Movable):
         Raises:
             ValueError: If ``frozen`` names something else, or with ``log_sizes`` a size is NaN, infinite or not
                 positive; to know, that waits for the device.
+
+        Examples:
+            >>> from warp_partdr import BodyParameters
+            >>> leaves = BodyParameters.mean(1).leaves(frozen=("lengths", "thicknesses"))
+            >>> leaves.rotations.requires_grad, leaves.lengths.requires_grad
+            (True, False)
         """
         _check_frozen(frozen)
         copies = {name: tensor.detach().clone() for name, tensor in self.tensors().items()}
@@ -196,6 +218,16 @@ class BodyLeaves(Movable):
         log_thicknesses: Logarithms of thicknesses in metres, shape (B, 15).
         log_scale: Logarithm of the crop's half-sides for each metre, shape (B,).
         shift: Position of the pelvis in the crop, shape (B, 2).
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import BodyLeaves, BodyParameters
+        >>> leaves: BodyLeaves = BodyParameters.mean(1).leaves(log_sizes=True)
+        >>> optimizer = torch.optim.Adam(leaves.tensors().values(), lr=0.02)
+        >>> leaves.bodies().posed().joints.square().sum().backward()
+        >>> optimizer.step()
+        >>> leaves.log_lengths.grad.shape
+        torch.Size([1, 12])
     """
 
     orientation: torch.Tensor

@@ -53,6 +53,17 @@ class PosePrior(torch.nn.Module):
         exemplar_ups: Upward direction of each exemplar in the pelvis' frame, shape (N, 3).
         lower_limits: Least rotation vector components that cost nothing [rad], shape (20, 3).
         upper_limits: Greatest rotation vector components that cost nothing [rad], shape (20, 3).
+
+    Examples:
+        >>> from warp_partdr import PART_NAMES, PosePrior
+        >>> prior = PosePrior()
+        >>> poses, up = prior.mean_pose.repeat(2, 1, 1), prior.mean_up.repeat(2, 1)
+        >>> poses[1, PART_NAMES.index("left_lower_leg"), 0] = -1.0  # a knee that is bent the wrong way [rad]
+        >>> natural, wrong = prior(poses, up)
+        >>> bool(wrong > natural)
+        True
+        >>> bool(prior.joint_limits(poses)[1] > 0.5)
+        True
     """
 
     mean_pose: torch.Tensor

@@ -36,6 +36,15 @@ class Posed(Movable):
         centres: Ellipsoid centres, shape (B, 20, 3).
         axes: Ellipsoid axes as columns (bone, first thickness, second thickness), shape (B, 20, 3, 3).
         semi_axes: Half of length and thicknesses, shape (B, 20, 3).
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import BodyParameters, Posed
+        >>> posed: Posed = BodyParameters.mean(1).posed()
+        >>> posed.joints.shape, posed.vertices(subdivisions=2).shape
+        (torch.Size([1, 21, 3]), torch.Size([1, 3240, 3]))
+        >>> posed.at(torch.tensor([[0.0, 0.0, 3.0]])).joints[0, 0]  # the pelvis, 3 m in front of the camera
+        tensor([0., 0., 3.])
     """
 
     joints: torch.Tensor
@@ -45,11 +54,27 @@ class Posed(Movable):
     semi_axes: torch.Tensor
 
     def at(self, translation: torch.Tensor) -> Posed:
-        """Copy of the bodies, moved by ``translation`` from where they are, shape (B, 3) [m]."""
+        """Copy of the bodies, moved by ``translation`` from where they are, shape (B, 3) [m].
+
+        Examples:
+            >>> import torch
+            >>> from warp_partdr import BodyParameters
+            >>> posed = BodyParameters.mean(1).posed()
+            >>> moved = posed.at(torch.tensor([[0.5, 0.0, 0.0]]))
+            >>> torch.allclose(moved.joints[..., 0], posed.joints[..., 0] + 0.5)
+            True
+        """
         return replace(self, joints=self.joints + translation[:, None], centres=self.centres + translation[:, None])
 
     def vertices(self, subdivisions: int = DEFAULT_SUBDIVISIONS) -> torch.Tensor:
-        """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]; NaN where a size is 0 or less."""
+        """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]; NaN where a size is 0 or less.
+
+        Examples:
+            >>> from warp_partdr import BodyParameters, ellipbody_mesh
+            >>> posed = BodyParameters.mean(1).posed()
+            >>> posed.vertices(1).shape, ellipbody_mesh(1).faces.shape
+            (torch.Size([1, 840, 3]), torch.Size([1600, 3]))
+        """
         (vertices,) = _Vertices(subdivisions)(self.centres, self.axes, self.semi_axes)
         return vertices.flatten(1, 2)
 
@@ -102,6 +127,19 @@ def pose(
     Raises:
         ValueError: If a shape, dtype or device does not fit the others, something is NaN, infinite or no rotation, or a
             length or thickness is 0 or less.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import JOINT_NAMES, PART_NAMES, BodyParameters, pose
+        >>> mean = BodyParameters.mean(1)
+        >>> bent = torch.zeros(1, 20, 3)
+        >>> bent[0, PART_NAMES.index("left_lower_leg"), 0] = 1.2  # a knee [rad]
+        >>> posed = pose(torch.zeros(1, 3), torch.zeros(1, 3), bent, mean.lengths, mean.thicknesses)
+        >>> posed.joints.shape
+        torch.Size([1, 21, 3])
+        >>> ankles = posed.joints[0, [JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle")]]
+        >>> bool(ankles[0, 2] < ankles[1, 2])  # the body looks along z: the left ankle has moved backward
+        True
     """
     parameters = {
         "global_orient": global_orient,

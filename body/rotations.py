@@ -37,6 +37,13 @@ def rotation_from_axis_angle(axis_angle: torch.Tensor) -> torch.Tensor:
 
     Raises:
         ValueError: If the shape or dtype is wrong.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import rotation_from_axis_angle
+        >>> quarter = rotation_from_axis_angle(torch.tensor([0.0, torch.pi / 2, 0.0]))
+        >>> torch.allclose(quarter @ torch.tensor([0.0, 0.0, 1.0]), torch.tensor([1.0, 0.0, 0.0]), atol=1e-6)
+        True
     """
     _check("axis_angle", axis_angle, (3,))
     if torch.finfo(axis_angle.dtype).bits == 16:  # whose squares of small angles are 0
@@ -64,6 +71,14 @@ def rotation_from_6d(columns: torch.Tensor) -> torch.Tensor:
 
     Raises:
         ValueError: If the shape or dtype is wrong.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import rotation_from_6d
+        >>> rotation_from_6d(torch.tensor([2.0, 0.0, 0.0, 1.0, 1.0, 0.0]))
+        tensor([[1., 0., 0.],
+                [0., 1., 0.],
+                [0., 0., 1.]])
     """
     _check("columns", columns, (6,))
     first, second = columns[..., :3], columns[..., 3:]
@@ -92,6 +107,12 @@ def rotation_to_6d(rotation: torch.Tensor) -> torch.Tensor:
     Raises:
         TypeError: If ``rotation`` is no tensor.
         ValueError: If the shape or dtype is wrong.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import rotation_to_6d
+        >>> rotation_to_6d(torch.eye(3))
+        tensor([1., 0., 0., 0., 1., 0.])
     """
     _check("rotation", rotation, (3, 3))
     return torch.cat([rotation[..., 0], rotation[..., 1]], dim=-1)
@@ -135,6 +156,13 @@ def rotation_to_axis_angle(rotation: torch.Tensor) -> torch.Tensor:
     Raises:
         TypeError: If ``rotation`` is no tensor.
         ValueError: If the shape or dtype is wrong.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import rotation_from_axis_angle, rotation_to_axis_angle
+        >>> turned = rotation_from_axis_angle(torch.tensor([0.0, 0.0, 4.0]))
+        >>> f"{rotation_to_axis_angle(turned)[2]:.2f}"
+        '-2.28'
     """
     quaternion = rotation_to_quaternion(rotation)
     w, xyz = quaternion[..., 0], quaternion[..., 1:]

@@ -241,6 +241,13 @@ def skeleton(source: str | Path | Skeleton | Mapping[str, Any]) -> Skeleton:
 
     Raises:
         InputError: If there is no such format or file, or its content does not fit.
+
+    Examples:
+        >>> from warp_partdr import skeleton
+        >>> skeleton("coco17").landmarks[:3]
+        ('nose', 'left_eye', 'right_eye')
+        >>> skeleton({"landmarks": ["nose", None, "left_wrist", "right_wrist"]}).landmarks
+        ('nose', 'left_wrist', 'right_wrist')
     """
     if isinstance(source, Skeleton):
         return source

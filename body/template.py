@@ -41,20 +41,58 @@ _PARTS = (
 )
 
 PART_NAMES: tuple[str, ...] = tuple(row[0] for row in _PARTS)
+"""Names of the 20 parts, an ellipsoid and a bone each. Part k has the label k + 1 in a picture, where 0 is background.
+
+Examples:
+    >>> from warp_partdr import PART_NAMES
+    >>> len(PART_NAMES), PART_NAMES[0], PART_NAMES.index("head")
+    (20, 'left_hip', 7)
+"""
 NUM_PARTS = len(PART_NAMES)
 
 MEAN_STATURE = 1.63  # [m], of the mean adult of mean_body.json
 
-# Joint 0 is the root; joint k + 1 is the end of bone k. A bone starts where its parent ends.
 JOINT_NAMES: tuple[str, ...] = ("pelvis", *(row[2] for row in _PARTS))
+"""Names of the 21 joints. Joint 0 is the root, and joint k + 1 is the end of bone k, that of part ``PART_NAMES[k]``.
+
+Examples:
+    >>> from warp_partdr import JOINT_NAMES, BodyParameters
+    >>> joints = BodyParameters.mean(1).posed().joints
+    >>> joints[0, JOINT_NAMES.index("left_wrist")].shape
+    torch.Size([3])
+"""
 NUM_JOINTS = len(JOINT_NAMES)
 
 # Parent bone of each bone; -1 is the root.
 PARENTS: tuple[int, ...] = tuple(JOINT_NAMES.index(row[1]) - 1 for row in _PARTS)
-BONE_STARTS = [parent + 1 for parent in PARENTS]  # joint where each bone starts
+BONE_STARTS = [parent + 1 for parent in PARENTS]
+"""Joint where each of the 20 bones starts, as an index of ``JOINT_NAMES``. Bone k ends at joint k + 1,
+and begins where its parent ends.
+
+Examples:
+    >>> from warp_partdr import BONE_STARTS, JOINT_NAMES, PART_NAMES
+    >>> JOINT_NAMES[BONE_STARTS[PART_NAMES.index("left_forearm")]]
+    'left_elbow'
+"""
 
 LENGTH_NAMES: tuple[str, ...] = tuple(dict.fromkeys(row[3] for row in _PARTS))
+"""Names of the 12 lengths, in the order of ``lengths``. A left and a right limb share one.
+
+Examples:
+    >>> from warp_partdr import LENGTH_NAMES, BodyParameters
+    >>> lengths = BodyParameters.mean(1).lengths
+    >>> f"{lengths[0, LENGTH_NAMES.index('upper leg')]:.2f} m"
+    '0.39 m'
+"""
 THICKNESS_NAMES: tuple[str, ...] = tuple(dict.fromkeys(name for row in _PARTS for name in row[4:]))
+"""Names of the 15 thicknesses, which are full widths, in the order of ``thicknesses``.
+
+Examples:
+    >>> from warp_partdr import THICKNESS_NAMES, BodyParameters
+    >>> thicknesses = BodyParameters.mean(1).thicknesses
+    >>> f"{thicknesses[0, THICKNESS_NAMES.index('chest width')]:.2f} m"
+    '0.37 m'
+"""
 
 # Shape of each argument of ``pose``, without the batch.
 BODY_SHAPES: dict[str, tuple[int, ...]] = {
@@ -73,10 +111,19 @@ SHAPE_INDICES: tuple[tuple[int, int, int], ...] = tuple(
     for *_, length, first, second in _PARTS
 )
 
-# The same, indices into lengths and thicknesses side by side.
 SIZE_COLUMNS = [
     [length, *(len(LENGTH_NAMES) + index for index in thicknesses)] for length, *thicknesses in SHAPE_INDICES
 ]
+"""Columns of each part's length, first and second thickness in lengths and thicknesses side by side, 20 rows.
+
+Examples:
+    >>> import torch
+    >>> from warp_partdr import PART_NAMES, SIZE_COLUMNS, BodyParameters
+    >>> body = BodyParameters.mean(1)
+    >>> sizes = torch.cat([body.lengths, body.thicknesses], dim=1)[:, SIZE_COLUMNS]  # (1, 20, 3) [m]
+    >>> torch.allclose(sizes / 2, body.posed().semi_axes)
+    True
+"""
 
 # Body direction that the first thickness axis of a part follows in the rest pose, as near as the bone allows:
 # depth (z) everywhere but the feet, whose first thickness is their width (x).

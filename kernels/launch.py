@@ -29,6 +29,11 @@ def set_num_threads(count: int) -> None:
 
     Raises:
         ValueError: If ``count`` is no integer, or negative.
+
+    Examples:
+        >>> from warp_partdr import set_num_threads
+        >>> set_num_threads(1)  # one thread a process, where several processes fit
+        >>> set_num_threads(0)  # the default: as many as there are cores
     """
     global _num_threads
     _num_threads = check_whole("count", count, 0)

@@ -24,6 +24,7 @@ import warp_partdr
 ROOT = Path(__file__).resolve().parent.parent
 API = "api"
 SUBMODULES = ("benchmark", "metrics", "plot")  # public ones of the package: a page each
+LATER = "boost: 0.5"  # rule of the search for pages that come after those that explain
 _COPIED = (".png", ".gif", ".jpg", ".ipynb", ".json", ".toml", ".js")
 _LINK = re.compile(r"(\]\()([^)\s:]+?)(#[^)\s]*)?(\))")
 _PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
@@ -45,12 +46,14 @@ def make_pages(folder: Path) -> None:
             copy(source, folder / source.relative_to(ROOT))
             continue
         text, linked = page(source)
+        if source == ROOT / "CHANGELOG.md":
+            text = searched(text, LATER)
         write(folder / page_path(source), text)
         waiting += linked
     for name, module in warp_partdr._EXPORTS.items():
-        write(folder / API / f"{name}.md", api_page(name, module))
+        write(folder / API / f"{name}.md", searched(api_page(name, module), LATER))
     for face in SUBMODULES:
-        write(folder / API / f"{face}.md", submodule_page(face))
+        write(folder / API / f"{face}.md", searched(submodule_page(face), LATER))
     write(folder / "gallery.md", gallery())
 
 
@@ -158,8 +161,13 @@ def tutorial(text: str) -> str:
 
 
 def code(title: str, text: str, language: str = "python") -> str:
-    """A file of code as a page."""
-    return f"# {title}\n\n{fenced(text, language)}"
+    """A file of code as a page, which the search leaves out."""
+    return searched(f"# {title}\n\n{fenced(text, language)}", "exclude: true")
+
+
+def searched(text: str, rule: str) -> str:
+    """A page with a rule for the search: whether, or how early, it is found."""
+    return f"---\nsearch:\n  {rule}\n---\n\n{text}"
 
 
 def fenced(text: str, language: str) -> str:

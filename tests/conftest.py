@@ -20,6 +20,8 @@ import torch
 import warp as wp
 from hypothesis import settings
 
+from warp_partdr.kernels import messages
+
 wp.config.log_level = wp.LOG_WARNING
 
 # Kernels compile within an example, so no example has a deadline. CI draws the same cases in every run.
@@ -82,6 +84,12 @@ def _seeds() -> None:
     random.seed(0)
     np.random.seed(0)  # noqa: NPY002  for code under test that draws from it; tests use ``rng``
     torch.manual_seed(0)
+
+
+@pytest.fixture(autouse=True)
+def _no_word_of_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands say the same on a machine that has compiled kernels before and on a new one."""
+    monkeypatch.setattr(messages, "kernels_are_compiled", lambda: True)
 
 
 @pytest.fixture

@@ -7,6 +7,9 @@ public path. All other modules are the implementation and may change at any time
 Importing this package loads nothing but itself: each public name is fetched from its module when it is first used
 (PEP 562), so that neither torch nor Warp nor PyVista starts before it is needed, and no kernel is compiled.
 
+Where this package is the first to import Warp, Warp tells warnings and errors alone; after that,
+``wp.config.log_level = wp.LOG_INFO`` shows its other messages. A program that imports Warp first keeps its own setting.
+
 A new public name goes into ``_EXPORTS`` and into the ``TYPE_CHECKING`` block; a test keeps the two alike.
 """
 
@@ -81,6 +84,7 @@ _EXPORTS = {
     "load_keypoint_network": "networks.predictors.checkpoints",
     "load_part_network": "networks.predictors.checkpoints",
     "find_film_predictions": "networks.predictors.film_predictions",
+    "GivenNetworks": "networks.predictors.film_predictions",
     "KeypointNetwork": "networks.predictors.networks",
     "PartNetwork": "networks.predictors.networks",
     "Energy": "solve.ellipsoids.energy",
@@ -175,6 +179,7 @@ if TYPE_CHECKING:
     from .networks.detection.given_boxes import BoxNetwork as BoxNetwork
     from .networks.predictors.checkpoints import load_keypoint_network as load_keypoint_network
     from .networks.predictors.checkpoints import load_part_network as load_part_network
+    from .networks.predictors.film_predictions import GivenNetworks as GivenNetworks
     from .networks.predictors.film_predictions import find_film_predictions as find_film_predictions
     from .networks.predictors.networks import KeypointNetwork as KeypointNetwork
     from .networks.predictors.networks import PartNetwork as PartNetwork

@@ -19,8 +19,11 @@ def lazy_names(face: str, exports: Mapping[str, str]) -> Callable[[str], object]
         """Fetch a public name from its module, once."""
         if name not in exports:
             raise AttributeError(f"module {face!r} has no attribute {name!r}")
+        begins = "warp" not in sys.modules
         value = getattr(import_module(f"{__package__}.{exports[name]}"), name)
         setattr(sys.modules[face], name, value)
+        if begins and "warp" in sys.modules:  # a program that imports Warp itself decides what Warp tells
+            import_module(f"{__package__}.kernels.messages").quieten()
         return value
 
     return fetch

@@ -32,6 +32,13 @@ class WeakPerspective(Movable):
     Raises:
         ValueError: If a shape or dtype is wrong, the two differ in dtype or device, ``near`` is NaN, or a scale on the
             CPU is not positive.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import WeakPerspective
+        >>> camera = WeakPerspective(scale=torch.tensor([250.0]), translation=torch.tensor([[160.0, 120.0]]))
+        >>> camera.project(torch.tensor([[[0.1, -0.4, 0.0]]]))  # u [px], v [px], z [m]
+        tensor([[[185.,  20.,   0.]]])
     """
 
     scale: torch.Tensor
@@ -127,6 +134,13 @@ class Perspective(Movable):
     Raises:
         ValueError: If a shape or dtype is wrong, the two differ in dtype or device, ``near`` is NaN, or a focal length
             on the CPU is not positive; on a GPU, fits and scenes' views say so.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import Perspective
+        >>> camera = Perspective.of_picture((480, 640), focal=600.0)
+        >>> camera.project(torch.tensor([[[0.5, 0.0, 3.0]]]))  # u [px], v [px], z [m]
+        tensor([[[420., 240.,   3.]]])
     """
 
     focal: torch.Tensor
@@ -161,6 +175,11 @@ class Perspective(Movable):
 
         Raises:
             ValueError: If not one of ``focal`` and ``fov`` is given, or a number is out of range.
+
+        Examples:
+            >>> from warp_partdr import Perspective
+            >>> Perspective.of_picture((480, 640), fov=90.0).focal
+            tensor([[320., 320.]])
         """
         height, width = image_size
         if (focal is None) == (fov is None):
@@ -284,6 +303,15 @@ class Crop:
 
     Raises:
         ValueError: If a number is not finite, or ``zoom`` is not positive.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import Crop
+        >>> crop = Crop(left=100.0, top=-20.0, zoom=2.0, size=(256, 256))
+        >>> crop.to_crop(torch.tensor([[110.0, 0.0]]))
+        tensor([[20., 40.]])
+        >>> crop.to_full(torch.tensor([[20.0, 40.0]]))
+        tensor([[110.,   0.]])
     """
 
     left: float
@@ -314,6 +342,13 @@ class ScreenCamera:
     Attributes:
         perspective: Kind of the camera that put them there: depth is linear in the picture, or 1 / depth is.
         near: Depth of that camera's near plane [m]; None takes its default.
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, ScreenCamera, draw_mesh, ellipbody_mesh
+        >>> body = BodyParameters.mean(1)
+        >>> points = body.camera(64).project(body.posed().vertices(1))  # by any camera: u [px], v [px], z [m]
+        >>> draw_mesh(points, ellipbody_mesh(1), ScreenCamera(perspective=False), (64, 64)).labels.shape
+        torch.Size([1, 64, 64])
     """
 
     perspective: bool

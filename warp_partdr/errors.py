@@ -20,6 +20,14 @@ class InputError(ValueError):
     """A file or an option that can't be used: one line that names it, what it was and what was expected.
 
     The command line prints it without a traceback and exits with code 2.
+
+    Examples:
+        >>> from warp_partdr import InputError, read_keypoints
+        >>> try:
+        ...     read_keypoints("missing.json")
+        ... except InputError as error:
+        ...     print(error)
+        missing.json: No such file or directory; expected keypoints in JSON
     """
 
 

@@ -52,6 +52,14 @@ def confusion(predicted: Array, target: Array, num_classes: int, *, ignored_is_b
 
     Raises:
         ValueError: If the shapes differ, or ``num_classes`` or a class is out of range.
+
+    Examples:
+        >>> import numpy as np
+        >>> from warp_partdr.metrics import confusion
+        >>> confusion(np.array([[0, 1, 2]]), np.array([[0, 1, 1]]), num_classes=3)
+        array([[1, 0, 0],
+               [0, 1, 1],
+               [0, 0, 0]])
     """
     num_classes = check_whole("num_classes", num_classes, 1)
     want = _tensor("target", target).to(torch.int64)
@@ -78,7 +86,18 @@ def confusion(predicted: Array, target: Array, num_classes: int, *, ignored_is_b
 
 
 def pooled(matrices: Iterable[np.ndarray]) -> np.ndarray:
-    """Sum of confusion counts over pictures."""
+    """Sum of confusion counts over pictures.
+
+    Examples:
+        >>> import numpy as np
+        >>> from warp_partdr.metrics import confusion, pooled
+        >>> target = np.array([[0, 1, 1]])
+        >>> pictures = [np.array([[0, 1, 2]]), np.array([[0, 1, 1]])]
+        >>> pooled(confusion(picture, target, num_classes=3) for picture in pictures)
+        array([[2, 0, 0],
+               [0, 3, 1],
+               [0, 0, 0]])
+    """
     return np.sum(list(matrices), axis=0)
 
 
@@ -86,13 +105,29 @@ def foreground_counts(counts: np.ndarray) -> np.ndarray:
     """Merge all parts of confusion counts (..., K, K) into one class, shape (..., 2, 2).
 
     Class 0 stays the background.
+
+    Examples:
+        >>> import numpy as np
+        >>> from warp_partdr.metrics import confusion, foreground_counts
+        >>> counts = confusion(np.array([[0, 1, 2]]), np.array([[0, 1, 1]]), num_classes=3)
+        >>> foreground_counts(counts)
+        array([[1, 0],
+               [0, 2]])
     """
     rows = np.stack([counts[..., 0, :], counts[..., 1:, :].sum(-2)], axis=-2)
     return np.stack([rows[..., 0], rows[..., 1:].sum(-1)], axis=-1)
 
 
 def f1_scores(counts: np.ndarray) -> np.ndarray:
-    """2 TP / (2 TP + FP + FN) of each class, shape (..., C); NaN for a class that is nowhere."""
+    """2 TP / (2 TP + FP + FN) of each class, shape (..., C); NaN for a class that is nowhere.
+
+    Examples:
+        >>> import numpy as np
+        >>> from warp_partdr.metrics import confusion, f1_scores
+        >>> counts = confusion(np.array([[0, 1, 2]]), np.array([[0, 1, 1]]), num_classes=3)
+        >>> f1_scores(counts).round(2)
+        array([1.  , 0.67, 0.  ])
+    """
     hits = np.diagonal(counts, axis1=-2, axis2=-1).astype(np.float64)
     total = counts.sum(-1) + counts.sum(-2)
     return np.divide(2 * hits, total, out=np.full(hits.shape, np.nan), where=total > 0)
@@ -102,12 +137,27 @@ def part_f1(counts: np.ndarray) -> Any:
     """Unweighted mean F1 over all classes that occur, background included, shape (...): a float for one matrix.
 
     Foreground F1, the mean of background and person, is that of ``foreground_counts``.
+
+    Examples:
+        >>> import numpy as np
+        >>> from warp_partdr.metrics import confusion, part_f1
+        >>> counts = confusion(np.array([[0, 1, 2]]), np.array([[0, 1, 1]]), num_classes=3)
+        >>> f"{part_f1(counts):.2f}"
+        '0.56'
     """
     return np.nanmean(f1_scores(counts), axis=-1)
 
 
 def accuracy(counts: np.ndarray) -> Any:
-    """Share of pixels that are right, shape (...): a float for one matrix."""
+    """Share of pixels that are right, shape (...): a float for one matrix.
+
+    Examples:
+        >>> import numpy as np
+        >>> from warp_partdr.metrics import accuracy, confusion
+        >>> counts = confusion(np.array([[0, 1, 2]]), np.array([[0, 1, 1]]), num_classes=3)
+        >>> f"{accuracy(counts):.2f}"
+        '0.67'
+    """
     return np.trace(counts, axis1=-2, axis2=-1) / np.maximum(counts.sum((-2, -1)), 1)
 
 
@@ -124,6 +174,16 @@ def mpjpe(points: Array, target: Array, *, centre_on: Sequence[int] = (), valid:
 
     Raises:
         ValueError: If shapes differ, a joint that counts is NaN or infinite, or one of ``centre_on`` is not valid.
+
+    Examples:
+        >>> import numpy as np
+        >>> from warp_partdr.metrics import mpjpe
+        >>> target = np.zeros((2, 14, 3))
+        >>> points = target + [0.0, 0.0, 0.05]  # 5 cm too far away
+        >>> mpjpe(points, target)
+        tensor([0.0500, 0.0500], dtype=torch.float64)
+        >>> mpjpe(points, target, centre_on=(2, 3))  # pelvises at one point
+        tensor([0., 0.], dtype=torch.float64)
     """
     points, target, weights = _checked(points, target, valid)
     if joints := list(centre_on):
@@ -151,6 +211,13 @@ def pa_mpjpe(points: Array, target: Array, *, valid: Array | None = None) -> tor
 
     Raises:
         ValueError: If shapes differ or a joint that counts is NaN or infinite.
+
+    Examples:
+        >>> import numpy as np
+        >>> from warp_partdr.metrics import pa_mpjpe
+        >>> target = np.random.default_rng(0).normal(size=(14, 3))
+        >>> bool(pa_mpjpe(2 * target + 1, target) < 1e-6)  # larger and elsewhere, but the same pose
+        True
     """
     points, target, weights = _checked(points, target, valid)
     return _mean_distance(_aligned(points, target, weights), target, weights)
@@ -167,6 +234,14 @@ def pve(vertices: Array, target: Array, *, pelvis: Array, target_pelvis: Array) 
 
     Raises:
         ValueError: If shapes differ or something is NaN or infinite.
+
+    Examples:
+        >>> import numpy as np
+        >>> from warp_partdr.metrics import pve
+        >>> target = np.zeros((1, 100, 3))
+        >>> points = target + [0.0, 0.0, 0.05]
+        >>> pve(points, target, pelvis=points[:, 0] - [0.0, 0.02, 0.0], target_pelvis=target[:, 0])
+        tensor([0.0200], dtype=torch.float64)
     """
     vertices, target, weights = _checked(vertices, target, None)
     pelvis, target_pelvis, _ = _checked(pelvis, target_pelvis, None)
@@ -233,6 +308,17 @@ def bootstrap_sum(
 
     Raises:
         ValueError: If there are no values, or one is NaN or infinite.
+
+    Examples:
+        >>> import numpy as np
+        >>> from warp_partdr.metrics import bootstrap_sum, confusion, part_f1
+        >>> generator = np.random.default_rng(0)
+        >>> target = generator.integers(0, 3, (10, 32, 32))  # ten people's labels
+        >>> predicted = np.where(generator.random(target.shape) < 0.9, target, 0)  # a tenth of the pixels are lost
+        >>> counts = confusion(predicted, target, 3)
+        >>> low, high = bootstrap_sum(counts, part_f1)
+        >>> bool(low < part_f1(counts.sum(0)) < high)
+        True
     """
     values = np.asarray(values, dtype=np.float64)
     if not values.size or not np.isfinite(values).all():

@@ -11,17 +11,21 @@ import torch
 
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import MPJPE_JOINTS, skeleton
-from warp_partdr.body.template import NUM_PARTS
+from warp_partdr.body.template import NUM_PARTS, PART_NAMES
 from warp_partdr.inputs.calibrated_camera import CalibratedCamera
 from warp_partdr.inputs.scene import View
+from warp_partdr.lab.synthetic.mocap import Clip, rotation_matrices
 from warp_partdr.lab.synthetic.people import anny_mesh
-from warp_partdr.lab.synthetic.scene_people import SceneSample
+from warp_partdr.lab.synthetic.scene_people import SceneSample, make_clip
 from warp_partdr.models.anny import anny
 from warp_partdr.networks.detection.film_people import SEEN, FilmPeople, kept_size
 from warp_partdr.networks.detection.person import SKELETON
+from warp_partdr.pipelines.observed_film import ObservedFilm
 from warp_partdr.render.mesh import draw_mesh
 
 SIZE = (480, 640)
+FRAMES, RATE = 26, 10.0
+SWINGS = {"left_upper_arm": 1.1, "right_upper_arm": -0.9, "left_upper_leg": 0.8, "right_upper_leg": -0.8}
 _ROW = np.dtype([(name, *kind) for name, kind in SEEN.items()] + [("tracks", np.int64), ("places", np.int64)])
 
 
@@ -69,3 +73,28 @@ def film_of(
 def centred_joints(sample: SceneSample) -> np.ndarray:
     """The people's true joints where the cameras see them, shape (P, 14, 3)."""
     return sample.joints[:, 0] - sample.vertices.reshape(-1, 3).mean(0)
+
+
+def swinging(moves: float) -> SceneSample:
+    """Somebody whose arms and legs swing, faster and faster."""
+    vectors = np.zeros((FRAMES, NUM_PARTS, 3))
+    phase = 0.35 * np.arange(FRAMES) + 0.012 * np.arange(FRAMES) ** 2
+    for name, size in SWINGS.items():
+        vectors[:, PART_NAMES.index(name), 0] = moves * size * np.sin(phase)
+    still = np.tile(np.eye(3), (FRAMES, 1, 1))
+    clip = Clip("swinging", still, rotation_matrices(vectors), np.full((FRAMES, NUM_PARTS, 3), np.nan))
+    return make_clip(3, clip, RATE, "clean")
+
+
+def moving_film(sample: SceneSample, turn: float, frames: Sequence[int]) -> ObservedFilm:
+    """Some of the frames of a sample, as a camera at this angle sees them, at their times since the first of these."""
+    camera, times = camera_at(turn), (np.array(frames) - frames[0]) / RATE
+    rows, packed = [], []
+    for place, frame in enumerate(frames):
+        now = replace(sample, vertices=sample.vertices[:, [frame]], joints=sample.joints[:, [frame]])
+        one = film_of(now, camera, order=(0,), frames=1, noise=1.0)
+        one.rows["frames"], one.rows["times"] = place, times[place]
+        rows.append(one.rows)
+        packed += one.packed
+    people = FilmPeople(SIZE, RATE, times, np.concatenate(rows), tuple(packed))
+    return ObservedFilm.of(people, camera.without_distortion)

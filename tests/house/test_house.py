@@ -52,6 +52,7 @@ FACES = ("warp_partdr", "warp_partdr.benchmark", "warp_partdr.metrics", "warp_pa
 # Public names that pages tell of in words, for no example that runs anywhere can be given.
 TOLD_IN_WORDS = {
     "BoxNetwork": "needs a network that finds people",
+    "GivenNetworks": "needs a network of another's",
     "KeypointNetwork": "needs a network of another's",
     "align_films": "needs films that start apart",
     "find_film_predictions": "needs a network of another's",

@@ -6,6 +6,8 @@ import importlib
 import re
 import runpy
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import yaml
@@ -48,6 +50,45 @@ def test_search_needs_no_network(pages: Path) -> None:
     (script,) = yaml.safe_load((ROOT / "mkdocs.yml").read_text())["extra"]["polyfills"]
     assert "iframe-worker" in script
     assert "window.Worker = class" in (pages / script).read_text()
+
+
+def front_matter(page: str) -> dict[str, Any]:
+    """Settings of a page, which stand before its text."""
+    found = re.match(r"---\n(.*?)\n---\n\n# ", page, re.DOTALL)
+    return yaml.safe_load(found[1]) if found else {}
+
+
+def test_the_search_finds_pages_before_sources(pages: Path) -> None:
+    rules: dict[str, set[str]] = {"words": set(), "api": set(), "code": set()}
+    for path in pages.rglob("*.md"):
+        name, kind = path.relative_to(pages).as_posix(), "words"
+        if path.suffixes != [".md"] or name == "LICENSE.md":
+            kind = "code"
+        elif name.startswith("api/") or name == "CHANGELOG.md":
+            kind = "api"
+        rules[kind].add(str(front_matter(path.read_text()).get("search", {})))
+    assert rules == {"words": {"{}"}, "api": {"{'boost': 0.5}"}, "code": {"{'exclude': True}"}}
+
+
+def test_code_on_pages_is_no_hit_of_the_search() -> None:
+    """A hook marks sources below entries of the API, and the scripts of tutorials."""
+    (hook,) = yaml.safe_load((ROOT / "mkdocs.yml").read_text())["hooks"]
+    mark = runpy.run_path(str(ROOT / hook))["on_page_content"]
+    html = '<p>words</p><details class="mkdocstrings-source">code</details><div class="highlight">example</div>'
+    found = {}
+    for name in ("api/fit_body.md", "demos/own_loss.md"):
+        marked = mark(html, page=SimpleNamespace(file=SimpleNamespace(src_uri=name)))
+        found[name] = re.findall(r"<(\w+)[^>]* data-search-exclude", marked)
+        assert marked.replace(" data-search-exclude", "") == html
+    assert found == {"api/fit_body.md": ["details"], "demos/own_loss.md": ["details", "div"]}
+
+
+def test_the_names_of_the_api_are_grouped_by_topic() -> None:
+    nav = yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"]
+    (api,) = (entry["API"] for entry in nav if "API" in entry)
+    groups = {title: part for entry in api for title, part in entry.items() if isinstance(part, list)}
+    assert sorted(entries(list(groups.values()))) == sorted(f"api/{name}.md" for name in warp_partdr._EXPORTS)
+    assert max(len(part) for part in groups.values()) < 15
 
 
 def test_links_lead_somewhere(pages: Path) -> None:

@@ -2,48 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.rigs import SIZE, camera_at, film_of
+from helpers.rigs import FRAMES, RATE, moving_film, swinging
 
-from warp_partdr.body.template import NUM_PARTS, PART_NAMES
 from warp_partdr.errors import InputError
-from warp_partdr.lab.synthetic.mocap import Clip, rotation_matrices
-from warp_partdr.lab.synthetic.scene_people import SceneSample, make_clip
-from warp_partdr.networks.detection.film_people import FilmPeople
+from warp_partdr.lab.synthetic.scene_people import SceneSample
 from warp_partdr.pipelines.film_times import align_films
 from warp_partdr.pipelines.observed_film import ObservedFilm
-
-FRAMES, RATE = 26, 10.0
-SWINGS = {"left_upper_arm": 1.1, "right_upper_arm": -0.9, "left_upper_leg": 0.8, "right_upper_leg": -0.8}
-
-
-def swinging(moves: float) -> SceneSample:
-    """Somebody whose arms and legs swing, faster and faster."""
-    vectors = np.zeros((FRAMES, NUM_PARTS, 3))
-    phase = 0.35 * np.arange(FRAMES) + 0.012 * np.arange(FRAMES) ** 2
-    for name, size in SWINGS.items():
-        vectors[:, PART_NAMES.index(name), 0] = moves * size * np.sin(phase)
-    still = np.tile(np.eye(3), (FRAMES, 1, 1))
-    clip = Clip("swinging", still, rotation_matrices(vectors), np.full((FRAMES, NUM_PARTS, 3), np.nan))
-    return make_clip(3, clip, RATE, "clean")
-
-
-def film(sample: SceneSample, turn: float, frames: Sequence[int]) -> ObservedFilm:
-    """Some of the frames, as a camera at this angle sees them, at their times since the first of these."""
-    camera, times = camera_at(turn), (np.array(frames) - frames[0]) / RATE
-    rows, packed = [], []
-    for place, frame in enumerate(frames):
-        now = replace(sample, vertices=sample.vertices[:, [frame]], joints=sample.joints[:, [frame]])
-        one = film_of(now, camera, order=(0,), frames=1, noise=1.0)
-        one.rows["frames"], one.rows["times"] = place, times[place]
-        rows.append(one.rows)
-        packed += one.packed
-    people = FilmPeople(SIZE, RATE, times, np.concatenate(rows), tuple(packed))
-    return ObservedFilm.of(people, camera.without_distortion)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +21,7 @@ def moving() -> SceneSample:
 
 def test_a_film_that_started_later_is_joined_by_the_others(moving: SceneSample) -> None:
     late = 6
-    one, other = film(moving, -0.5, range(FRAMES)), film(moving, 0.6, range(late, FRAMES))
+    one, other = moving_film(moving, -0.5, range(FRAMES)), moving_film(moving, 0.6, range(late, FRAMES))
     told: list[tuple[str, int, int]] = []
     for films, skipped in (((one, other), [late, 0]), ((other, one), [0, late])):
         aligned = align_films(films, progress=lambda *each: told.append(each))
@@ -66,7 +34,7 @@ def test_a_film_that_lost_frames_is_joined_by_time(moving: SceneSample) -> None:
     """By its numbers, the frames after those that are lost would be half a second early."""
     late, lost = 6, {11, 12, 16, 17, 18}
     shown = [frame for frame in range(late, FRAMES) if frame not in lost]
-    one, other = align_films([film(moving, -0.5, range(FRAMES)), film(moving, 0.6, shown)])
+    one, other = align_films([moving_film(moving, -0.5, range(FRAMES)), moving_film(moving, 0.6, shown)])
     assert (one.skipped, other.skipped) == (late, 0)
     assert len(one.people.times) == FRAMES - late
     missing = np.flatnonzero(other.file_numbers < 0) + late
@@ -75,7 +43,7 @@ def test_a_film_that_lost_frames_is_joined_by_time(moving: SceneSample) -> None:
 
 
 def test_whoever_stands_still_tells_nothing(moving: SceneSample) -> None:
-    one, other = film(moving, -0.5, range(12)), film(swinging(0.0), 0.6, range(12))
+    one, other = moving_film(moving, -0.5, range(12)), moving_film(swinging(0.0), 0.6, range(12))
     with pytest.raises(InputError, match=r"films\[1\]: nobody of the first film moves in the same way in both for"):
         align_films([one, other])
 
@@ -87,7 +55,7 @@ def since(film: ObservedFilm, frame: int) -> ObservedFilm:
 
 
 def test_a_film_since_a_frame_begins_there(moving: SceneSample) -> None:
-    whole = film(moving, 0.3, range(8))
+    whole = moving_film(moving, 0.3, range(8))
     rest = since(whole, 3)
     assert (rest.skipped, since(rest, 2).skipped) == (3, 5)
     assert rest.people.times.tolist() == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
@@ -97,7 +65,7 @@ def test_a_film_since_a_frame_begins_there(moving: SceneSample) -> None:
 
 
 def test_who_is_gone_before_has_no_number(moving: SceneSample) -> None:
-    people = film(moving, 0.3, range(8)).people
+    people = moving_film(moving, 0.3, range(8)).people
     rows = people.rows.copy()
     rows["tracks"] = np.where(rows["frames"] < 4, 0, 1)
     assert replace(people, rows=rows).taken(np.arange(4, 8), np.arange(4) / RATE).num_people == 1

@@ -35,6 +35,15 @@ def open_source(
 
     Raises:
         InputError: If there is no such thing, or no picture in it.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> from warp_partdr import open_source
+        >>> source = open_source(Path("pictures"))
+        >>> source.names
+        ('photo.png',)
+        >>> source.read("photo.png").size
+        (512, 384)
     """
     form = None if keypoint_format is None else given_format(keypoint_format)
     ending = path.suffix.lower()

@@ -63,6 +63,14 @@ class PeopleFitter:
         batch: Number of people that are fitted at a time.
         min_score: Least confidence that there is a person, for people who are found.
         cutter: Object that cuts people out of pictures.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> from warp_partdr import FitOptions, PeopleFitter, load_label_network, open_source
+        >>> fitter = PeopleFitter(FitOptions.at("fast"), load_label_network())
+        >>> (picture,) = fitter.find([open_source(Path("pictures")).read("photo.png")])
+        >>> len(picture.people)
+        1
     """
 
     options: FitOptions

@@ -54,6 +54,15 @@ def make_dataset(
 
     Raises:
         InputError: If a shard can't be written.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> from warp_partdr import FitOptions, PeopleFitter, Shards, load_label_network, make_dataset, open_source
+        >>> source = open_source(Path("pictures"))
+        >>> shards = Shards(Path("dataset"), source.names, size=100, options={"quality": "fast"})
+        >>> tally = make_dataset(source, shards, PeopleFitter(FitOptions.at("fast"), load_label_network()))
+        >>> tally.people, shards.path(0).name
+        (1, 'part-00000-of-00001.parquet')
     """
     if columns is None:
         fitter = replace(fitter, cutter=replace(fitter.cutter, skeleton=source.skeleton))

@@ -99,6 +99,16 @@ class Shards:
         size: Number of pictures in a shard. The last may have fewer.
         options: Options that rows depend on, in addition to the pictures, as values that JSON takes.
         about: Further facts to be stated, such as versions.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> from warp_partdr import Shards
+        >>> names = [f"{number}.jpg" for number in range(250)]
+        >>> shards = Shards(Path("people"), names, size=100, options={"quality": "fast"})
+        >>> shards.count, shards.pictures(2)[-1]
+        (3, '249.jpg')
+        >>> shards.path(0).name, shards.done()
+        ('part-00000-of-00003.parquet', set())
     """
 
     folder: Path

@@ -18,12 +18,17 @@ from rich.progress import (
 from rich.text import Text
 
 from ..errors import printable
+from ..kernels.messages import COMPILING, say_if_compiling
 
+_NETWORKS = "loading networks"  # first words of a bar whose pictures are shown to networks, by kernels
 _SPEED_OVER = 20.0  # [s], period over which rate and remaining time are measured
 
 
 class FitProgress(Progress):
-    """Progress bar on stderr for ``fit_body(progress=...)``; nothing is printed if stderr is no terminal."""
+    """Progress bar on stderr for ``fit_body(progress=...)``; without a terminal it prints a line at most.
+
+    The line says that kernels are compiled, if none is yet.
+    """
 
     def __init__(self) -> None:
         console = Console(stderr=True)
@@ -36,7 +41,9 @@ class FitProgress(Progress):
             disable=not console.is_terminal,
             transient=True,
         )
-        self._task = self.add_task("compiling kernels, once for this machine", total=None)
+        self._task = self.add_task(COMPILING, total=None)
+        if not console.is_terminal:
+            say_if_compiling("partdr")
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show that ``done`` of ``total`` iterations are done."""
@@ -46,7 +53,7 @@ class FitProgress(Progress):
 class PictureProgress(Progress):
     """Progress bar on stderr for pictures and frames, with their rate and the remaining time."""
 
-    def __init__(self, total: int | None, first: str = "loading networks") -> None:
+    def __init__(self, total: int | None, first: str = _NETWORKS) -> None:
         console = Console(stderr=True)
         super().__init__(
             TextColumn("{task.description:24}"),
@@ -60,6 +67,8 @@ class PictureProgress(Progress):
             speed_estimate_period=_SPEED_OVER,
         )
         self._task = self.add_task(first, total=total)
+        if first == _NETWORKS:
+            say_if_compiling("partdr")
 
     def __call__(self, name: str, count: int = 1) -> None:
         """Show that ``count`` more pictures are done, the last of them from the file ``name``."""

@@ -80,6 +80,14 @@ def read_cameras(path: str | Path, *, warn: Warn | None = None) -> dict[str, Cal
 
     Raises:
         InputError: If a file can't be read, or if a camera is incomplete, invalid, or has a fisheye lens.
+
+    Examples:
+        >>> from warp_partdr import read_cameras
+        >>> cameras = read_cameras("cameras.toml")
+        >>> list(cameras), cameras["left"].size
+        (['left', 'right'], (480, 640))
+        >>> cameras["left"].focal
+        (600.0, 600.0)
     """
     path = Path(path)
     warn = warn or (lambda sentence: None)

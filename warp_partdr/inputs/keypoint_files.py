@@ -134,10 +134,12 @@ def read_keypoints(
         InputError: If the file can't be read or understood, if nobody in it has usable keypoints, if it has several
             pictures and none is the photo, or if it states a size that does not fit the picture's.
 
-    Example::
-
-        people = read_keypoints("photo.keypoints.json", photo="photo.jpg")
-        keypoints = choose_person(people)
+    Examples:
+        >>> from warp_partdr import choose_person, read_keypoints
+        >>> people = read_keypoints("keypoints.json", photo="photo.png")
+        >>> person = choose_person(people)
+        >>> person.skeleton, person.points.shape
+        ('coco17', (17, 2))
     """
     data, picture = read_json(path, "keypoints in JSON"), None if photo is None else Path(photo)
     return parse_keypoints(data, keypoint_format, name=str(path), photo=picture, size=size)

@@ -160,6 +160,13 @@ def choose_person(
     Raises:
         InputError: If there is nobody, or ``index`` is out of range.
         TypeError: If ``people`` are no keypoints, or ``groups`` is no array.
+
+    Examples:
+        >>> from warp_partdr import choose_person, read_keypoints, read_parts
+        >>> people = read_keypoints("keypoints.json")
+        >>> person = choose_person(people, read_parts("parts.png", "cdcl14").groups)
+        >>> person.points.shape, int(person.visible.sum())
+        ((17, 2), 17)
     """
     check_each("people", people, Keypoints2D, "of read_keypoints")
     check_type("groups", groups, np.ndarray | None, "of PartLabels")

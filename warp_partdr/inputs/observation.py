@@ -105,6 +105,15 @@ def observe(
     Raises:
         TypeError: If keypoints or labels have another type.
         InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
+
+    Examples:
+        >>> from warp_partdr import observe, read_keypoints, read_parts
+        >>> parts = read_parts("parts.png", "cdcl14")
+        >>> observation, crop = observe(read_keypoints("keypoints.json")[0], parts)
+        >>> observation.points.shape
+        torch.Size([17, 2])
+        >>> crop.size
+        (256, 256)
     """
     evidence = weigh_evidence(keypoints, parts, others)[0]
     camera = camera or usual_lens(evidence)

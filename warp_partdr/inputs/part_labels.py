@@ -134,6 +134,12 @@ def read_photo(path: PhotoFile) -> np.ndarray:
 
     Raises:
         InputError: If the file can't be read, or the picture is larger than 2**27 pixels.
+
+    Examples:
+        >>> from warp_partdr import read_photo
+        >>> photo = read_photo("photo.png")
+        >>> photo.shape, photo.dtype
+        ((512, 384, 3), dtype('uint8'))
     """
     from PIL import Image, ImageOps
 
@@ -325,6 +331,14 @@ def read_parts(path: PhotoFile, labels: LabelSet | str | Path) -> PartLabels:
     Raises:
         InputError: If the label set or the file can't be read, or if the file is no label image, has more than 2**27
             pixels or ids outside the set, shows nobody, or shows a single part although the set has several groups.
+
+    Examples:
+        >>> from warp_partdr import read_parts
+        >>> parts = read_parts("parts.png", "cdcl14")
+        >>> parts.groups.shape, parts.groups.dtype
+        ((512, 384), dtype('uint8'))
+        >>> parts.label_set.group_names[:3]
+        ('head', 'torso', 'right_upper_arm')
     """
     labels = label_set(labels)
     suffix = ".png" if isinstance(path, BytesIO) else Path(path).suffix.lower()

@@ -40,6 +40,14 @@ class Sample:
         stature: Height of the person, standing [m].
         cluster: Name that all samples share that are not independent, such as several views of one person; None: the
             sample is independent.
+
+    Examples:
+        After ``parts = read_parts("parts.png", "cdcl14")`` and ``person = read_keypoints("keypoints.json")[0]``:
+
+        >>> from warp_partdr.benchmark import Sample
+        >>> sample = Sample("my data", "first person", person, parts, target=parts.groups)
+        >>> sample.source, sample.name
+        ('my data', 'first person')
     """
 
     source: str

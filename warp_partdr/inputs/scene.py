@@ -31,6 +31,15 @@ class View:
 
     Raises:
         ValueError: If ``camera`` is not one camera with square pixels, a shape is wrong, or R is no rotation.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import Perspective, View
+        >>> view = View(Perspective.of_picture((480, 640), fov=60.0), translation=torch.tensor([0.0, 0.0, 3.0]))
+        >>> view.eye
+        tensor([ 0.,  0., -3.])
+        >>> view.to_camera(torch.zeros(3))  # the world's origin is 3 m before the camera
+        tensor([0., 0., 3.])
     """
 
     camera: Perspective
@@ -78,6 +87,13 @@ class SceneObservation:
         person: Index of the person, from 0.
         frame: Index of the frame, from 0.
         view: Index of the view in ``Scene.views``.
+
+    Examples:
+        >>> from warp_partdr import SceneObservation, read_keypoints, read_parts
+        >>> person, parts = read_keypoints("keypoints.json")[0], read_parts("parts.png", "cdcl14")
+        >>> seen = SceneObservation(person, parts, person=0, frame=2)
+        >>> seen.frame, seen.view
+        (2, 0)
     """
 
     keypoints: Keypoints2D
@@ -143,6 +159,14 @@ class Scene:
         InputError: If an index of a person, frame or view is out of range, an observation comes twice, a person has no
             observation, a keypoint is very far from the picture, label sets differ, or times do not rise or are not as
             many as the frames.
+
+    Examples:
+        >>> from warp_partdr import Perspective, Scene, SceneObservation, View, read_keypoints
+        >>> person = read_keypoints("keypoints.json")[0]
+        >>> view = View(Perspective.of_picture((512, 384), focal=600.0))
+        >>> scene = Scene([view], [SceneObservation(person, frame=frame) for frame in range(3)], frame_rate=30.0)
+        >>> scene.num_people, scene.num_frames, len(scene.views)
+        (1, 3, 1)
     """
 
     views: Sequence[View]

@@ -37,6 +37,11 @@ def set_graph_memory(num_bytes: int | None) -> None:
 
     Raises:
         ValueError: If it is no integer, or negative.
+
+    Examples:
+        >>> from warp_partdr import set_graph_memory
+        >>> set_graph_memory(64 * 2**20)  # at most 64 MiB on each device
+        >>> set_graph_memory(None)  # the default
     """
     global _budget
     _budget = None if num_bytes is None else check_whole("num_bytes", num_bytes, 0, 2**63)

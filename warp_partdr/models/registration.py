@@ -58,6 +58,14 @@ class RegistrationWeights:
             within a body.
         shape: Square of the shape values.
         pose: Square of the turns from EllipBody's pose [rad].
+
+    Examples:
+        >>> from warp_partdr import RegistrationOptions, RegistrationWeights
+        >>> options = RegistrationOptions(RegistrationWeights(pose=5.0))  # joints may turn farther from EllipBody's
+        >>> options.weights.pose, options.weights.joints
+        (5.0, 5.0)
+        >>> RegistrationWeights.fitted().measures  # the ellipsoids of a fit, whose thicknesses are rough
+        0.0
     """
 
     joints: float = 5.0
@@ -88,6 +96,12 @@ class RegistrationOptions:
         iterations: Number of steps of Adam.
         growth: True lets parts grow beyond what the model's shape values reach. By default they grow only with a
             ``start``, after an edit: people are within the model's reach, and what is not is mostly a fit's error.
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, RegistrationOptions, RegistrationWeights, anny, register
+        >>> options = RegistrationOptions(RegistrationWeights.fitted(), iterations=20)
+        >>> register(BodyParameters.mean(1).posed(), anny(), options=options).shape.shape
+        torch.Size([1, 20])
     """
 
     weights: RegistrationWeights = field(default_factory=RegistrationWeights)
@@ -109,6 +123,16 @@ class Registered(Movable):
         unexplained: Logarithm of the factor between each measure of EllipBody and of the body, shape (B, 27).
         detailed: Posed bodies, in EllipBody's frame.
         losses: Weighted terms of the loss at the end, by name, each of shape (B,).
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, Registered, RegistrationOptions, anny, register
+        >>> posed = BodyParameters.mean(1).posed()
+        >>> body: Registered = register(posed, anny(), options=RegistrationOptions(iterations=20))
+        >>> body.shape.shape, body.rotations.shape
+        (torch.Size([1, 20]), torch.Size([1, 104, 3, 3]))
+        >>> again = body.model.pose(body.shape, body.rotations, body.translation)
+        >>> again.vertices.shape
+        torch.Size([1, 13718, 3])
     """
 
     model: DetailedModel
@@ -176,6 +200,12 @@ def register(
     Raises:
         ValueError: If ``posed`` is not float32 or not where the model is, or holds NaN, infinity or what
             is no rotation.
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, anny, register
+        >>> registered = register(BodyParameters.mean(1).posed(), anny())
+        >>> registered.detailed.vertices.shape
+        torch.Size([1, 13718, 3])
     """
     check_type("posed", posed, Posed, "of pose, or FitResult.posed")
     check_type("model", model, DetailedModel, "of load_model, or anny()")

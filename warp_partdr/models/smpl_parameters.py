@@ -37,6 +37,15 @@ def to_smplx(
 
     Raises:
         InputError: If the model is another one.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import load_model, to_smplx
+        >>> model = load_model("SMPL_NEUTRAL.npz")
+        >>> rotations = torch.eye(3).repeat(1, model.num_joints, 1, 1)
+        >>> arguments = to_smplx(model, torch.zeros(1, model.num_shapes), rotations, torch.zeros(1, 3))
+        >>> {name: values.shape for name, values in arguments.items()}
+        {'betas': (1, 10), 'global_orient': (1, 3), 'body_pose': (1, 69), 'transl': (1, 3)}
     """
     sizes = _sizes(model)
     shape, rotations, translation = (each.detach().cpu().double() for each in (shape, rotations, translation))
@@ -60,6 +69,15 @@ def from_smplx(
 
     Raises:
         InputError: If ``betas`` or ``transl`` is missing, or an array has a wrong size or isn't finite.
+
+    Examples:
+        >>> import numpy as np
+        >>> from warp_partdr import from_smplx, load_model
+        >>> model = load_model("SMPL_NEUTRAL.npz")
+        >>> arguments = {"betas": np.zeros((1, 10)), "body_pose": np.zeros((1, 69)), "transl": np.zeros((1, 3))}
+        >>> body = model.pose(*from_smplx(model, arguments, "my arrays"))
+        >>> body.joints.shape
+        torch.Size([1, 24, 3])
     """
     like, sizes = model.rest_vertices, _sizes(model)
     for name in ("betas", "transl"):

@@ -64,6 +64,16 @@ def place_cameras(
 
     Raises:
         InputError: If views share no person in a frame, or a stature is given for several people.
+
+    Examples:
+        With ``seen_left`` and ``seen_right``, ``Keypoints2D`` of one person in two pictures of one moment:
+
+        >>> from warp_partdr import Perspective, Scene, SceneObservation, View, place_cameras
+        >>> view = View(Perspective.of_picture((480, 640), focal=560.0))
+        >>> scene = Scene([view, view], [SceneObservation(seen_left, view=0), SceneObservation(seen_right, view=1)])
+        >>> placed = place_cameras(scene, stature=1.75)
+        >>> placed.views[1].rotation.shape, placed.views[1].eye.shape  # where the second camera stands
+        (torch.Size([3, 3]), torch.Size([3]))
     """
     stature = check_stature(stature)
     if stature is not None and scene.num_people > 1:

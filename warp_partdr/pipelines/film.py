@@ -152,6 +152,13 @@ def fit_film(
         InputError: If there is no film, ``person`` is not among the people found, frames of films differ in their
             times, or a stature is given for several people or several cameras.
         TypeError: If an argument has another type.
+
+    Examples:
+        >>> from warp_partdr import ObservedFilm, find_film_people, fit_film
+        >>> motion = fit_film([ObservedFilm.of(find_film_people("walk.mp4"))])
+        >>> person = motion.motions[0]
+        >>> person.rotations.shape, person.translation.shape  # frames, joints; position of the root joint [m]
+        (torch.Size([3, 104, 3, 3]), torch.Size([3, 3]))
     """
     check_films(films)
     check_type("options", options, SceneOptions | None, "such as SceneOptions.film()")

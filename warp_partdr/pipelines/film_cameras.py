@@ -60,6 +60,14 @@ def place_film_cameras(
     Raises:
         InputError: If nobody is visible in two films at once, or the stature is given for several people.
         TypeError: If an argument has another type.
+
+    Examples:
+        With ``left`` and ``right``, ``ObservedFilm`` of one person, matched frame by frame:
+
+        >>> from warp_partdr import place_film_cameras
+        >>> placed = place_film_cameras([left, right], stature=1.75)
+        >>> placed[1].view.rotation.shape, placed[1].view.eye.shape  # where the second camera stands
+        (torch.Size([3, 3]), torch.Size([3]))
     """
     check_films(films)
     stature = check_stature(stature)

@@ -48,6 +48,14 @@ def align_films(
     Raises:
         InputError: If no person of the first film moves like one of another film, for half of the shorter film.
         TypeError: If an argument has another type.
+
+    Examples:
+        With ``early`` and ``late``, ``ObservedFilm`` of somebody who moves; ``late`` began six frames after ``early``:
+
+        >>> from warp_partdr import align_films
+        >>> aligned = align_films([early, late])
+        >>> [film.skipped for film in aligned]
+        [6, 0]
     """
     return match_films(films, film_starts(films, device=device, progress=progress))
 

@@ -26,6 +26,12 @@ def match_films(films: Sequence[ObservedFilm], starts: Sequence[float] | None = 
 
     Raises:
         InputError: If a film has no frame at any of the times.
+
+    Examples:
+        >>> from warp_partdr import ObservedFilm, find_film_people, match_films
+        >>> left = right = ObservedFilm.of(find_film_people("walk.mp4"))  # of two cameras that started together
+        >>> [len(film.people.times) for film in match_films([left, right])]
+        [3, 3]
     """
     if starts is None and not _first_mismatch(films):
         return list(films)

@@ -32,6 +32,13 @@ class ObservedFilm:
         warnings: Differences between the film and its camera, a sentence each.
         numbers: Indices of its frames in the file, rising, -1 for frames that are missing, shape (F,), int64. If it is
             None, the frames are those of the file from the first one on.
+
+    Examples:
+        >>> from warp_partdr import ObservedFilm, Perspective, find_film_people
+        >>> people = find_film_people("walk.mp4")
+        >>> film = ObservedFilm.of(people, Perspective.of_picture(people.image_size, focal=600.0))
+        >>> film.people.num_people, film.view.camera.focal
+        (1, tensor([[600., 600.]]))
     """
 
     people: FilmPeople
@@ -55,6 +62,11 @@ class ObservedFilm:
 
         Raises:
             TypeError: If an argument has another type.
+
+        Examples:
+            >>> from warp_partdr import ObservedFilm, find_film_people
+            >>> ObservedFilm.of(find_film_people("walk.mp4")).view.rotation.shape  # a usual lens, at the world's origin
+            torch.Size([3, 3])
         """
         check_type("people", people, FilmPeople, "of find_film_people")
         check_type("camera", camera, Perspective | None, "such as Perspective.of_picture(size, focal=1500)")

@@ -118,6 +118,14 @@ def fit_photo(
         InputError: If the file can't be read, nobody is found, ``person`` is not among the people found, a network's
             output is not as it says, or ``options.stature`` is given for several people.
         TypeError: If a network has another type.
+
+    Examples:
+        >>> from warp_partdr import fit_photo
+        >>> everyone = fit_photo("photo.png")
+        >>> len(everyone.people), everyone.fits[0].vertices.shape
+        (1, (13718, 3))
+        >>> everyone.fits[0].landmarks(["nose", "left_wrist"]).shape  # in the camera frame [m]
+        (2, 3)
     """
     check_type("parts_from", parts_from, PartNetwork | None, "of load_part_network")
     check_type("keypoints_from", keypoints_from, KeypointNetwork | None, "of load_keypoint_network")

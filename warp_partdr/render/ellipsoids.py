@@ -51,6 +51,14 @@ class Ellipsoids(Movable):
         axes: Orthonormal axes as columns, shape (B, P, 3, 3): rotations, or reflections (determinant -1), which make
             the same ellipsoids.
         semi_axes: Semi-axes [m], shape (B, P, 3).
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import Ellipsoids, WeakPerspective, draw_ellipsoids
+        >>> ball = Ellipsoids(torch.zeros(1, 1, 3), torch.eye(3)[None, None], torch.full((1, 1, 3), 0.25))
+        >>> camera = WeakPerspective(torch.tensor([40.0]), torch.tensor([[16.0, 16.0]]))
+        >>> int(draw_ellipsoids(ball, camera, (32, 32)).labels.sum())  # [px] of a disc whose radius is 10 px
+        316
     """
 
     centres: torch.Tensor
@@ -102,6 +110,16 @@ def draw_ellipsoids(
     Raises:
         ValueError: If a shape, size, dtype, label or number is wrong, or devices differ.
         NotImplementedError: Under ``torch.func``, and in a second derivative.
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, draw_ellipsoids
+        >>> body = BodyParameters.mean(1).leaves()
+        >>> image = draw_ellipsoids(body.posed(), body.camera(128), (128, 128), num_maps=20)
+        >>> image.labels.shape, image.maps.shape
+        (torch.Size([1, 128, 128]), torch.Size([1, 20, 128, 128]))
+        >>> image.maps[:, 7].sum().backward()  # the head's map: any loss of the maps has a gradient
+        >>> body.lengths.grad.shape
+        torch.Size([1, 12])
     """
     rule = check_rule(gradient, max_distance, depth_weight, samples_per_pixel)
     passes, inputs, size = _check("draw_ellipsoids", ellipsoids, camera, image_size, part_labels, rule, validate)
@@ -141,6 +159,17 @@ def ellipsoid_label_loss(
     Raises:
         ValueError: If ``draw_ellipsoids`` raises it, or if ``target`` does not fit the batch.
         NotImplementedError: If ``draw_ellipsoids`` raises it.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import BodyParameters, draw_ellipsoids, ellipsoid_label_loss
+        >>> body = BodyParameters.mean(1)
+        >>> target = draw_ellipsoids(body.posed(), body.camera(128), (128, 128)).labels.roll(3, dims=2)  # 3 px right
+        >>> leaves = body.leaves()
+        >>> loss, image = ellipsoid_label_loss(leaves.posed(), leaves.camera(128), target, gradient="partdr")
+        >>> loss.sum().backward()
+        >>> bool(leaves.shift.grad[0, 0] < 0)  # so a step of descent moves the body to the right
+        True
     """
     refuse_transforms("ellipsoid_label_loss", target)
     rule = check_rule(gradient, max_distance, depth_weight, samples_per_pixel)

@@ -76,6 +76,16 @@ def draw_mesh(
     Raises:
         ValueError: If a shape, size, dtype or option is wrong, devices differ, or a number is NaN or infinite.
         NotImplementedError: Under ``torch.func``, and in a second derivative.
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, draw_mesh, ellipbody_mesh
+        >>> body = BodyParameters.mean(1).leaves()
+        >>> image = draw_mesh(body.posed().vertices(1), ellipbody_mesh(1), body.camera(128), (128, 128), num_maps=20)
+        >>> image.labels.shape, image.maps.shape
+        (torch.Size([1, 128, 128]), torch.Size([1, 20, 128, 128]))
+        >>> image.maps[:, 7].sum().backward()  # the head's map: any loss of the maps has a gradient
+        >>> body.lengths.grad.shape
+        torch.Size([1, 12])
     """
     rule = check_mesh_rule(gradient, max_distance, depth_weight)
     passes, screen = _project("draw_mesh", vertices, mesh, camera, rule, validate)
@@ -115,6 +125,16 @@ def mesh_label_loss(
     Raises:
         ValueError: If ``draw_mesh`` raises it, or if ``target`` does not fit the batch.
         NotImplementedError: If ``draw_mesh`` raises it.
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, draw_mesh, ellipbody_mesh, mesh_label_loss
+        >>> body, mesh = BodyParameters.mean(1), ellipbody_mesh(1)
+        >>> vertices, camera = body.posed().vertices(1).requires_grad_(), body.camera(128)
+        >>> target = draw_mesh(vertices, mesh, camera, (128, 128)).labels.roll(3, dims=2)  # 3 px to the right
+        >>> loss, image = mesh_label_loss(vertices, mesh, camera, target)
+        >>> loss.sum().backward()
+        >>> bool(vertices.grad[..., 0].sum() < 0)  # so a step of descent moves the body to the right
+        True
     """
     refuse_transforms("mesh_label_loss", target)
     check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))

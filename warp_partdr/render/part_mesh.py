@@ -28,6 +28,16 @@ class PartMesh(Movable):
             inside out as in a mirror, shows what lies behind it.
         num_labels: Highest label of a face, except 255. It is 0 without faces.
         num_vertices: Least number of vertices that the faces need.
+
+    Examples:
+        >>> import torch
+        >>> import trimesh
+        >>> from warp_partdr import PartMesh, Perspective, draw_mesh
+        >>> ball = trimesh.creation.icosphere(subdivisions=2)
+        >>> mesh = PartMesh.from_faces(ball.faces, 1 + (ball.triangles_center[:, 0] > 0))  # left half 1, right half 2
+        >>> vertices = torch.tensor(ball.vertices, dtype=torch.float32)[None] + torch.tensor([0.0, 0.0, 5.0])
+        >>> draw_mesh(vertices, mesh, Perspective.of_picture((120, 160), focal=200.0), (120, 160)).labels.unique()
+        tensor([0, 1, 2], dtype=torch.uint8)
     """
 
     faces: torch.Tensor
@@ -62,6 +72,12 @@ class PartMesh(Movable):
 
         Raises:
             ValueError: If a shape, an index or a label is out of range.
+
+        Examples:
+            >>> import numpy as np
+            >>> from warp_partdr import PartMesh
+            >>> PartMesh.from_faces(np.array([[0, 1, 2], [0, 2, 3]]), np.array([1, 2])).num_labels
+            2
         """
         faces, face_labels = np.asarray(faces), np.asarray(face_labels)
         for name, values in (("faces", faces), ("face_labels", face_labels)):
@@ -94,6 +110,11 @@ class PartMesh(Movable):
         A face with the new label 255 still hides what is behind it, but costs nothing where it shows; one with 0 is
         left out, and then backfaces are no longer culled, for holes show them. The edges stay those of the ellipsoids
         or parts that the mesh was built from.
+
+        Examples:
+            >>> from warp_partdr import ellipbody_mesh, label_set
+            >>> ellipbody_mesh(1).relabel(label_set("lsp6").part_groups).num_labels
+            6
         """
         old = self.face_labels.cpu().numpy()
         try:
@@ -145,6 +166,12 @@ def ellipbody_mesh(subdivisions: int = DEFAULT_SUBDIVISIONS, *, device: torch.de
 
     Raises:
         ValueError: If there is no such level.
+
+    Examples:
+        >>> from warp_partdr import ellipbody_mesh
+        >>> mesh = ellipbody_mesh(2)
+        >>> mesh.faces.shape, mesh.num_vertices, mesh.num_labels
+        (torch.Size([6400, 3]), 3240, 20)
     """
     return PartMesh.from_faces(*ellipbody_faces(subdivisions), device=device)
 

@@ -36,6 +36,18 @@ class RendererEllipsoids(BodyLoss):
         max_distance: Greatest distance from an edge of a pixel that moves it with "partdr" [px].
         depth_weight: Lambda of the paper's z gradient (eq. 12) with "partdr". If it is 0, z has no gradient.
         samples_per_pixel: Density of the borders' samples with "coverage".
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import BodyParameters, RendererEllipsoids
+        >>> renderer = RendererEllipsoids("coverage")
+        >>> leaves = BodyParameters.mean(2).leaves()
+        >>> renderer.draw(leaves.posed(), leaves.camera(64), (64, 64)).labels.shape
+        torch.Size([2, 64, 64])
+        >>> loss = renderer.crop_loss(leaves, torch.zeros(2, 64, 64, dtype=torch.uint8))
+        >>> loss.sum().backward()
+        >>> loss.shape
+        torch.Size([2])
     """
 
     gradient: Gradient = "partdr"
@@ -103,6 +115,15 @@ class RendererMesh(BodyLoss):
         max_distance: Greatest distance from an edge of a pixel that moves it with "partdr" [px].
         depth_weight: Lambda of the paper's z gradient (eq. 12) with "partdr". If it is 0, z has no gradient.
         gradient: Kind of gradient, "partdr" or "edges", see ``draw_mesh``.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import BodyParameters, RendererMesh
+        >>> renderer = RendererMesh("auto", tolerance=0.5)
+        >>> body = BodyParameters.mean(2)
+        >>> loss, image = renderer.label_loss(body.posed(), body.camera(64), torch.zeros(2, 64, 64, dtype=torch.uint8))
+        >>> loss.shape, image.labels.shape
+        (torch.Size([2]), torch.Size([2, 64, 64]))
     """
 
     subdivisions: Subdivisions = DEFAULT_SUBDIVISIONS

@@ -32,6 +32,12 @@ def coarsest_subdivisions(parts: Ellipsoids | Posed, camera: Camera, *, toleranc
 
     Raises:
         ValueError: If even the finest level can't keep the tolerance, or it is not positive.
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, coarsest_subdivisions
+        >>> body = BodyParameters.mean(1)
+        >>> [coarsest_subdivisions(body.posed(), body.camera(size)) for size in (64, 256, 1024)]
+        [1, 2, 3]
     """
     if not tolerance > 0:
         raise ValueError(f"tolerance: {tolerance}; expected a positive number of pixels")
@@ -56,6 +62,13 @@ def silhouette_error(parts: Ellipsoids | Posed, camera: Camera, subdivisions: in
         parts: B bodies.
         camera: One a body.
         subdivisions: Level of the mesh, 0 to 3.
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, silhouette_error
+        >>> body = BodyParameters.mean(1)
+        >>> errors = silhouette_error(body.posed(), body.camera(256), 1)
+        >>> errors.shape, bool(errors.max() < 2)
+        (torch.Size([1, 20]), True)
     """
     unit = torch.from_numpy(icosphere(subdivisions)[0]).to(parts.centres.device)
     rows = []

@@ -126,6 +126,16 @@ def load_body(path: str | Path) -> BodyFile:
     Raises:
         InputError: If the file is missing or is no body file, if an array has a wrong shape or holds NaN, infinity, a
             matrix that is no rotation or a number that no body can have, or if the report beside it is of another fit.
+
+    Examples:
+        After ``save_fit(result, "fitted")``:
+
+        >>> from warp_partdr import load_body
+        >>> saved = load_body("fitted/body.npz")
+        >>> saved.body("cpu").pose().joints.shape
+        (1, 21)
+        >>> saved.image_size
+        array([512, 384])
     """
     names = (*_SHAPES, "format")
     data = read_npz(path, names, ("part_names",), expected="a body.npz of partdr fit", most=_MAX_BYTES)

@@ -70,6 +70,13 @@ def overlay(
 
     Raises:
         ValueError: If ``photo`` is no RGB picture, or ``camera`` is missing.
+
+    Examples:
+        After ``result = fit_body(person, parts)``:
+
+        >>> from warp_partdr import plot, read_photo
+        >>> figure = plot.overlay(result, read_photo("photo.png"), keypoints=person)
+        >>> figure.savefig("overlay.png", dpi=150)
     """
     from PIL import Image as PilImage
 
@@ -99,6 +106,12 @@ def part_panels(
 
     Raises:
         ValueError: If the two are no label images of one shape, or an id is not in the set.
+
+    Examples:
+        After ``result = fit_body(person, parts)``:
+
+        >>> from warp_partdr import plot
+        >>> plot.part_panels(parts, result).savefig("parts_compared.png")
     """
     groups = find_label_set(target.label_set if label_set is None and isinstance(target, PartLabels) else label_set)
     expected = read_groups("target", target.groups if isinstance(target, PartLabels) else target, groups)
@@ -147,6 +160,12 @@ def gradient_field(
 
     Raises:
         ValueError: If ``target`` is no label image of the set, ``renderer`` is unknown or ``camera`` is missing.
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, draw_ellipsoids, plot
+        >>> body = BodyParameters.mean(1)
+        >>> target = draw_ellipsoids(body.posed(), body.camera(128), (128, 128)).labels.roll(5, dims=2)  # 5 px right
+        >>> plot.gradient_field(body, target, camera=body.camera(128)).savefig("gradient.png")
     """
     if renderer not in ("exact", "mesh"):
         raise ValueError(f"renderer: {renderer!r}; expected exact, mesh")
@@ -218,6 +237,10 @@ def loss_curve(history: FitResult | Refined | Sequence[float] | np.ndarray, *, l
 
     Raises:
         ValueError: If there are no values.
+
+    Examples:
+        >>> from warp_partdr import plot
+        >>> plot.loss_curve([3.0, 2.0, 1.5, 1.2], label="my loss").savefig("loss.png")
     """
     from matplotlib.ticker import LogFormatter
 
@@ -255,6 +278,12 @@ def turntable(body: Body, *, turns: Sequence[float] = (0, 90, 180, 270)) -> Figu
 
     Raises:
         ValueError: If there are no turns.
+
+    Examples:
+        After ``result = fit_body(person, parts)``:
+
+        >>> from warp_partdr import plot
+        >>> plot.turntable(result, turns=range(0, 360, 90)).savefig("turntable.png")
     """
     if not turns:
         raise ValueError("turns: none; expected one angle or more")
@@ -280,6 +309,13 @@ def compare_bodies(first: Body, second: Body, *, names: tuple[str, str] = ("firs
         first: Fit, parameters or posed body.
         second: Fit, parameters or posed body to compare with.
         names: Names of the two bodies in the legend.
+
+    Examples:
+        >>> from dataclasses import replace
+        >>> from warp_partdr import BodyParameters, plot
+        >>> body = BodyParameters.mean(1)
+        >>> longer = replace(body, lengths=1.1 * body.lengths)
+        >>> plot.compare_bodies(body, longer, names=("mean", "longer")).savefig("bodies.png")
     """
     bodies = [first_body(body) for body in (first, second)]
     joints = [body.joints[0].cpu().double() - body.joints[0, :1].cpu().double() for body in bodies]

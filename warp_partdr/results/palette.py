@@ -34,7 +34,16 @@ _COLOURS: dict[str, tuple[int, int, int]] = {
     "right_hand": (109, 220, 190),
 }
 PART_COLOURS: np.ndarray = np.array([(0, 0, 0), *(_COLOURS[name] for name in PART_NAMES)], dtype=np.uint8)
-"""RGB of each part label 0 to 20, shape (21, 3); 0 = background."""
+"""RGB of each part label 0 to 20, shape (21, 3); 0 = background.
+
+Examples:
+    >>> from warp_partdr import BodyParameters, draw_ellipsoids
+    >>> from warp_partdr.plot import PART_COLOURS
+    >>> body = BodyParameters.mean(1)
+    >>> labels = draw_ellipsoids(body.posed(), body.camera(128), (128, 128)).labels[0]
+    >>> PART_COLOURS[labels.numpy()].shape  # a picture, RGB
+    (128, 128, 3)
+"""
 
 DEPTH_COLOURS = np.array([(220, 80, 20), (60, 60, 60), (0, 90, 181)], dtype=np.uint8)
 """RGB of a direction along z: toward the viewer, neither, away, shape (3, 3)."""

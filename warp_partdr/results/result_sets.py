@@ -79,6 +79,12 @@ def check_result(path: str | Path) -> None:
     Raises:
         InputError: If the report has another SHA-256 of it, or a run that replaced files here was ended.
         OSError: If it can't be read.
+
+    Examples:
+        After ``save_fit(result, "fitted")``:
+
+        >>> from warp_partdr import check_result
+        >>> check_result("fitted/body.npz")  # raises InputError if the file is not of report.json's run
     """
     path = Path(path)
     for report, digest in _naming(path):

@@ -72,6 +72,17 @@ def save_fit(
 
     Raises:
         TypeError: If an argument has another type.
+
+    Examples:
+        After ``result = fit_body(person, parts)``:
+
+        >>> from pathlib import Path
+        >>> from warp_partdr import read_photo, save_fit
+        >>> report = save_fit(result, "fitted", photo=read_photo("photo.png"))
+        >>> bool(report["parts"]["part_f1"] > 0.7)
+        True
+        >>> sorted(path.name for path in Path("fitted").glob("body.*"))
+        ['body.json', 'body.npz']
     """
     check_type("result", result, FitResult, "of fit_body")
     check_photo(photo)
@@ -152,6 +163,15 @@ def save_registered(
             meshes in the files have none.
         formats: Formats in ``FURTHER``, for more files.
         **about: Further entries of the report.
+
+    Examples:
+        After ``mesh = refine_mesh(result)``:
+
+        >>> from pathlib import Path
+        >>> from warp_partdr import save_registered
+        >>> report = save_registered(mesh.body, "detailed", mesh.camera, (512, 384))
+        >>> (Path("detailed") / "detailed.glb").exists()
+        True
     """
     model = registered.model
     clothed = registered if clothes is None else replace(registered, detailed=registered.clothed(clothes))

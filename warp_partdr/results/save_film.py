@@ -87,6 +87,15 @@ def save_film_fit(
         InputError: If a film can't be read any more, there are more or fewer films than in the fit, or results can't be
             written.
         TypeError: If ``fit`` is no ``FilmFit``.
+
+    Examples:
+        After ``motion = fit_film([ObservedFilm.of(find_film_people("walk.mp4"))])``:
+
+        >>> from pathlib import Path
+        >>> from warp_partdr import save_film_fit
+        >>> report = save_film_fit(motion, "walk", films=["walk.mp4"])
+        >>> sorted(path.name for path in Path("walk").glob("person0.*"))
+        ['person0.bvh', 'person0.glb', 'person0.npz']
     """
     check_type("fit", fit, FilmFit, "of fit_film")
     if len(films) != len(fit.films):

@@ -59,6 +59,15 @@ def save_photo_fit(
 
     Raises:
         TypeError: If an argument has another type.
+
+    Examples:
+        After ``everyone = fit_photo("photo.png")``:
+
+        >>> from pathlib import Path
+        >>> from warp_partdr import read_photo, save_photo_fit
+        >>> report = save_photo_fit(everyone, "photo", photo=read_photo("photo.png"))
+        >>> (Path("photo") / "report.html").exists()
+        True
     """
     check_type("fit", fit, PhotoFit, "of fit_photo")
     check_type("photo", photo, np.ndarray, "of read_photo")

@@ -54,7 +54,18 @@ class _Surface:
 
 
 def shade_body(posed: Posed, camera: Camera, image_size: tuple[int, int]) -> np.ndarray:
-    """Draw the first body's ellipsoids, coloured by part and lit, on a transparent ground: RGBA, (H, W, 4), uint8."""
+    """Draw the first body's ellipsoids, coloured by part and lit, on a transparent ground: RGBA, (H, W, 4), uint8.
+
+    Examples:
+        >>> from PIL import Image
+        >>> from warp_partdr import BodyParameters
+        >>> from warp_partdr.plot import shade_body
+        >>> body = BodyParameters.mean(1)
+        >>> picture = shade_body(body.posed(), body.camera(256), (256, 256))
+        >>> Image.fromarray(picture).save("body.png")  # with a transparent ground
+        >>> picture.shape
+        (256, 256, 4)
+    """
     mesh = ellipbody_mesh(_SUBDIVISIONS)
     return shade_mesh(posed.vertices(_SUBDIVISIONS)[:1], mesh, camera, image_size, PART_COLOURS)
 
@@ -65,6 +76,13 @@ def shade_detailed(
     """Draw the first body in one colour, lit, on a transparent ground: RGBA, shape (H, W, 4), uint8.
 
     It wears a plain T-shirt and shorts, unless ``bare``.
+
+    Examples:
+        After ``mesh = refine_mesh(result)``:
+
+        >>> from warp_partdr.plot import shade_detailed
+        >>> shade_detailed(mesh.body.detailed, mesh.body.model, mesh.camera, (512, 384)).shape
+        (512, 384, 4)
     """
     return shade_skin(detailed.vertices, model, camera, image_size, bare=bare)
 
@@ -303,7 +321,15 @@ def _window(vertices: torch.Tensor, camera: Camera, size: tuple[int, int]) -> tu
 
 
 def blend(photo: np.ndarray, rgba: np.ndarray, opacity: float) -> np.ndarray:
-    """Blend ``rgba`` over ``photo``, shape (H, W, 3), uint8."""
+    """Blend ``rgba`` over ``photo``, shape (H, W, 3), uint8.
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, read_photo
+        >>> from warp_partdr.plot import blend, shade_body
+        >>> photo, body = read_photo("photo.png"), BodyParameters.mean(1)
+        >>> blend(photo, shade_body(body.posed(), body.camera(384), photo.shape[:2]), opacity=0.6).shape
+        (512, 384, 3)
+    """
     blended, used = photo.copy(), label_bounds(rgba[..., 3] > 0)
     alpha = rgba[used][..., 3:].astype(np.float32) / 255 * opacity
     blended[used] = (photo[used] * (1 - alpha) + rgba[used][..., :3] * alpha).astype(np.uint8)
@@ -317,6 +343,16 @@ def turntable_views(posed: Posed, angles: tuple[tuple[float, float], ...], size:
         posed: Posed bodies.
         angles: Turns about the vertical and tilts about the horizontal [degrees]; (0, 0) is the photo's view.
         size: Side of the pictures [px].
+
+    Examples:
+        After ``result = fit_body(person, parts)``:
+
+        >>> from PIL import Image
+        >>> from warp_partdr.plot import turntable_views
+        >>> front, side, above = turntable_views(result.posed, ((0, 0), (90, 0), (0, 90)), size=256)
+        >>> Image.fromarray(side).save("side.png")
+        >>> side.shape
+        (256, 256, 3)
     """
     body = Posed(*(tensor[:1].detach().cpu() for tensor in vars(posed).values()))
     middle = (body.joints.amax(1) + body.joints.amin(1)) / 2

@@ -78,6 +78,14 @@ class Method:
 
     ``fit`` is called as ``fit_body`` is, with keypoints, labels, others, options, device and, if ``camera`` says so, a
     sample's camera; it returns a ``FitResult``, or what has its ``camera``, ``landmarks`` and ``draw``.
+
+    Examples:
+        >>> from warp_partdr import FitOptions
+        >>> from warp_partdr.benchmark import Method, evaluate, make_sample
+        >>> sample = make_sample(0, "clean")
+        >>> report = evaluate([sample], {"fast": Method(options=FitOptions.at("fast"))})
+        >>> bool(report.pooled()[sample.source]["fast"]["pa_mpjpe_mm"] < 100)
+        True
     """
 
     see: Callable[[PartLabels], PartLabels | None] = all_parts  # what of a sample's labels the fit gets to see
@@ -111,6 +119,15 @@ METHODS: dict[str, Method] = {
     "full silhouette": Method(silhouette, _OUTLINE),
     "parts": Method(options=_OUTLINE),
 }
+"""Methods by name: keypoints alone, with the person's silhouette, or with part labels, whose outlines are followed.
+
+Examples:
+    >>> from warp_partdr.benchmark import METHODS
+    >>> list(METHODS)
+    ['keypoints only', 'full silhouette', 'parts']
+    >>> METHODS["parts"].options.stages[-1].name
+    'outline'
+"""
 
 
 ALL = "all"  # name of all sources together
@@ -193,6 +210,13 @@ def evaluate(
     Raises:
         InputError: If nothing could be fitted: why the first could not, or that no method serves.
         ValueError: If ``jobs`` is less than 1.
+
+    Examples:
+        >>> from warp_partdr.benchmark import METHODS, evaluate, make_sample
+        >>> sample = make_sample(0, "clean")
+        >>> report = evaluate([sample], {"keypoints": METHODS["keypoints only"]})
+        >>> bool(report.pooled()[sample.source]["keypoints"]["pa_mpjpe_mm"] < 100)
+        True
     """
     if jobs < 1:
         raise ValueError(f"jobs: {jobs}; expected 1 or more")

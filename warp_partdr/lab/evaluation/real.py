@@ -78,6 +78,11 @@ def real_methods(
         camera: A sample's is given.
         stature: A sample's is given, or one for all [m].
         network: File of a label network of `partdr train`. If it is None, the packaged one is taken.
+
+    Examples:
+        >>> from warp_partdr.benchmark import real_methods
+        >>> list(real_methods())
+        ['network', 'ellipsoids', 'mesh', 'photo alone']
     """
     options = FitOptions(network=network, stature=None if isinstance(stature, bool) else stature)
     with_stature = stature is True

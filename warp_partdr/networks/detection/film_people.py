@@ -146,6 +146,14 @@ def find_film_people(
 
     Raises:
         InputError: If the file can't be read as a film, or nobody is found before it ends or breaks off.
+
+    Examples:
+        >>> from warp_partdr import find_film_people
+        >>> people = find_film_people("walk.mp4")
+        >>> people.num_people, len(people.times)
+        (1, 3)
+        >>> people.of(0)["keypoints"].shape  # x [px], y [px] and confidence in each frame
+        (3, 33, 3)
     """
     facts = film_facts(path)
     rows: list[np.ndarray] = []

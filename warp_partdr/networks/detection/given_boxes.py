@@ -40,6 +40,15 @@ class BoxNetwork:
             that of ``size``. If it is None, pictures are stretched to ``size``.
         about: Name and size of the network, to be shown.
         name: Name or folder of the network, for reports.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import BoxNetwork
+        >>> def predict(picture):  # (1, 3, 320, 320), to left, top, right, bottom and confidence of each box
+        ...     return torch.tensor([[0.3, 0.1, 0.7, 0.9, 0.8]])
+        >>> boxes = BoxNetwork(size=(320, 320), predict=predict, name="mine")
+        >>> boxes.predict(torch.zeros(1, 3, 320, 320)).shape  # KeypointNetwork(..., boxes=boxes) takes it
+        torch.Size([1, 5])
     """
 
     size: tuple[int, int]

@@ -41,6 +41,14 @@ def load_part_network(
 
     Raises:
         InputError: If there is no such checkpoint, it has another task, or its classes are of no known label set.
+
+    Examples:
+        With a checkpoint of SegFormer in the folder ``segformer``, and the extra ``photo``:
+
+        >>> from warp_partdr import load_part_network
+        >>> network = load_part_network("segformer")
+        >>> network.labels.name, network.size
+        ('atr18', (64, 64))
     """
     with _transformers(name) as library:
         folder = find_checkpoint(name, say or _silent)
@@ -80,6 +88,14 @@ def load_keypoint_network(
 
     Raises:
         InputError: If there is no such checkpoint, it has another task, or its keypoints are of no known format.
+
+    Examples:
+        With a checkpoint of ViTPose in the folder ``vitpose``, and the extra ``photo``:
+
+        >>> from warp_partdr import load_keypoint_network
+        >>> network = load_keypoint_network("vitpose")
+        >>> network.skeleton.name, network.size
+        ('coco17', (256, 192))
     """
     name, other = split_names(name)
     boxes = None if other is None else load_box_network(other, device=device, say=say)

@@ -37,6 +37,14 @@ class GivenNetworks:
     Attributes:
         parts_from: Network for part labels instead of masks, which ``load_part_network`` returns or you make.
         keypoints_from: Network for keypoints, which ``load_keypoint_network`` returns or you make.
+
+    Examples:
+        With a checkpoint of SegFormer in the folder ``segformer``, and the extra ``photo``:
+
+        >>> from warp_partdr import GivenNetworks, load_part_network
+        >>> networks = GivenNetworks(parts_from=load_part_network("segformer"))
+        >>> networks.keypoints_from is None  # the packaged network finds the keypoints
+        True
     """
 
     parts_from: PartNetwork | None = None
@@ -173,6 +181,16 @@ def find_film_predictions(
 
     Raises:
         InputError: If ``find_film_people`` raises it, or if a network gives something else than it says.
+
+    Examples:
+        With a checkpoint of ViTPose in the folder ``vitpose``, and the extra ``photo``:
+
+        >>> from warp_partdr import GivenNetworks, ObservedFilm, find_film_predictions, load_keypoint_network
+        >>> networks = GivenNetworks(keypoints_from=load_keypoint_network("vitpose"))
+        >>> people, predictions = find_film_predictions("walk.mp4", networks)
+        >>> film = ObservedFilm.of(people, given=predictions)  # for fit_film
+        >>> people.num_people
+        1
     """
     check_type("networks", networks, GivenNetworks, "such as GivenNetworks(keypoints_from=network)")
     asked = _Asked(networks, torch.device(device))

@@ -37,6 +37,15 @@ class PartNetwork:
             keeps its shape.
         about: Name and size of the network, to be shown.
         name: Name or folder of the network, for reports.
+
+    Examples:
+        >>> from warp_partdr import PartNetwork, fit_photo, label_set
+        >>> def predict(pictures):  # (N, 3, 256, 192), to the id of each pixel: here a person is what is not gray
+        ...     return (pictures.amax(1) - pictures.amin(1) > 0.1).long()
+        >>> network = PartNetwork(label_set("full1"), size=(256, 192), predict=predict, name="mine")
+        >>> everyone = fit_photo("photo.png", parts_from=network)
+        >>> everyone.sources[0]["parts"]
+        'mine'
     """
 
     labels: LabelSet
@@ -65,6 +74,15 @@ class KeypointNetwork:
         about: Name and size of the network, to be shown.
         name: Name or folder of the network, for reports.
         boxes: Network that finds the people in photos. If it is None, the packaged one does.
+
+    Examples:
+        >>> import torch
+        >>> from warp_partdr import KeypointNetwork
+        >>> def predict(pictures):  # (N, 3, 256, 192), to x, y and a confidence for each of COCO's 17 points
+        ...     return torch.full((len(pictures), 17, 3), 0.5)
+        >>> network = KeypointNetwork("coco17", size=(256, 192), predict=predict, name="mine")
+        >>> network.predict(torch.zeros(2, 3, 256, 192)).shape  # fit_photo(..., keypoints_from=network) takes it
+        torch.Size([2, 17, 3])
     """
 
     skeleton: str | Skeleton

@@ -150,6 +150,12 @@ def load_label_network(path: Path | str | None = None, *, device: torch.device |
 
     Raises:
         InputError: If the file can't be read or isn't such a network.
+
+    Examples:
+        >>> from warp_partdr import load_label_network
+        >>> network = load_label_network()  # load_label_network("model.safetensors") loads your own
+        >>> network.training
+        False
     """
     packaged = resources.files("warp_partdr").joinpath("assets", "label_network.safetensors")
     with resources.as_file(packaged) as default:

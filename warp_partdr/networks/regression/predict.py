@@ -107,6 +107,13 @@ def predict_bodies(observations: Sequence[Observation], network: LabelNetwork) -
     Raises:
         TypeError: If these are no observations, or no network.
         ValueError: If there is no observation.
+
+    Examples:
+        >>> from warp_partdr import load_label_network, observe, predict_bodies, read_keypoints, read_parts
+        >>> observation, crop = observe(read_keypoints("keypoints.json")[0], read_parts("parts.png", "cdcl14"))
+        >>> bodies = predict_bodies([observation, observation], load_label_network())  # one pass for all people
+        >>> bodies.posed().joints.shape
+        torch.Size([2, 21, 3])
     """
     check_each("observations", observations, Observation, "of observe")
     check_type("network", network, LabelNetwork, "of load_label_network")

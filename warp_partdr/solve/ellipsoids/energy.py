@@ -100,6 +100,12 @@ class Weights:
         depth: Weight of the squared distance from ``Energy.depths`` along z, divided by the squared uncertainty of
             these depths [1]. If their uncertainty is not known, the distance is in mm [1/mm²]. Without depths the term
             is left out.
+
+    Examples:
+        >>> from warp_partdr import FitOptions, Weights
+        >>> options = FitOptions(weights=Weights(prior=1.0, limits=30.0))
+        >>> options.weights.prior
+        1.0
     """
 
     proj: float = _term(
@@ -172,6 +178,14 @@ class Energy:
             observations, shape (N, 20). If that is not known, the uncertainty is 1 mm.
         target: Target labels, shape (N, size, size), uint8; None if nothing is drawn.
         key: Object that identifies this energy in the cache of graphs.
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, Energy, PosePrior, observe, read_keypoints, read_parts
+        >>> observation, crop = observe(read_keypoints("keypoints.json")[0], read_parts("parts.png", "cdcl14"))
+        >>> energy = Energy(observation, size=128, prior=PosePrior())
+        >>> terms = energy(BodyParameters.mean(2))
+        >>> list(terms), terms["seg"].shape
+        (['proj', 'seg', 'length', 'thickness', 'prior', 'limits'], torch.Size([2]))
     """
 
     observation: Observation | Observations

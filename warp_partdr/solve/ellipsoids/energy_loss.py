@@ -26,6 +26,15 @@ def energy_loss(energy: Energy, bodies: BodyParameters) -> torch.Tensor:
 
     Returns:
         The energy of each body, shape (B,).
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, Energy, energy_loss, observe, read_keypoints, read_parts
+        >>> observation, crop = observe(read_keypoints("keypoints.json")[0], read_parts("parts.png", "cdcl14"))
+        >>> leaves = BodyParameters.mean(1).leaves()
+        >>> loss = energy_loss(Energy(observation, size=128), leaves)
+        >>> loss.sum().backward()
+        >>> loss.shape, leaves.rotations.grad.shape
+        (torch.Size([1]), torch.Size([1, 20, 3]))
     """
     tensors = tuple(bodies.tensors().values())
     batch = bodies.batch_size

@@ -54,6 +54,14 @@ def explain(
 
     Raises:
         InputError: If ``fit_body`` would raise it.
+
+    Examples:
+        After ``parts = read_parts("parts.png", "cdcl14")`` and ``person = read_keypoints("keypoints.json")[0]``:
+
+        >>> from warp_partdr import explain
+        >>> choices = explain(person, parts)
+        >>> choices[0].what, choices[0].modelled
+        ('keypoints', '17 of 17 (coco17)')
     """
     options = options or FitOptions()
     observation, crop = observe(keypoints, parts, others=others, trust_background=options.trust_background)

@@ -58,8 +58,7 @@ def fit_body(
         parts: The picture's part labels; None fits keypoints alone.
         others: Other people's keypoints, which keep their labels apart from the person's.
         quality: Quality "fast", "balanced" or "accurate": it chooses stages and picture sizes;
-        docs/measured/speed_and_accuracy.md has
-            the accuracy of each.
+            docs/measured/speed_and_accuracy.md has the accuracy of each.
         options: Stages and weights of your own, instead of those of ``quality``.
         device: Device of the fit, "cpu" or a CUDA device.
         progress: Function that is called with (stage name, iterations done, iterations in all).
@@ -76,6 +75,16 @@ def fit_body(
             and keypoints do not meet.
         TypeError: If an argument is of another type.
         ValueError: If there is not one camera with square pixels.
+
+    Examples:
+        >>> from warp_partdr import choose_person, fit_body, read_keypoints, read_parts
+        >>> parts = read_parts("parts.png", "cdcl14")
+        >>> person = choose_person(read_keypoints("keypoints.json"), parts.groups)
+        >>> result = fit_body(person, parts)
+        >>> result.posed.joints.shape  # in the camera frame [m]
+        torch.Size([1, 21, 3])
+        >>> result.landmarks(["nose", "left_wrist"]).shape
+        (2, 3)
     """
     check_type("options", options, FitOptions | None, "such as FitOptions.at('fast')")
     options = options or FitOptions.at(quality)

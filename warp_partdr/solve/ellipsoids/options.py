@@ -41,6 +41,13 @@ class FitOptions:
         half: Ask it in bfloat16.
         landmarks: Network whose keypoints are taken where people are found in a photo (``find_people``).
         mesh: Options of the mesh stage, which follows in `partdr fit` and ``fit_photo``.
+
+    Examples:
+        >>> from dataclasses import replace
+        >>> from warp_partdr import FitOptions
+        >>> options = replace(FitOptions.at("accurate"), trust_background=True)
+        >>> [(stage.name, stage.iterations) for stage in options.stages]
+        [('labels', 50)]
     """
 
     stages: tuple[Stage, ...] = STAGES["network"]["balanced"]
@@ -70,6 +77,11 @@ class FitOptions:
 
         Raises:
             ValueError: If there is no such quality or start.
+
+        Examples:
+            >>> from warp_partdr import FitOptions
+            >>> [stage.name for stage in FitOptions.at("fast", start="search").stages]
+            ['lift', 'keypoints', 'labels, coarse', 'labels, fine']
         """
         if start not in STAGES:
             raise ValueError(f"start: {start!r}; expected {', '.join(STAGES)}")
@@ -113,6 +125,14 @@ class FitOptions:
 
         Example:
             >>> [stage.name for stage in FitOptions.at("fast").with_outline().stages]
+            ['labels', 'outline']
+
+        Examples:
+            After ``parts = read_parts("parts.png", "cdcl14")`` and ``person = read_keypoints("keypoints.json")[0]``:
+
+            >>> from warp_partdr import FitOptions, fit_body
+            >>> options = FitOptions.at("fast").with_outline()
+            >>> [stage.name for stage in fit_body(person, parts, options=options).stages]
             ['labels', 'outline']
         """
         last = LABELS_FIRST_STAGE if labels_first else OUTLINE_STAGES[self.start]

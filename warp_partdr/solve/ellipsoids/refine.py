@@ -48,6 +48,13 @@ def refine(
         ValueError: If a term has another shape, or none has a gradient; if ``frozen`` has an unknown name, or the names
             of all parameters; if ``iterations`` or ``learning_rate`` is out of range; if ``start`` holds NaN or
             infinity; or if the energy is neither that of one person nor that of B people.
+
+    Examples:
+        >>> from warp_partdr import BodyParameters, Energy, observe, read_keypoints, read_parts, refine
+        >>> observation, crop = observe(read_keypoints("keypoints.json")[0], read_parts("parts.png", "cdcl14"))
+        >>> refined = refine(BodyParameters.mean(1), Energy(observation, size=128), iterations=30)
+        >>> refined.history.shape, bool(refined.energy[0] < refined.history[0, 0])
+        (torch.Size([30, 1]), True)
     """
     check_type("start", start, BodyParameters, "such as BodyParameters.mean(1)")
     if not callable(energy):

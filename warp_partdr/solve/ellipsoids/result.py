@@ -44,6 +44,17 @@ class FitResult(Movable):
         depth_order: Limbs that were tried mirrored in depth; None of a search, or without labels.
         uncertainty: Uncertainty of the network about its body, before any stage; None after a search.
         stature: The person's height that was given [m], which the body has; None: sizes are guessed.
+
+    Examples:
+        After ``result = fit_body(person, parts)``:
+
+        >>> from warp_partdr import FitResult
+        >>> isinstance(result, FitResult), result.start, result.warnings
+        (True, 'network', ())
+        >>> result.parameters.lengths.shape
+        torch.Size([1, 12])
+        >>> result.camera.project(result.posed.joints).shape  # u [px], v [px], z [m] of 21 joints
+        torch.Size([1, 21, 3])
     """
 
     parameters: BodyParameters
@@ -78,7 +89,14 @@ class FitResult(Movable):
         return place_bodies(self.parameters, self.parameters.posed(), self.observation.lens, self.crop.size[0])[0]
 
     def landmarks(self, names: Sequence[str]) -> np.ndarray:
-        """Landmarks (see ``body.landmarks``) in the camera frame, shape (L, 3) [m]."""
+        """Landmarks (see ``body.landmarks``) in the camera frame, shape (L, 3) [m].
+
+        Examples:
+            After ``result = fit_body(person, parts)``:
+
+            >>> result.landmarks(["nose", "left_wrist"]).shape
+            (2, 3)
+        """
         return LandmarkGather(names, self.parameters.shift.device)(self.posed)[0].cpu().numpy()
 
     def draw(
@@ -97,5 +115,11 @@ class FitResult(Movable):
 
         Raises:
             ValueError: If no level keeps the tolerance of a mesh whose level is "auto".
+
+        Examples:
+            After ``result = fit_body(person, parts)``:
+
+            >>> result.draw((512, 384)).labels.shape
+            torch.Size([1, 512, 384])
         """
         return renderer.draw(self.posed, camera or self.camera, image_size)

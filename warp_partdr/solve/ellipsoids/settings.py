@@ -31,6 +31,12 @@ def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions
 
     Raises:
         InputError: If a key is unknown, or its value is wrong or excludes another one.
+
+    Examples:
+        >>> from warp_partdr import FitOptions, change_options
+        >>> options = change_options(FitOptions.at("fast"), {"weights": {"limits": 30.0}, "labels": {"iterations": 80}})
+        >>> options.stages[0].iterations, options.stages[0].weights.limits
+        (80, 30.0)
     """
     own = {name: value for name, value in values.items() if name in _FIELDS}
     if not isinstance(mesh := own.get(MESH, {}), Mapping):

@@ -33,6 +33,12 @@ class Stage:
             that begin at the network's, to the depths where they began.
         renderer: Renderer of exact ellipsoids or of their mesh, with the options of its gradient.
         frozen: Names of ``BodyParameters`` that stay as they are.
+
+    Examples:
+        >>> from warp_partdr import FitOptions, RendererMesh, Stage
+        >>> stage = Stage("labels", bodies=1, iterations=40, learning_rate=0.01, size=128, renderer=RendererMesh(1))
+        >>> FitOptions(stages=(stage,)).stages[0].size
+        128
     """
 
     name: str

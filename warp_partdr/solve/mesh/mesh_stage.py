@@ -114,6 +114,16 @@ def refine_mesh(
     Raises:
         TypeError: If an argument is of another type.
         ValueError: If the mesh can't have so few or so many vertices, or the model is on another device or not float32.
+
+    Examples:
+        After ``result = fit_body(person, parts)``:
+
+        >>> from warp_partdr import refine_mesh
+        >>> mesh = refine_mesh(result)
+        >>> mesh.vertices.shape  # Anny's, in the camera frame [m]
+        (13718, 3)
+        >>> mesh.ellipbody.posed.joints.shape  # EllipBody measured from it
+        torch.Size([1, 21, 3])
     """
     check_type("result", result, FitResult, "of fit_body")
     return refine_meshes([result], model, options=options, progress=progress)[0]
@@ -149,6 +159,13 @@ def refine_meshes(
     Raises:
         TypeError: If an argument is of another type.
         ValueError: If the mesh can't have so few or so many vertices, or the model is on another device or not float32.
+
+    Examples:
+        After ``result = fit_body(person, parts)``:
+
+        >>> from warp_partdr import refine_meshes
+        >>> [mesh.vertices.shape for mesh in refine_meshes([result, result])]
+        [(13718, 3), (13718, 3)]
     """
     results = list(results)  # a lazy sequence would make each result again at each use
     for result in results:

@@ -113,6 +113,13 @@ def fit_scene(
             given for several people or several cameras.
         ValueError: If a known shape belongs to another model, or the ground is known and ``options.ground`` is 0.
         TypeError: If an argument has another type.
+
+    Examples:
+        >>> from warp_partdr import Perspective, Scene, SceneObservation, View, fit_scene, read_keypoints
+        >>> view = View(Perspective.of_picture((512, 384), focal=600.0))
+        >>> scene = Scene([view], [SceneObservation(read_keypoints("keypoints.json")[0])])
+        >>> fit_scene(scene).joints.shape  # people, frames, joints, in the world [m]
+        torch.Size([1, 1, 21, 3])
     """
     check_type("scene", scene, Scene, "such as Scene(views, observations)")
     check_type("options", options, SceneOptions | None, "such as SceneOptions()")

@@ -112,6 +112,20 @@ class Views:
     Raises:
         InputError: If an array has another shape or kind, holds NaN or numbers that can't be, or a name is no landmark;
             or if people are of another size than people's, or stand behind their cameras.
+
+    Examples:
+        >>> import numpy as np
+        >>> from warp_partdr.benchmark import Views, make_sample
+        >>> sample = make_sample(0, "clean")
+        >>> joints = sample.joints[None] + [0, 0, 4]  # one view of a person, 4 m away [m]
+        >>> views = Views(
+        ...     joint_names=np.array(sample.joint_names),
+        ...     joints_camera=joints,
+        ...     keypoints=1000 * joints[..., :2] / joints[..., 2:] + 500,
+        ...     person=np.array(["somebody"]),
+        ... )
+        >>> len(views), views.keypoints.shape
+        (1, (1, 14, 2))
     """
 
     joint_names: np.ndarray
@@ -262,6 +276,13 @@ class ViewSelection:
         leave_out: Names of people or sets that are left out.
         frames: Names or numbers of moments. If it is empty, all are taken.
         step: Distance of the rows that are taken: 1 takes each row, and 2 every second one.
+
+    Examples:
+        With ``views``, people of the class ``Views``:
+
+        >>> from warp_partdr.benchmark import ViewSelection
+        >>> ViewSelection("every", step=2).of(views)
+        array([0])
     """
 
     rows: str = "inside"
@@ -319,6 +340,15 @@ def view_samples(
 
     Raises:
         InputError: If there are no such clusters, convention or format, or names of keypoints tell nothing.
+
+    Examples:
+        With ``views``, people of the class ``Views``:
+
+        >>> from warp_partdr.benchmark import ViewSelection, evaluate, real_methods, view_samples
+        >>> samples = view_samples(views, ViewSelection("every").of(views))
+        >>> report = evaluate(samples, {"network": real_methods()["network"]})
+        >>> len(samples), len(report.scores)
+        (2, 2)
     """
     if clusters not in CLUSTERS:
         raise InputError(f"intervals: {shown(clusters)}; expected {' or '.join(CLUSTERS)}")

@@ -70,6 +70,12 @@ def make_sample(index: int, name: str) -> Sample:
     show clothes, as annotators' do; joints and vertices are those of the body beneath. At "turned", all is that of
     "realistic", turned by one to three quarters, as photos are whose EXIF data were lost. At "photo", keypoints and
     mask are what the packaged detector finds in the person's shaded picture.
+
+    Examples:
+        >>> from warp_partdr.benchmark import make_sample
+        >>> sample = make_sample(3, "realistic")
+        >>> sample.keypoints.points.shape, sample.joints.shape
+        ((17, 2), (14, 3))
     """
     if name == PHOTO:
         return _in_photo(index)
