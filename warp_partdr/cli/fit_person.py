@@ -90,8 +90,15 @@ def fit_person(request: FitRequest) -> None:
             raise failure
         with FitProgress() as progress:
             if mesh is None:
-                formats = request.run.formats
-                summary = clothe(result.posed, detailed_model, request.out, picture, formats=formats, progress=progress)
+                summary = clothe(
+                    result.posed,
+                    detailed_model,
+                    request.out,
+                    picture,
+                    formats=request.run.formats,
+                    bare=request.bare,
+                    progress=progress,
+                )
             else:
                 summary = _save_mesh(mesh, request, picture)
     except _FAULTS as error:
@@ -141,6 +148,7 @@ def _save_mesh(mesh: MeshFit, request: FitRequest, picture: BodyPicture) -> str:
         evidence=picture.evidence,
         clothes=mesh.clothes,
         formats=request.run.formats,
+        bare=request.bare,
         seconds=round(mesh.ellipbody.stage_seconds["mesh"], 3),
     )
     return describe_detailed(report, request.out)

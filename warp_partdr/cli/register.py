@@ -12,7 +12,15 @@ import typer
 from typer import Argument, Option
 
 from ..errors import InputError
-from .options import BodyFormat, DeviceOption, LabelsOption, OutOption, check_further, read_photo_with_warnings
+from .options import (
+    BareOption,
+    BodyFormat,
+    DeviceOption,
+    LabelsOption,
+    OutOption,
+    check_further,
+    read_photo_with_warnings,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -80,6 +88,7 @@ class RegisterRequest:
             help="Also write detailed.usda, .usdz or .fbx (by Blender). May be given several times.", metavar="NAME"
         ),
     ] = None
+    bare: BareOption = False
     device: DeviceOption = "auto"
     options: ClotheOptions
 
@@ -140,7 +149,16 @@ def _clothe_fit(request: RegisterRequest, photo: np.ndarray | None, parts: PartL
     evidence = None if parts is None else _evidence_of(posed, fitted.camera(), parts)
     picture = BodyPicture(fitted.camera(), (height, width), photo, evidence)
     with FitProgress() as progress:
-        return clothe(posed, model, request.out, picture, request.options, formats=request.formats, progress=progress)
+        return clothe(
+            posed,
+            model,
+            request.out,
+            picture,
+            request.options,
+            formats=request.formats,
+            bare=request.bare,
+            progress=progress,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +219,7 @@ def _refine(request: RegisterRequest, photo: np.ndarray | None, parts: PartLabel
             evidence=fit.ellipbody.evidence,
             clothes=fit.clothes,
             formats=request.formats,
+            bare=request.bare,
             start=str(body),
             seconds=seconds,
         )
@@ -244,6 +263,7 @@ def clothe(
     options: ClotheOptions = ClotheOptions(),
     *,
     formats: tuple[str, ...] = (),
+    bare: bool = False,
     progress: FitProgress,
 ) -> str:
     """Register a model to one EllipBody (B = 1), write it with ``save_registered``, and return a line about it.
@@ -259,6 +279,7 @@ def clothe(
         picture: Picture that the body was fitted to.
         options: Options of the registration.
         formats: Formats of further files.
+        bare: True shows the skin instead of a plain suit.
         progress: Progress bar.
     """
     import warp as wp
@@ -291,6 +312,7 @@ def clothe(
         photo=picture.photo,
         evidence=picture.evidence,
         formats=formats,
+        bare=bare,
         seconds=seconds,
     )
     return describe_detailed(report, out)

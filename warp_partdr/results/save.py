@@ -30,6 +30,7 @@ from ..models.measuring import BODY_MEASURES, measure_body
 from ..models.model import detailed_mesh
 from ..models.registration import Registered
 from ..models.smpl_parameters import POSES, to_smplx
+from ..models.suit import in_suit
 from ..render.mesh import draw_mesh
 from ..solve.confidence.judge import BodyConfidence, confidence_record, judge_fits
 from ..solve.ellipsoids.result import FitResult
@@ -133,6 +134,7 @@ def save_registered(
     evidence: Evidence | None = None,
     clothes: torch.Tensor | None = None,
     formats: Sequence[str] = (),
+    bare: bool = False,
     **about: Any,
 ) -> dict[str, Any]:
     """Write the first body as ``DETAILED_FILES``, and return the report.
@@ -149,13 +151,14 @@ def save_registered(
         evidence: Evidence of the person in that picture. If it has labels, the report has scores: "parts" for the bare
             meshes that are written and, if there are clothes, "parts_clothed" for the mesh in its clothes.
         clothes: Thicknesses of clothes on the parts ``CLOTHED`` [m], shape (1, 8), as the picture shows them. The
-            meshes in the files have none.
+            meshes in the files have none, and the picture has their outline.
         formats: Formats in ``FURTHER``, for more files.
+        bare: True draws and writes the skin. By default the picture and the meshes wear a plain T-shirt and shorts.
         **about: Further entries of the report.
     """
     model = registered.model
     clothed = registered if clothes is None else replace(registered, detailed=registered.clothed(clothes))
-    picture = draw_detailed(clothed, camera, size, photo)
+    picture = draw_detailed(registered, camera, size, photo, clothes=clothes, bare=bare)
     losses = {name: round(float(value[0]), 5) for name, value in registered.losses.items()}
     report: dict[str, Any] = {
         "model": model.name,
@@ -174,8 +177,8 @@ def save_registered(
             in_clothes = _score_detailed(clothed, evidence, label_set, camera, size)
             report |= {f"{name}_clothed": scores for name, scores in in_clothes.items()}
     with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
-        save_detailed(registered, temporary)
-        save_further(registered, temporary / "detailed", formats)
+        save_detailed(registered, temporary, bare=bare)
+        save_further(registered if bare else in_suit(registered), temporary / "detailed", formats)
         save_detailed_arrays(registered, temporary, clothes)
         picture.save(temporary / "detailed.png")
         if model.name in POSES and bool((registered.growth[0] == 1).all()):

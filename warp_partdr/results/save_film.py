@@ -21,6 +21,7 @@ from ..interop.ahead import made_ahead
 from ..interop.torch_threads import one_torch_thread
 from ..models.clothes import CLOTHED
 from ..models.measuring import measure_ellipbody
+from ..models.suit import in_suit
 from ..networks.detection.film_people import SEEN
 from ..networks.predictors.film_predictions import GivenNetworks
 from ..pipelines.film import FilmFit, Motion
@@ -50,6 +51,7 @@ def save_film_fit(
     *,
     films: Sequence[str | Path],
     formats: Sequence[str] = (),
+    bare: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Write overlay.mp4, people.json, scene.glb and confidence.png, and for each person N personN.npz, .glb and .bvh.
@@ -78,6 +80,7 @@ def save_film_fit(
         folder: Folder for the files, made if it does not exist.
         films: Files of the films, in the order of the fit.
         formats: Formats in ``FURTHER``, for more files of each motion.
+        bare: True draws and writes bare skin. By default people wear a plain T-shirt and shorts.
         progress: Function that is called with the stage, the number of frames that are done, and that of all frames.
 
     Returns:
@@ -109,13 +112,13 @@ def save_film_fit(
             actors.append(actor)
             own_rows = zip(report["views"], _rows_by_film(fit, person), strict=True)
             films_of_person = [view["film"] for view, own in own_rows if len(own)]
-            described = _save_motion(fit, person, rows, actor, temporary, formats)
+            described = _save_motion(fit, person, rows, actor, temporary, formats, bare)
             report["people"].append({**described, "seen_by": films_of_person})
         names = camera_names(films)
         views = [
             NamedView(name, each.view, each.people.image_size) for name, each in zip(names, fit.films, strict=True)
         ]
-        (temporary / SCENE).write_bytes(scene_glb(actors, views))
+        (temporary / SCENE).write_bytes(scene_glb(actors, views, bare=bare))
         confidence_chart(fit.motions, fit.times).save(temporary / CURVES)
         if len(films) > 1:
             data = camera_data(dict(zip(names, (each.camera for each in fit.films), strict=True)))
@@ -123,7 +126,7 @@ def save_film_fit(
         total = sum(int((each.file_numbers >= 0).sum()) for each in fit.films)
         done = 0
         for index, film in enumerate(films):
-            pictures = _with_progress(made_ahead(draw_film(fit, film, index)), done, total, progress)
+            pictures = _with_progress(made_ahead(draw_film(fit, film, index, bare=bare)), done, total, progress)
             numbers = fit.films[index].file_numbers
             times = fit.times[: len(numbers)][numbers >= 0]
             even = times[0] == 0 and is_even(times, fit.people.rate)
@@ -143,7 +146,7 @@ def overlay_name(film: int) -> str:
     return OVERLAY if film == 0 else f"overlay{film}.mp4"
 
 
-def draw_film(fit: FilmFit, film: str | Path, index: int = 0) -> Iterator[np.ndarray]:
+def draw_film(fit: FilmFit, film: str | Path, index: int = 0, *, bare: bool = False) -> Iterator[np.ndarray]:
     """Frames of a film with the bodies over them, at most 960 px a side: RGB, (H, W, 3), uint8.
 
     If the film was matched with others, only the frames that were matched are drawn. Distortion is removed.
@@ -152,6 +155,7 @@ def draw_film(fit: FilmFit, film: str | Path, index: int = 0) -> Iterator[np.nda
         fit: Fit of the films.
         film: File of the film.
         index: Index of the film in the fit.
+        bare: True draws the skin alone. By default people wear a plain T-shirt and shorts.
     """
     observed = fit.films[index]
     zoom, size = overlay_size(observed.people.image_size, _SIDE)
@@ -160,7 +164,7 @@ def draw_film(fit: FilmFit, film: str | Path, index: int = 0) -> Iterator[np.nda
     read = islice(read_frames(film, size=size), max(frame_of) + 1)
     matched = ((frame_of[each.index], each.picture) for each in read if each.index in frame_of)
     for frame, picture in made_ahead((frame, resized(each, size, observed.lens)) for frame, each in matched):
-        yield draw_bodies(picture, posed.at(frame), fit.motions, view, pale=posed.pale_at(frame))
+        yield draw_bodies(picture, posed.at(frame), fit.motions, view, pale=posed.pale_at(frame), bare=bare)
 
 
 def _view(name: str, film: ObservedFilm) -> dict[str, Any]:
@@ -205,7 +209,7 @@ def _make_actor(fit: FilmFit, person: int, motion: Motion) -> tuple[np.ndarray, 
 
 
 def _save_motion(
-    fit: FilmFit, person: int, rows: np.ndarray, actor: Actor, folder: Path, formats: Sequence[str]
+    fit: FilmFit, person: int, rows: np.ndarray, actor: Actor, folder: Path, formats: Sequence[str], bare: bool
 ) -> dict[str, Any]:
     """Write a person's files, and return the person's entry in the report."""
     motion, name = fit.motions[person], actor.name
@@ -218,9 +222,9 @@ def _save_motion(
         **({} if motion.confidence is None else confidence_arrays(motion.confidence)),
     )
     poses = actor.poses.since(float(actor.poses.times[0]))
-    (folder / f"{name}.glb").write_bytes(glb(actor.body, poses))
+    (folder / f"{name}.glb").write_bytes(glb(actor.body, poses, bare=bare))
     (folder / f"{name}.bvh").write_text(bvh(actor.body, poses))
-    further = save_further(actor.body, folder / name, formats, poses)
+    further = save_further(actor.body if bare else in_suit(actor.body), folder / name, formats, poses)
     found = _rows_by_film(fit, person)
     return {
         "person": person,
