@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from ..inputs.evidence import Evidence
     from ..inputs.part_labels import PartLabels
     from ..models.model import DetailedModel
+    from ..models.registration import Registered
+    from ..results.views import PlacedBody
     from .progress import FitProgress
 
 REGISTER_HELP = """Fit a detailed model to a body: it reads body.npz of `partdr fit`, and writes a skinned mesh.
@@ -170,12 +172,23 @@ class BodyPicture:
         image_size: Size (H, W) of the picture [px].
         photo: Picture, shape (H, W, 3), uint8; None: there is none.
         evidence: Keypoints and labels of the person; None: they are not known.
+        lens_assumed: True if the camera is not known; None: not of a fit, so that no views are drawn.
     """
 
     camera: Camera
     image_size: tuple[int, int]
     photo: np.ndarray | None
     evidence: Evidence | None
+    lens_assumed: bool | None = None
+
+    def views(self, body: Registered) -> PlacedBody | None:
+        """The body placed before the camera, for views of it; None if they are not drawn."""
+        from ..results.views import place_alone
+
+        if self.evidence is None or self.lens_assumed is None:
+            return None
+        keypoints = self.evidence.keypoints
+        return place_alone(body, self.camera, self.image_size, keypoints, lens_assumed=self.lens_assumed)
 
 
 def _refine(request: RegisterRequest, photo: np.ndarray | None, parts: PartLabels | None) -> str:
@@ -313,6 +326,7 @@ def clothe(
         evidence=picture.evidence,
         formats=formats,
         bare=bare,
+        views=picture.views(registered),
         seconds=seconds,
     )
     return describe_detailed(report, out)

@@ -85,6 +85,7 @@ def write_photo_page(
     report: Mapping[str, Any],
     pictures: Mapping[int, PersonPictures],
     overlay: np.ndarray,
+    views: np.ndarray,
     *,
     size: tuple[int, int],
     folder: Path,
@@ -96,6 +97,7 @@ def write_photo_page(
         report: Report of the photo, as ``people.json`` holds it.
         pictures: Pictures of each person, by their index.
         overlay: Photo with all bodies, RGB, uint8, which may be smaller than the photo.
+        views: Sheet of views of all bodies, RGB, uint8.
         size: Size (H, W) of the photo [px].
         folder: Folder of the results, which holds the people's files already.
         name: Name of the photo.
@@ -105,6 +107,7 @@ def write_photo_page(
     parts = [f"<h1>{escape(title)}</h1>", _introduction(people)]
     if len(people) > 1:
         parts += [_overview(people, overlay, size), _order(people)]
+    parts.append(f"<div class=overview>{picture_element(jpeg_file(views), 'jpeg', 'All bodies from four sides')}</div>")
     parts += [_person(person, pictures[person["person"]], folder) for person in people]
     return html_page(title, PAGE_STYLE + _STYLE, join_lines(parts))
 
@@ -123,7 +126,9 @@ def _introduction(people: Sequence[Mapping[str, Any]]) -> str:
         has = "has" if low == 1 else "have"
         warned = f"<p class=mark>{low} of {len(people)} bodies {has} a confidence below {least:.2f}.</p>"
     order = "The least confident body comes first. " if len(people) > 1 else ""
-    files = ", ".join(_link(each, each) for each in ("overlay.png", "people.png", "scene.glb", "people.json"))
+    files = ", ".join(
+        _link(each, each) for each in ("overlay.png", "views.png", "people.png", "scene.glb", "people.json")
+    )
     return (
         f"{warned}<p class=soft>{order}The confidence is the probability that a body is right: the joints that the "
         "photo shows lie, on average, within 10 cm of the truth. Limbs are guessed if no keypoint shows them; they are "

@@ -42,6 +42,7 @@ from .overlays import draw_detailed, draw_overlay, overlay_size
 from .palette import group_colours
 from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, names_file, replacing
 from .skinned_files import save_detailed
+from .views import VIEWS, PlacedBody, draw_views
 
 RESULT_FILES = ("body.npz", "body.json", "ellipbody.glb", "overlay.png", "parts.png", "loss.png", FIT_REPORT)
 DETAILED_FILES = (*(f"detailed.{ending}" for ending in ("png", "glb", "obj", "ply", "bvh", "npz")), REGISTRATION_REPORT)
@@ -135,6 +136,7 @@ def save_registered(
     clothes: torch.Tensor | None = None,
     formats: Sequence[str] = (),
     bare: bool = False,
+    views: PlacedBody | None = None,
     **about: Any,
 ) -> dict[str, Any]:
     """Write the first body as ``DETAILED_FILES``, and return the report.
@@ -154,6 +156,7 @@ def save_registered(
             meshes in the files have none, and the picture has their outline.
         formats: Formats in ``FURTHER``, for more files.
         bare: True draws and writes the skin. By default the picture and the meshes wear a plain T-shirt and shorts.
+        views: The same body, placed before the camera, of which ``VIEWS`` is drawn, too; None: it is not drawn.
         **about: Further entries of the report.
     """
     model = registered.model
@@ -181,6 +184,8 @@ def save_registered(
         save_further(registered if bare else in_suit(registered), temporary / "detailed", formats)
         save_detailed_arrays(registered, temporary, clothes)
         picture.save(temporary / "detailed.png")
+        if views is not None:
+            draw_views([views], size, photo, bare=bare).save(temporary / VIEWS)
         if model.name in POSES and bool((registered.growth[0] == 1).all()):
             smplx = to_smplx(model, registered.shape[:1], registered.rotations[:1], registered.translation[:1])
             of_smplx: dict[str, Any] = {**smplx, **camera_arrays(camera, size)}

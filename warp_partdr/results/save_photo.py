@@ -33,12 +33,13 @@ from .save import (
     save_registered,
 )
 from .skinned_files import BODY_MATERIAL
+from .views import VIEWS, PlacedBody, draw_views, feet_seen
 
 if TYPE_CHECKING:
     import trimesh
     from PIL.Image import Image
 
-PHOTO_FILES = (PAGE, "overlay.png", "people.png", "scene.glb", PEOPLE_REPORT)
+PHOTO_FILES = (PAGE, "overlay.png", VIEWS, "people.png", "scene.glb", PEOPLE_REPORT)
 _TINT = 0.45  # opacity of masks over the photo
 
 
@@ -98,8 +99,21 @@ def save_photo_fit(
             mesh.body, own, found.camera, size, photo=small, evidence=found.evidence, clothes=mesh.clothes,
             seconds=round(found.stage_seconds["mesh"], 3), formats=formats, bare=bare,
         )  # fmt: skip
+    placed = [
+        PlacedBody(
+            _name(index),
+            mesh.body,
+            mesh.camera,
+            placements[index],
+            feet_seen(fit.people[index].keypoints),
+            mesh.ellipbody.camera_guessed or not mesh.camera.perspective,
+            guessed_parts(fit.confidences[index].guessed),
+        )
+        for index, mesh in fit.fits.items()
+    ]
+    views = draw_views(placed, size, small, bare=bare)
     pictures = {index: draw_pictures(fit, index, small, bare=bare) for index in fit.fits}
-    page = write_photo_page(report, pictures, overlay, size=size, folder=folder, name=name)
+    page = write_photo_page(report, pictures, overlay, np.asarray(views), size=size, folder=folder, name=name)
     _remove_others(folder, {_name(index) for index in fit.fits})
     # people.json is written last: if it is there, all people are. It outdates a single person's fit with its overlay.
     with replacing(
@@ -107,6 +121,7 @@ def save_photo_fit(
     ) as temporary:
         (temporary / PAGE).write_text(page, encoding="utf-8")
         _picture(overlay).save(temporary / "overlay.png")
+        views.save(temporary / VIEWS)
         draw_people(fit, small).save(temporary / "people.png")
         shown = {index: each.body if bare else in_suit(each.body) for index, each in fit.fits.items()}
         vertices = {
