@@ -153,7 +153,7 @@ def _save_mesh(mesh: MeshFit, request: FitRequest, picture: BodyPicture) -> str:
         formats=request.run.formats,
         bare=request.bare,
         views=picture.views(mesh.body),
-        seconds=round(mesh.ellipbody.stage_seconds["mesh"], 3),
+        seconds=round(mesh.ellipbody.stage_seconds["mesh"], 2),
     )
     return describe_detailed(report, request.out)
 

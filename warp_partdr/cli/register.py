@@ -222,7 +222,7 @@ def _refine(request: RegisterRequest, photo: np.ndarray | None, parts: PartLabel
     with FitProgress() as progress:
         fit = refine_given(given, camera, parts, person, others=others, progress=progress)
         progress("writing results", 1, 1)
-        seconds = round(time.perf_counter() - started, 3)
+        seconds = round(time.perf_counter() - started, 2)
         report = save_registered(
             fit.body,
             request.out,
@@ -315,7 +315,7 @@ def clothe(
     registration_options = RegistrationOptions(weights=weights, growth=options.grow)
     started = time.perf_counter()
     registered = register(posed, model, options=registration_options, progress=progress)
-    seconds = round(time.perf_counter() - started, 3)
+    seconds = round(time.perf_counter() - started, 2)
     progress("writing results", 1, 1)
     report = save_registered(
         registered,

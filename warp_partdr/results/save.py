@@ -21,6 +21,7 @@ from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES
 from ..cameras import Camera, first_of, zoomed
 from ..errors import check_type
+from ..files.json_files import rounded
 from ..inputs.evidence import Evidence
 from ..inputs.keypoints import Keypoints2D, person_height
 from ..inputs.part_labels import PartLabels
@@ -162,7 +163,7 @@ def save_registered(
     model = registered.model
     clothed = registered if clothes is None else replace(registered, detailed=registered.clothed(clothes))
     picture = draw_detailed(registered, camera, size, photo, clothes=clothes, bare=bare)
-    losses = {name: round(float(value[0]), 5) for name, value in registered.losses.items()}
+    losses = {name: round(float(value[0]), 4) for name, value in registered.losses.items()}
     report: dict[str, Any] = {
         "model": model.name,
         "losses": losses,
@@ -171,7 +172,7 @@ def save_registered(
     }
     if clothes is not None:
         report["clothes_cm"] = {
-            name: round(100 * thick, 2) for name, thick in zip(CLOTHED, clothes[0].tolist(), strict=True)
+            name: round(100 * thick, 1) for name, thick in zip(CLOTHED, clothes[0].tolist(), strict=True)
         }
     if evidence is not None and evidence.picture is not None:
         label_set = evidence.picture.label_set
@@ -295,25 +296,25 @@ def describe_posed(
     pixels = camera.project(positions)[0, :, :2].detach().cpu().numpy()
     scale, _, *centre = camera.intrinsics[0].detach().cpu().tolist()
     described: dict[str, Any] = {
-        "measurements_cm": {name: round(100 * value, 2) for name, value in measured.items()}
+        "measurements_cm": {name: round(100 * value, 1) for name, value in measured.items()}
         | ({} if mesh is None else describe_mesh(mesh)),
         "joints": {
             "frame": "camera: x right, y down, z away from the viewer; metres from the "
             + ("camera" if camera.perspective else "pelvis"),
             "names": list(JOINT_NAMES),
-            "points_m": joints.round(4).tolist(),
-            "pixels": pixels.round(2).tolist(),
+            "points_m": rounded(joints, 4),
+            "pixels": rounded(pixels, 2),
         },
         "camera": {
             "model": "perspective: u = focal X / Z + principal[0], v = focal Y / Z + principal[1]",
-            "focal_px": round(scale, 4),
-            "principal_px": np.round(centre, 3).tolist(),
+            "focal_px": round(scale, 2),
+            "principal_px": rounded(centre, 2),
         }
         if camera.perspective
         else {
             "model": "weak perspective: u = scale X + translation[0], v = scale Y + translation[1]",
-            "scale_px_per_m": round(scale, 4),
-            "translation_px": np.round(centre, 3).tolist(),
+            "scale_px_per_m": round(scale, 2),
+            "translation_px": rounded(centre, 2),
         },
     }
     if guessed:
@@ -341,11 +342,11 @@ def make_report(result: FitResult) -> dict[str, Any]:
         "distance": describe_distance(result),
         "keypoints": {
             "confident": int(confident.sum()),
-            "mean_distance_px": round(distance, 3),
-            "mean_distance_share_of_person_height": round(distance / height, 5) if height else None,
+            "mean_distance_px": round(distance, 2),
+            "mean_distance_share_of_person_height": round(distance / height, 4) if height else None,
         },
-        "seconds": {name: round(value, 3) for name, value in result.stage_seconds.items()},
-        "seconds_total": round(sum(result.stage_seconds.values()), 3),
+        "seconds": {name: round(value, 2) for name, value in result.stage_seconds.items()},
+        "seconds_total": round(sum(result.stage_seconds.values()), 2),
         "versions": {
             "warp-partdr": __version__,
             "warp": wp.config.version,

@@ -13,6 +13,7 @@ import numpy as np
 from ..body.template import LENGTH_NAMES
 from ..cameras import UsualLens
 from ..errors import InputError, check_type
+from ..files.json_files import rounded
 from ..inputs.camera_files import camera_data
 from ..inputs.cuts import cuts_sentence
 from ..inputs.films import read_frames
@@ -179,11 +180,11 @@ def _view(name: str, film: ObservedFilm) -> dict[str, Any]:
         "skipped_frames": film.skipped,
         **({} if film.numbers is None else {"film_frames": film.numbers.tolist()}),
         "size": list(film.people.image_size[::-1]),
-        "focal": float(camera.focal[0, 0]),
-        "principal": camera.centre[0].tolist(),
+        "focal": rounded(camera.focal[0, 0], 2),
+        "principal": rounded(camera.centre[0], 2),
         **({"guessed": True} if isinstance(camera, UsualLens) else {}),
-        "rotation": film.view.rotation.tolist(),
-        "translation": film.view.translation.tolist(),
+        "rotation": rounded(film.view.rotation, 6),
+        "translation": rounded(film.view.translation, 4),
         **lens,
     }
 
@@ -303,4 +304,5 @@ def _cut_warnings(fit: FilmFit, films: Sequence[str | Path]) -> list[str]:
 
 
 def _centimetres(metres: np.ndarray) -> list[float]:
-    return (100 * metres.astype(np.float64)).round(2).tolist()
+    centimetres: list[float] = rounded(100 * metres.astype(np.float64), 1)
+    return centimetres

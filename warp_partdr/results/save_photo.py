@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import check_type
+from ..files.json_files import rounded
 from ..interop.torch_threads import one_torch_thread
 from ..models.suit import in_suit
 from ..pipelines.photo import PhotoFit
@@ -97,7 +98,7 @@ def save_photo_fit(
         )
         save_registered(
             mesh.body, own, found.camera, size, photo=small, evidence=found.evidence, clothes=mesh.clothes,
-            seconds=round(found.stage_seconds["mesh"], 3), formats=formats, bare=bare,
+            seconds=round(found.stage_seconds["mesh"], 2), formats=formats, bare=bare,
         )  # fmt: skip
     placed = [
         PlacedBody(
@@ -159,20 +160,20 @@ def _name(index: int) -> str:
 
 def _describe(fit: PhotoFit, index: int, placement: Placement) -> dict[str, Any]:
     person, mesh = fit.people[index], fit.fits[index]
-    keypoints = np.column_stack([person.keypoints.points.round(2), person.keypoints.confidence.round(3)])
+    points, confidence = rounded(person.keypoints.points, 2), rounded(person.keypoints.confidence, 3)
     return {
         "person": index,
         "folder": _name(index),
         "score": round(person.score, 3),
         **confidence_record(fit.confidences[index]),
-        "box": [round(float(edge), 1) for edge in person.box],
+        "box": rounded(person.box, 1),
         "distance_m": round(placement.distance, 2),
         "scene_scale": round(placement.scale, 3),
         "distance": describe_distance(mesh.ellipbody),
         "hidden_by": fit.hidden_by(index),
         "sources": fit.sources[index],
         "format": person.keypoints.format.name,
-        "keypoints": keypoints.astype(float).tolist(),
+        "keypoints": [[*point, sure] for point, sure in zip(points, confidence, strict=True)],
         **describe_body(mesh.ellipbody, mesh.body),
         "warnings": list(mesh.ellipbody.warnings),
     }
