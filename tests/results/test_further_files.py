@@ -122,7 +122,9 @@ def test_blender_gets_poses_on_whole_frames(
 ) -> None:
     written: list[Poses] = []
     write = further_files.glb
-    monkeypatch.setattr(further_files, "glb", lambda body, poses: written.append(poses) or write(body, poses))
+    monkeypatch.setattr(
+        further_files, "glb", lambda body, poses, bare: written.append(poses) or write(body, poses, bare=bare)
+    )
     stand_in(tmp_path, monkeypatch)
     poses = replace(moving(registered), times=np.array([0.0, 0.1, 0.25, 0.3, 0.5]))
     save_further(registered, tmp_path / "person0", ["fbx"], poses)

@@ -274,7 +274,7 @@ def test_the_detailed_body_is_scored_by_its_own_mesh(registered: Registered, res
 
 
 def test_bare_and_clothed_bodies_are_scored_apart(registered: Registered, result: FitResult, tmp_path: Path) -> None:
-    """``parts`` are of the mesh that detailed.obj holds, ``parts_clothed`` of what the picture shows."""
+    """``parts`` are of the bare mesh, ``parts_clothed`` of the body in its clothes."""
     labels, size = label_set("cdcl14"), (512, 384)
     thick = torch.tensor([[0.05, 0.0, 0.05, 0.05, 0.02, 0.0, 0.04, 0.04]])
     mesh = detailed_mesh(registered.model, at_joints=True)
@@ -284,7 +284,9 @@ def test_bare_and_clothed_bodies_are_scored_apart(registered: Registered, result
 
     def score(groups: np.ndarray, clothes: torch.Tensor | None) -> dict[str, Any]:
         seen = replace(result.evidence, picture=PartLabels(labels, groups), groups=groups)
-        return save.save_registered(registered, tmp_path, result.camera, size, evidence=seen, clothes=clothes)
+        return save.save_registered(
+            registered, tmp_path, result.camera, size, evidence=seen, clothes=clothes, bare=True
+        )
 
     report = score(drawn(registered.clothed(thick).vertices), thick)
     assert report["parts_clothed"]["part_f1"] == report["parts_lsp6_clothed"]["part_f1"] == 1

@@ -34,7 +34,7 @@ def actors(registered: Registered) -> list[Actor]:
 
 
 def test_everybody_is_where_and_when_they_are(registered: Registered) -> None:
-    document, arrays = read_glb(scene_glb(actors(registered), []))
+    document, arrays = read_glb(scene_glb(actors(registered), [], bare=True))
     nodes = document["nodes"]
     late, above = (next(node for node in nodes if node["name"] == name) for name in ("late", "above"))
     assert late["translation"] == above["translation"]  # one ground

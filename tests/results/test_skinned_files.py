@@ -15,6 +15,7 @@ from helpers.skins import moving, posed_vertices, read_glb, standing
 from scipy.spatial.transform import Rotation
 
 from warp_partdr.models.registration import Registered
+from warp_partdr.models.suit import in_suit, suit_of
 from warp_partdr.results.binding import to_quaternions
 from warp_partdr.results.ellipbody_files import GLTF_FROM_CAMERA
 from warp_partdr.results.palette import PART_COLOURS
@@ -23,8 +24,9 @@ from warp_partdr.results.skinned_files import Poses, bvh, glb, save_detailed
 registered = helpers.bodies.registered  # a fixture
 
 
-def test_glb_s_skin_gives_the_posed_mesh(registered: Registered) -> None:
-    data = glb(registered)
+@pytest.mark.parametrize("bare", [True, False])
+def test_glb_s_skin_gives_the_posed_mesh(registered: Registered, bare: bool) -> None:
+    data = glb(registered, bare=bare)
     document, arrays = read_glb(data)
     # trimesh follows the nodes, and applies no skin.
     scene = trimesh.load(io.BytesIO(data), file_type="glb")
@@ -36,20 +38,38 @@ def test_glb_s_skin_gives_the_posed_mesh(registered: Registered) -> None:
     weights = arrays[document["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_0"]]
     assert np.abs(weights.sum(1) - 1).max() < 1e-5
     posed = posed_vertices(document, arrays, 0)
-    assert np.abs(posed - standing(registered, registered.detailed.vertices[0])).max() < 1e-4
+    shown = registered if bare else in_suit(registered)
+    assert np.abs(posed - standing(registered, shown.detailed.vertices[0])).max() < 1e-4
     assert next(iter(scene.geometry.values())).faces.shape == (27420, 3)
 
 
-def test_obj_and_ply_read_back(registered: Registered, tmp_path: Path) -> None:
-    save_detailed(registered, tmp_path)
+@pytest.mark.parametrize("bare", [True, False])
+def test_obj_and_ply_read_back(registered: Registered, tmp_path: Path, bare: bool) -> None:
+    save_detailed(registered, tmp_path, bare=bare)
     assert {path.name for path in tmp_path.iterdir()} == {f"detailed.{kind}" for kind in ("glb", "obj", "ply", "bvh")}
-    expected = standing(registered, registered.detailed.vertices[0])
+    shown = registered if bare else in_suit(registered)
+    expected = standing(registered, shown.detailed.vertices[0])
     for kind in ("obj", "ply"):
         mesh = trimesh.load(tmp_path / f"detailed.{kind}", process=False)
         assert mesh.faces.shape == (27420, 3)
         assert np.abs(mesh.triangles - expected[registered.model.faces.cpu().numpy()]).max() < 1e-4
     parts = registered.model.face_parts.cpu().numpy()
     np.testing.assert_array_equal(mesh.visual.face_colors[:, :3], PART_COLOURS[parts])
+
+
+def test_a_glb_is_matt_and_neutral_and_the_suit_is_darker_than_skin(registered: Registered) -> None:
+    document, arrays = read_glb(glb(registered))
+    (material,) = document["materials"]
+    surface = material["pbrMetallicRoughness"]
+    assert surface["metallicFactor"] == 0
+    assert 0.6 < surface["roughnessFactor"] <= 1
+    assert np.ptp(surface["baseColorFactor"][:3]) < 0.15
+    tones = arrays[document["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
+    worn = suit_of(registered.model).cloth > 0
+    assert (tones[~worn.any(1)] == 1).all()
+    assert 0.9 > tones[worn[:, 0]].min() > tones[worn[:, 1]].max() > 0.3
+    bare, _ = read_glb(glb(registered, bare=True))
+    assert "COLOR_0" not in bare["meshes"][0]["primitives"][0]["attributes"]
 
 
 def test_bvh_has_the_skeleton_where_it_is(registered: Registered) -> None:

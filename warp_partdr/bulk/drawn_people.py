@@ -10,7 +10,7 @@ import numpy as np
 
 from ..body.skeletons import Skeleton, skeleton
 from ..models.model import DetailedModel
-from ..results.overlays import body_over, draw_keypoints, gray_picture, skin_over
+from ..results.overlays import body_over, clothes_over, draw_keypoints, gray_picture, skin_over
 from ..results.person_pictures import cut_window, jpeg_file, person_window
 from .reading import Address, PeopleFiles, PersonRow, by_shard
 from .survey import Worst
@@ -47,7 +47,12 @@ class DrawnPerson:
 
 
 def draw_worst(
-    files: PeopleFiles, worst: Worst, read: Callable[[str], np.ndarray] | None, model: DetailedModel | None
+    files: PeopleFiles,
+    worst: Worst,
+    read: Callable[[str], np.ndarray] | None,
+    model: DetailedModel | None,
+    *,
+    bare: bool = False,
 ) -> Iterator[DrawnPerson]:
     """Draw the worst people, shard by shard.
 
@@ -57,6 +62,7 @@ def draw_worst(
         read: Function that reads a picture by its name. If it fails, or the picture has another size by now, the body
             is drawn alone. If it is None, there are no pictures.
         model: Detailed model, as in ``draw_person``.
+        bare: True draws the skin alone.
     """
     values = dict(zip(worst.addresses, worst.values.tolist(), strict=True))
     for shard, rows in by_shard(worst.addresses).items():
@@ -73,7 +79,7 @@ def draw_worst(
                 warnings=row["warnings"] or (),
                 confidence=row.get("confidence"),
                 on_photo=photo is not None,
-                jpeg=jpeg_file(np.asarray(draw_person(person, form, photo, model))),
+                jpeg=jpeg_file(np.asarray(draw_person(person, form, photo, model, bare=bare))),
             )
 
 
@@ -86,7 +92,12 @@ def _photo(read: Callable[[str], np.ndarray], person: PersonRow) -> np.ndarray |
 
 
 def draw_person(
-    person: PersonRow, form: str | Skeleton, photo: np.ndarray | None, model: DetailedModel | None
+    person: PersonRow,
+    form: str | Skeleton,
+    photo: np.ndarray | None,
+    model: DetailedModel | None,
+    *,
+    bare: bool = False,
 ) -> Image:
     """A person's part of the photo with the keypoints, and beside it the body; without a photo both on gray.
 
@@ -95,6 +106,7 @@ def draw_person(
         form: Format of the keypoints.
         photo: Picture, shape (H, W, 3), uint8. If it is None, it can't be read.
         model: Model of the detailed body, which is drawn if the row has one. If it is None, ellipsoids are drawn.
+        bare: True draws the skin alone. By default the body wears a plain T-shirt and shorts.
     """
     from PIL import Image
 
@@ -102,8 +114,9 @@ def draw_person(
     camera = person.saved.camera().in_crop(crop)
     below = gray_picture(crop.size) if photo is None else cut_window(photo, crop)
     if model is not None and person.detailed:
-        clothed = person.registered(model).clothed(person.clothes)
-        over = Image.fromarray(skin_over(below, clothed.vertices, model, camera))
+        body = person.registered(model)
+        drawn = skin_over(below, body.detailed.vertices, model, camera, bare=bare)
+        over = Image.fromarray(clothes_over(drawn, body, person.clothes, camera))
     else:
         over = Image.fromarray(body_over(below, person.posed, camera))
     seen = over if photo is None else Image.fromarray(below)

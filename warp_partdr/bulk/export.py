@@ -12,6 +12,7 @@ from ..body.posing import Posed
 from ..errors import InputError
 from ..models.model import DetailedModel
 from ..models.registration import Registered
+from ..models.suit import in_suit
 from ..results.ellipbody_files import ellipbody_scene
 from ..results.further_files import FURTHER, save_further
 from ..results.result_sets import FIT_REPORT, REGISTRATION_REPORT, replacing
@@ -22,17 +23,21 @@ from .reading import Address, PersonRow
 
 @dataclass(frozen=True)
 class Body:
-    """A person that is to be written: the row, EllipBody posed, and the detailed body if the row holds one."""
+    """A person that is to be written: the row, EllipBody posed, and the detailed body if the row holds one.
+
+    Meshes of the detailed body wear a plain suit, unless ``bare``.
+    """
 
     person: PersonRow
     posed: Posed
     registered: Registered | None
+    bare: bool
 
 
 def _save_glb(body: Body, folder: Path) -> None:
     ellipbody_scene(body.posed).export(folder / "ellipbody.glb")
     if body.registered is not None:
-        (folder / "detailed.glb").write_bytes(glb(body.registered))
+        (folder / "detailed.glb").write_bytes(glb(body.registered, bare=body.bare))
 
 
 def _detailed(body: Body, name: str) -> Registered:
@@ -42,12 +47,17 @@ def _detailed(body: Body, name: str) -> Registered:
     return body.registered
 
 
+def _shown(body: Body, name: str) -> Registered:
+    registered = _detailed(body, name)
+    return registered if body.bare else in_suit(registered)
+
+
 def _save_obj(body: Body, folder: Path) -> None:
-    posed_mesh(_detailed(body, "obj")).export(folder / "detailed.obj")
+    posed_mesh(_shown(body, "obj")).export(folder / "detailed.obj")
 
 
 def _save_further(name: str, body: Body, folder: Path) -> None:
-    save_further(_detailed(body, name), folder / "detailed", [name])
+    save_further(_shown(body, name), folder / "detailed", [name])
 
 
 def _save_npz(body: Body, folder: Path) -> None:
@@ -72,7 +82,13 @@ WRITERS: Mapping[str, Callable[[Body, Path], None]] = {
 
 
 def save_person(
-    person: PersonRow, formats: Sequence[str], model: DetailedModel | None, folder: Path, about: Mapping[str, Any]
+    person: PersonRow,
+    formats: Sequence[str],
+    model: DetailedModel | None,
+    folder: Path,
+    about: Mapping[str, Any],
+    *,
+    bare: bool = False,
 ) -> Path:
     """Write a row's body, and a report that says where it is from, into a folder of its own.
 
@@ -82,11 +98,12 @@ def save_person(
         model: Model of the detailed body. It is None if rows hold no detailed bodies.
         folder: Folder in which the person's folder is made.
         about: Facts about the shard.
+        bare: True writes meshes of the skin. By default they wear a plain suit.
 
     Returns:
         The person's folder, which replaces what an earlier export wrote there.
     """
-    body = Body(person, person.posed, person.registered(model) if model is not None and person.detailed else None)
+    body = Body(person, person.posed, person.registered(model) if model is not None and person.detailed else None, bare)
     own = folder / folder_name(person.address)
     row = {name: person.row.get(name) for name in ("picture", "person", "annotation", "score", "keypoint_error")}
     report = {"row": str(person.address), **row, "warnings": person.row["warnings"], "made": dict(about)}

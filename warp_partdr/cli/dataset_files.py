@@ -12,7 +12,7 @@ from typer import Argument, Option
 
 from ..errors import InputError, cause, install_command, printable
 from ..files.disk import file_sha256
-from .options import BodyFormat, check_further, count_people
+from .options import BareOption, BodyFormat, check_further, count_people
 from .register import MODEL_HELP, read_model
 
 if TYPE_CHECKING:
@@ -76,6 +76,7 @@ def report(
         int, Option(help="Number of the worst people who are drawn.", metavar="N", min=0, max=_MOST_DRAWN)
     ] = 100,
     by: ByOption = None,
+    bare: BareOption = False,
 ) -> None:
     """Write the page of a data set; see ``REPORT_HELP``."""
     files = _open(dataset, "report")
@@ -96,12 +97,14 @@ def report(
     )  # with other models, ellipsoids are drawn
     people = {}
     with PictureProgress(len(survey.worst.values), "pictures") as progress:
-        for drawn in draw_worst(files, survey.worst, read, detailed):
+        for drawn in draw_worst(files, survey.worst, read, detailed, bare=bare):
             people[drawn.address] = drawn
             progress(drawn.picture)
     if pictures is not None:
         readable = sum(each.on_photo for each in people.values())
         note = f"Left the photo and keypoints, right the body; {readable} of {len(people)} photos could be read."
+    if detailed is not None:
+        note += " A line around the body is the outline of its clothes and hair."
     page = write_page(files, survey, [people[address] for address in survey.worst.addresses], note=note)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -127,6 +130,7 @@ def export(
         str | None, Option(help=f"Of detailed bodies: {MODEL_HELP}; by default theirs.", metavar="NAME")
     ] = None,
     out: Annotated[Path, Option(help="Folder for the people's folders.", metavar="FOLDER")] = Path("out/people"),
+    bare: BareOption = False,
 ) -> None:
     """Write people of a data set; see ``EXPORT_HELP``."""
     files = _open(dataset, "export")
@@ -159,7 +163,7 @@ def export(
                 if person is None:
                     empty.append(f"{address} ({row['error'] or 'nobody in it'})")
                 else:
-                    save_person(person, formats, detailed, out, about)
+                    save_person(person, formats, detailed, out, about, bare=bare)
                     written += 1
                 progress(str(address))
     if not written:

@@ -118,7 +118,9 @@ def fit_films(paths: Sequence[Path], request: FitRequest | SceneRequest, rig: Ri
             progress=progress,
             pieces=pieces,
         )
-        report = save_film_fit(fit, request.out, films=paths, formats=request.run.formats, progress=progress)
+        report = save_film_fit(
+            fit, request.out, films=paths, formats=request.run.formats, bare=request.bare, progress=progress
+        )
         pieces.remove()
     for warning in report["warnings"]:
         typer.echo(f"partdr: warning: {warning}", err=True)

@@ -84,14 +84,23 @@ def fit_person(request: FitRequest) -> None:
     _summarise(report, request.out)
     if detailed_model is None:
         return
-    picture = BodyPicture(result.camera, size, person.photo, result.evidence)
+    picture = BodyPicture(
+        result.camera, size, person.photo, result.evidence, result.camera_guessed or not result.camera.perspective
+    )
     try:
         if failure is not None:
             raise failure
         with FitProgress() as progress:
             if mesh is None:
-                formats = request.run.formats
-                summary = clothe(result.posed, detailed_model, request.out, picture, formats=formats, progress=progress)
+                summary = clothe(
+                    result.posed,
+                    detailed_model,
+                    request.out,
+                    picture,
+                    formats=request.run.formats,
+                    bare=request.bare,
+                    progress=progress,
+                )
             else:
                 summary = _save_mesh(mesh, request, picture)
     except _FAULTS as error:
@@ -120,12 +129,13 @@ def _check_inputs(request: FitRequest, options: FitOptions) -> None:
     """Raise an InputError if a result would replace a file that was given."""
     from ..results.result_sets import check_inputs
     from ..results.save import DETAILED_FILES, RESULT_FILES, SMPLX_FILE
+    from ..results.views import VIEWS
 
     files = request.files
     named = [options.network, files.keypoint_format, files.labels, request.model]
     given = [request.photo, files.keypoint_file(request.photo), files.parts, request.settings.config]
     given += [Path(name) for name in named if name]
-    check_inputs(request.out, given, (*RESULT_FILES, *DETAILED_FILES, SMPLX_FILE))
+    check_inputs(request.out, given, (*RESULT_FILES, *DETAILED_FILES, SMPLX_FILE, VIEWS))
 
 
 def _save_mesh(mesh: MeshFit, request: FitRequest, picture: BodyPicture) -> str:
@@ -141,7 +151,9 @@ def _save_mesh(mesh: MeshFit, request: FitRequest, picture: BodyPicture) -> str:
         evidence=picture.evidence,
         clothes=mesh.clothes,
         formats=request.run.formats,
-        seconds=round(mesh.ellipbody.stage_seconds["mesh"], 3),
+        bare=request.bare,
+        views=picture.views(mesh.body),
+        seconds=round(mesh.ellipbody.stage_seconds["mesh"], 2),
     )
     return describe_detailed(report, request.out)
 

@@ -62,7 +62,14 @@ def fit_everyone(request: FitRequest) -> None:
                 progress=progress,
             )
         progress("writing results", 0, 1)
-        report = save_photo_fit(fit, out, photo=picture, formats=request.run.formats, name=printable(photo.name))
+        report = save_photo_fit(
+            fit,
+            out,
+            photo=picture,
+            formats=request.run.formats,
+            name=printable(photo.name),
+            bare=request.bare,
+        )
     for person in report["people"]:
         for warning in person["warnings"]:
             typer.echo(f"partdr: warning: {person['folder']}: {warning}", err=True)

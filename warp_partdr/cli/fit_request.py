@@ -13,6 +13,7 @@ from typer import Argument, Option
 from ..errors import InputError
 from ..networks.detection import MIN_SCORE
 from .options import (
+    BareOption,
     CameraOptions,
     DeviceOption,
     MinScoreOption,
@@ -65,6 +66,7 @@ class FitRequest:
     explain: Annotated[bool, Option("--explain", help="First print what is modelled, what is left out, and why.")] = (
         False
     )
+    bare: BareOption = False
     view: CameraOptions
     settings: SettingOptions
 

@@ -63,6 +63,10 @@ LandmarksOption = Annotated[
     LandmarksName | None,
     Option(help="Network that finds joints: full (default), or heavy (slower, nearer to the truth).", metavar="NAME"),
 ]
+BareOption = Annotated[
+    bool,
+    Option("--bare", help="Show skin. By default bodies wear a plain T-shirt and shorts, in pictures and mesh files."),
+]
 SetOption = Annotated[
     list[str] | None, Option("--set", help="Change a setting. May be given several times.", metavar="KEY=VALUE")
 ]

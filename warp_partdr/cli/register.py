@@ -12,7 +12,15 @@ import typer
 from typer import Argument, Option
 
 from ..errors import InputError
-from .options import BodyFormat, DeviceOption, LabelsOption, OutOption, check_further, read_photo_with_warnings
+from .options import (
+    BareOption,
+    BodyFormat,
+    DeviceOption,
+    LabelsOption,
+    OutOption,
+    check_further,
+    read_photo_with_warnings,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,6 +30,8 @@ if TYPE_CHECKING:
     from ..inputs.evidence import Evidence
     from ..inputs.part_labels import PartLabels
     from ..models.model import DetailedModel
+    from ..models.registration import Registered
+    from ..results.views import PlacedBody
     from .progress import FitProgress
 
 REGISTER_HELP = """Fit a detailed model to a body: it reads body.npz of `partdr fit`, and writes a skinned mesh.
@@ -80,6 +90,7 @@ class RegisterRequest:
             help="Also write detailed.usda, .usdz or .fbx (by Blender). May be given several times.", metavar="NAME"
         ),
     ] = None
+    bare: BareOption = False
     device: DeviceOption = "auto"
     options: ClotheOptions
 
@@ -140,7 +151,16 @@ def _clothe_fit(request: RegisterRequest, photo: np.ndarray | None, parts: PartL
     evidence = None if parts is None else _evidence_of(posed, fitted.camera(), parts)
     picture = BodyPicture(fitted.camera(), (height, width), photo, evidence)
     with FitProgress() as progress:
-        return clothe(posed, model, request.out, picture, request.options, formats=request.formats, progress=progress)
+        return clothe(
+            posed,
+            model,
+            request.out,
+            picture,
+            request.options,
+            formats=request.formats,
+            bare=request.bare,
+            progress=progress,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,12 +172,23 @@ class BodyPicture:
         image_size: Size (H, W) of the picture [px].
         photo: Picture, shape (H, W, 3), uint8; None: there is none.
         evidence: Keypoints and labels of the person; None: they are not known.
+        lens_assumed: True if the camera is not known; None: not of a fit, so that no views are drawn.
     """
 
     camera: Camera
     image_size: tuple[int, int]
     photo: np.ndarray | None
     evidence: Evidence | None
+    lens_assumed: bool | None = None
+
+    def views(self, body: Registered) -> PlacedBody | None:
+        """The body placed before the camera, for views of it; None if they are not drawn."""
+        from ..results.views import place_alone
+
+        if self.evidence is None or self.lens_assumed is None:
+            return None
+        keypoints = self.evidence.keypoints
+        return place_alone(body, self.camera, self.image_size, keypoints, lens_assumed=self.lens_assumed)
 
 
 def _refine(request: RegisterRequest, photo: np.ndarray | None, parts: PartLabels | None) -> str:
@@ -191,7 +222,7 @@ def _refine(request: RegisterRequest, photo: np.ndarray | None, parts: PartLabel
     with FitProgress() as progress:
         fit = refine_given(given, camera, parts, person, others=others, progress=progress)
         progress("writing results", 1, 1)
-        seconds = round(time.perf_counter() - started, 3)
+        seconds = round(time.perf_counter() - started, 2)
         report = save_registered(
             fit.body,
             request.out,
@@ -201,6 +232,7 @@ def _refine(request: RegisterRequest, photo: np.ndarray | None, parts: PartLabel
             evidence=fit.ellipbody.evidence,
             clothes=fit.clothes,
             formats=request.formats,
+            bare=request.bare,
             start=str(body),
             seconds=seconds,
         )
@@ -244,6 +276,7 @@ def clothe(
     options: ClotheOptions = ClotheOptions(),
     *,
     formats: tuple[str, ...] = (),
+    bare: bool = False,
     progress: FitProgress,
 ) -> str:
     """Register a model to one EllipBody (B = 1), write it with ``save_registered``, and return a line about it.
@@ -259,6 +292,7 @@ def clothe(
         picture: Picture that the body was fitted to.
         options: Options of the registration.
         formats: Formats of further files.
+        bare: True shows the skin instead of a plain suit.
         progress: Progress bar.
     """
     import warp as wp
@@ -281,7 +315,7 @@ def clothe(
     registration_options = RegistrationOptions(weights=weights, growth=options.grow)
     started = time.perf_counter()
     registered = register(posed, model, options=registration_options, progress=progress)
-    seconds = round(time.perf_counter() - started, 3)
+    seconds = round(time.perf_counter() - started, 2)
     progress("writing results", 1, 1)
     report = save_registered(
         registered,
@@ -291,6 +325,8 @@ def clothe(
         photo=picture.photo,
         evidence=picture.evidence,
         formats=formats,
+        bare=bare,
+        views=picture.views(registered),
         seconds=seconds,
     )
     return describe_detailed(report, out)

@@ -12,6 +12,7 @@ from typer import Argument, Option
 from ..errors import InputError
 from ..networks.detection import MIN_SCORE
 from .options import (
+    BareOption,
     CameraOptions,
     DeviceOption,
     NetworkOptions,
@@ -57,6 +58,7 @@ class SceneRequest:
     rig: RigOptions
     view: CameraOptions
     networks: NetworkOptions
+    bare: BareOption = False
     settings: SettingOptions
 
     def __post_init__(self) -> None:

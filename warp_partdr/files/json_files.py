@@ -1,13 +1,18 @@
-"""JSON files of users, read so that nothing in them is lost silently."""
+"""JSON files: those of users are read so that nothing in them is lost silently, and numbers are rounded for others."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..errors import InputError
 from .disk import check_regular
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 
 def read_json(path: str | Path, expected: str) -> Any:
@@ -49,3 +54,11 @@ def parse_json(text: str, where: str, expected: str) -> Any:
         raise InputError(f"{where}: not JSON (nested too deeply); expected {expected}") from None
     except ValueError as error:
         raise InputError(f"{where}: not JSON ({error}); expected {expected}") from error
+
+
+def rounded(values: ArrayLike, digits: int) -> Any:
+    """Round numbers for a JSON file, and return them as lists of floats, or one number as a float.
+
+    Numbers of float32 are made float64 first, or 0.1 would be written as 0.10000000149011612.
+    """
+    return np.asarray(values, dtype=np.float64).round(digits).tolist()

@@ -20,6 +20,7 @@ import torch
 
 from ..body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
 from ..errors import InputError, shown
+from ..files.json_files import rounded
 from ..files.opencv_files import is_matrix, read_opencv, to_matrix
 from ..files.sections import check_keys, read_toml
 from .calibrated_camera import CalibratedCamera
@@ -156,10 +157,10 @@ def camera_data(cameras: Mapping[str, CalibratedCamera]) -> dict[str, Any]:
     nodes: dict[str, Any] = {}
     for name, camera in cameras.items():
         size = {} if camera.size is None else {"size": list(camera.size[::-1])}
-        lens = {"focal": camera.focal, "principal": camera.principal, "distortion": camera.distortion}
-        turn = rotation_to_axis_angle(torch.from_numpy(camera.rotation)).tolist()
-        nodes[name] = {**size, **{key: list(values) for key, values in lens.items()}}
-        nodes[name] |= {"rotation": turn, "translation": camera.translation.tolist()}
+        lens = {"focal": rounded(camera.focal, 3), "principal": rounded(camera.principal, 3)}
+        turn = rotation_to_axis_angle(torch.from_numpy(camera.rotation)).numpy()
+        nodes[name] = {**size, **lens, "distortion": rounded(camera.distortion, 8)}
+        nodes[name] |= {"rotation": rounded(turn, 6), "translation": rounded(camera.translation, 5)}
     return {"cameras": nodes}
 
 

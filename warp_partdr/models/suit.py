@@ -5,7 +5,7 @@ The suit is for looks alone. A fit, its measurements and its arrays are of the b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -14,6 +14,7 @@ import torch
 from ..body.template import PART_NAMES
 from .model import DetailedModel
 from .normals import vertex_normals
+from .registration import Registered
 
 GARMENTS = ("T-shirt", "shorts")
 _ARM, _LEG = ("upper_arm", "forearm", "hand"), ("upper_leg", "lower_leg", "foot")
@@ -56,6 +57,13 @@ class Suit:
         smooth = self._means @ (2 * trunk - self._means @ trunk)
         worn[self._trunk] = torch.lerp(trunk, smooth, self._shares)
         return worn
+
+
+def in_suit(registered: Registered) -> Registered:
+    """The first body alone, with the vertices of its suit, for files that people look at."""
+    first = registered.select(slice(1))
+    worn = suit_of(registered.model).put_on(first.detailed.vertices[0])
+    return replace(first, detailed=replace(first.detailed, vertices=worn[None].to(first.detailed.vertices)))
 
 
 @dataclass(frozen=True, eq=False)

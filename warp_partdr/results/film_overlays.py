@@ -78,6 +78,8 @@ def draw_bodies(
     view: View,
     colours: Mapping[int, np.ndarray] | None = None,
     pale: Mapping[int, np.ndarray] | None = None,
+    *,
+    bare: bool = False,
 ) -> np.ndarray:
     """Draw people over a picture, the farthest first.
 
@@ -86,13 +88,14 @@ def draw_bodies(
         bodies: Bodies by person, in the world [m].
         motions: Motions by person.
         view: View whose picture has this size.
-        colours: RGB of each person, shape (3,), uint8; None: the colour of skin.
+        colours: RGB of each person, shape (3,), uint8; None: ``SKIN_COLOUR``.
         pale: Flags of the part labels of each person that are drawn pale (``PosedMotions.pale_at``); None: no part is.
+        bare: True draws the skin alone. By default people wear a plain T-shirt and shorts.
     """
     vertices = {person: view.to_camera(body.vertices) for person, body in bodies.items()}
     depths = {person: float(view.to_camera(body.joints[:, :1])[0, 0, 2]) for person, body in bodies.items()}
     for person in sorted(vertices, key=lambda one: -depths[one]):
         colour = SKIN_COLOUR if colours is None else colours[person]
         guessed = None if pale is None else pale.get(person)
-        picture = skin_over(picture, vertices[person], motions[person].model, view.camera, colour, guessed)
+        picture = skin_over(picture, vertices[person], motions[person].model, view.camera, colour, guessed, bare=bare)
     return picture

@@ -66,7 +66,7 @@ def save_fbx(registered: Registered, path: Path, poses: Poses | None = None) -> 
     blender = _MODULE if command[0] == sys.executable else command[0]
     with TemporaryDirectory() as folder:
         source = Path(folder) / path.with_suffix(".glb").name
-        source.write_bytes(glb(registered, poses))
+        source.write_bytes(glb(registered, poses, bare=True))
         files = [str(source), str(path.absolute()), f"{poses.rate:.6f}"]
         try:
             ran = subprocess.run(

@@ -9,10 +9,11 @@ import numpy as np
 import torch
 
 from ..body.posing import Posed
-from ..cameras import Camera, zoomed
+from ..cameras import Camera, first_of, zoomed
 from ..inputs.keypoints import Keypoints2D
-from ..models.model import DetailedModel
+from ..models.model import DetailedModel, detailed_mesh
 from ..models.registration import Registered
+from ..render.mesh import draw_mesh
 from ..solve.ellipsoids.result import FitResult
 from .shading import SKIN_COLOUR, blend, shade_body, shade_skin
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 GRAY = (235, 235, 235)
+CLOTHES_COLOUR = np.array([240, 150, 30], dtype=np.uint8)  # of the outline of clothes
 OVERLAY_SIDE = 2048  # [px]; overlays of larger photos are scaled down: no screen shows more, and shading takes memory
 _ELLIPSOIDS, _SKIN = 0.85, 0.97  # opacities
 
@@ -93,6 +95,9 @@ def draw_detailed(
     size: tuple[int, int],
     photo: np.ndarray | None = None,
     pale: np.ndarray | None = None,
+    *,
+    clothes: torch.Tensor | None = None,
+    bare: bool = False,
 ) -> Image:
     """Draw the detailed body over the photo, or over gray; at most ``OVERLAY_SIDE`` pixels a side.
 
@@ -102,13 +107,36 @@ def draw_detailed(
         size: Size (H, W) of the picture [px].
         photo: Photo, RGB, shape (H, W, 3), uint8; None: gray.
         pale: Flags of the part labels that are drawn pale because they are guessed (``guessed_parts``), shape (21,).
+        clothes: Thicknesses of clothes on the parts ``CLOTHED`` [m], whose outline is drawn, shape (1, 8); None: none.
+        bare: True draws the skin alone. By default the body wears a plain T-shirt and shorts.
     """
     from PIL import Image
 
     zoom, drawn_size = overlay_size(size)
     below = gray_picture(drawn_size) if photo is None else at_overlay_size(photo, size)
     vertices, camera = registered.detailed.vertices, zoomed(camera, zoom, drawn_size)
-    return Image.fromarray(skin_over(below, vertices, registered.model, camera, pale=pale))
+    drawn = skin_over(below, vertices, registered.model, camera, pale=pale, bare=bare)
+    if clothes is not None:
+        drawn = clothes_over(drawn, registered, clothes, camera)
+    return Image.fromarray(drawn)
+
+
+def clothes_over(picture: np.ndarray, registered: Registered, clothes: torch.Tensor, camera: Camera) -> np.ndarray:
+    """Draw the outline of the first body's clothes over a picture as a thin line, shape (H, W, 3), uint8.
+
+    Args:
+        picture: Picture, RGB, shape (H, W, 3), uint8.
+        registered: Bodies in the camera frame.
+        clothes: Thicknesses of clothes on the parts ``CLOTHED`` [m], shape (1, 8).
+        camera: Camera of the picture.
+    """
+    vertices, size = registered.clothed(clothes).vertices[:1].detach(), (picture.shape[0], picture.shape[1])
+    labels = draw_mesh(vertices, detailed_mesh(registered.model), first_of(camera).to(vertices.device), size).labels
+    covered = (labels[:, None] > 0).float()
+    share = torch.nn.functional.avg_pool2d(covered, 3, stride=1, padding=1, count_include_pad=False)[0, 0]
+    line = (4 * share * (1 - share))[..., None].cpu().numpy()  # 1 where half of the surroundings are covered
+    outlined: np.ndarray = (picture * (1 - line) + CLOTHES_COLOUR * line + 0.5).astype(np.uint8)
+    return outlined
 
 
 def draw_keypoints(image: Image, keypoints: Keypoints2D) -> None:

@@ -58,7 +58,7 @@ def cut_window(photo: np.ndarray, crop: Crop) -> np.ndarray:
 
 
 def draw_side_view(
-    vertices: torch.Tensor, model: DetailedModel, side: int, pale: np.ndarray | None = None
+    vertices: torch.Tensor, model: DetailedModel, side: int, pale: np.ndarray | None = None, *, bare: bool = False
 ) -> np.ndarray:
     """Draw the first body as somebody at the right of the photo sees it, on gray, shape (H, W, 3), uint8.
 
@@ -69,13 +69,14 @@ def draw_side_view(
         model: Model of the bodies.
         side: Longer side of the picture [px].
         pale: Flags of the part labels that are drawn pale, as in ``skin_over``.
+        bare: True draws the skin alone.
     """
     turned = vertices[:1].detach() @ vertices.new_tensor(_FROM_THE_SIDE).T
     turned = turned - turned.mean(1, keepdim=True)
     points = 1000 * turned[0, :, :2].cpu().numpy().astype(np.float64)  # one millimetre is a pixel of the full picture
     crop = _window_of(points.min(0), points.max(0), side)
     camera = WeakPerspective(vertices.new_full((1,), 1000.0), vertices.new_zeros(1, 2)).in_crop(crop)
-    return skin_over(gray_picture(crop.size), turned, model, camera, pale=pale)
+    return skin_over(gray_picture(crop.size), turned, model, camera, pale=pale, bare=bare)
 
 
 def jpeg_file(picture: np.ndarray) -> bytes:

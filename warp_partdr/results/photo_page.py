@@ -19,7 +19,7 @@ from ..solve.confidence.limbs import guessed_parts
 from ..solve.confidence.model import packaged_model
 from ..solve.confidence.sights import sight_in_words
 from ..solve.confidence.words import confidence_in_words
-from .overlays import overlay_size, skin_over
+from .overlays import clothes_over, overlay_size, skin_over
 from .person_pictures import cut_window, draw_side_view, jpeg_file, person_window
 
 PAGE = "report.html"
@@ -56,13 +56,14 @@ class PersonPictures:
     side: bytes
 
 
-def draw_pictures(fit: PhotoFit, index: int, photo: np.ndarray) -> PersonPictures:
-    """Draw the pictures of one person, whose guessed limbs are pale.
+def draw_pictures(fit: PhotoFit, index: int, photo: np.ndarray, *, bare: bool = False) -> PersonPictures:
+    """Draw the pictures of one person, whose guessed limbs are pale, and whose clothes are an outline.
 
     Args:
         fit: Fit of the photo.
         index: Index of the person.
         photo: Photo at the size of overlays, shape (H, W, 3), uint8.
+        bare: True draws the skin alone. By default the body wears a plain T-shirt and shorts.
     """
     mesh, size = fit.fits[index], (photo.shape[0], photo.shape[1])
     zoom, _ = overlay_size(fit.owners.shape)
@@ -72,10 +73,11 @@ def draw_pictures(fit: PhotoFit, index: int, photo: np.ndarray) -> PersonPicture
     points = camera.project(vertices)[0, :, :2].cpu().numpy()[np.unique(known)]
     crop = person_window(np.array(fit.people[index].box) * zoom, points, _SIDE)
     seen = cut_window(photo, crop)
+    over = skin_over(seen, vertices, model, camera.in_crop(crop), pale=pale, bare=bare)
     return PersonPictures(
         jpeg_file(seen),
-        jpeg_file(skin_over(seen, vertices, model, camera.in_crop(crop), pale=pale)),
-        jpeg_file(draw_side_view(vertices, model, _SIDE, pale)),
+        jpeg_file(clothes_over(over, mesh.body, mesh.clothes, camera.in_crop(crop))),
+        jpeg_file(draw_side_view(vertices, model, _SIDE, pale, bare=bare)),
     )
 
 
@@ -83,6 +85,7 @@ def write_photo_page(
     report: Mapping[str, Any],
     pictures: Mapping[int, PersonPictures],
     overlay: np.ndarray,
+    views: np.ndarray,
     *,
     size: tuple[int, int],
     folder: Path,
@@ -94,6 +97,7 @@ def write_photo_page(
         report: Report of the photo, as ``people.json`` holds it.
         pictures: Pictures of each person, by their index.
         overlay: Photo with all bodies, RGB, uint8, which may be smaller than the photo.
+        views: Sheet of views of all bodies, RGB, uint8.
         size: Size (H, W) of the photo [px].
         folder: Folder of the results, which holds the people's files already.
         name: Name of the photo.
@@ -103,6 +107,7 @@ def write_photo_page(
     parts = [f"<h1>{escape(title)}</h1>", _introduction(people)]
     if len(people) > 1:
         parts += [_overview(people, overlay, size), _order(people)]
+    parts.append(f"<div class=overview>{picture_element(jpeg_file(views), 'jpeg', 'All bodies from four sides')}</div>")
     parts += [_person(person, pictures[person["person"]], folder) for person in people]
     return html_page(title, PAGE_STYLE + _STYLE, join_lines(parts))
 
@@ -121,11 +126,14 @@ def _introduction(people: Sequence[Mapping[str, Any]]) -> str:
         has = "has" if low == 1 else "have"
         warned = f"<p class=mark>{low} of {len(people)} bodies {has} a confidence below {least:.2f}.</p>"
     order = "The least confident body comes first. " if len(people) > 1 else ""
-    files = ", ".join(_link(each, each) for each in ("overlay.png", "people.png", "scene.glb", "people.json"))
+    files = ", ".join(
+        _link(each, each) for each in ("overlay.png", "views.png", "people.png", "scene.glb", "people.json")
+    )
     return (
         f"{warned}<p class=soft>{order}The confidence is the probability that a body is right: the joints that the "
         "photo shows lie, on average, within 10 cm of the truth. Limbs are guessed if no keypoint shows them; they are "
-        f"drawn pale. Files of the photo: {files}.</p>"
+        "drawn pale. The line is the outline of clothes and hair, which are not part of the body. Bodies wear a plain "
+        f"suit, unless skin is asked for. Files of the photo: {files}.</p>"
     )
 
 
@@ -162,7 +170,7 @@ def _person(person: Mapping[str, Any], pictures: PersonPictures, folder: Path) -
     anchor = _anchor(person)
     drawn = (
         (pictures.photo, "photo"),
-        (pictures.body, "body, guessed limbs pale" if person["guessed"] else "body"),
+        (pictures.body, "body; line: clothes" + ("; pale: guessed" if person["guessed"] else "")),
         (pictures.side, "from the side, camera at the left"),
     )
     figures = [

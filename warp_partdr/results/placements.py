@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
-from ..cameras import Camera, Perspective, UsualLens
+from ..cameras import Camera, Perspective, UsualLens, WeakPerspective
 from ..inputs.keypoints import Keypoints2D
 from ..solve.mesh.mesh_stage import MeshFit
 from ..solve.scene.ground import STANDING_LANDMARKS, Standing, ankle_confidence, find_ground
@@ -44,7 +45,7 @@ def place_on_ground(
         keypoints: Keypoints of the people. They show whose feet are visible.
         size: Size (H, W) of the picture [px].
     """
-    offsets = [_offset(fit, size) for fit in fits]
+    offsets = [camera_offset(fit.camera, size) for fit in fits]
     sizes = np.zeros(len(fits))
     if len(fits) > 1:
         landmarks = [fit.landmarks(STANDING_LANDMARKS) + offset for fit, offset in zip(fits, offsets, strict=True)]
@@ -58,13 +59,15 @@ def place_on_ground(
     return placements
 
 
-def _offset(fit: MeshFit, size: tuple[int, int]) -> np.ndarray:
-    """Offset that brings a body before its camera, shape (3,) [m]."""
-    camera: Camera = fit.camera
+def camera_offset(camera: Camera, size: tuple[int, int]) -> np.ndarray:
+    """Offset that brings a body before the camera of its picture of (H, W) pixels, shape (3,) [m]."""
     if isinstance(camera, Perspective):
         return np.zeros(3)
-    lens = UsualLens.of_size(size)
-    focal = lens.focal[:, 0].to(camera.scale)
-    centre = lens.centre.to(camera.scale)
-    offset: np.ndarray = camera.to_perspective(focal, centre)[1][0].detach().cpu().numpy()
+    offset: np.ndarray = usual_lens(camera, size)[1][0].detach().cpu().numpy()
     return offset
+
+
+def usual_lens(camera: WeakPerspective, size: tuple[int, int]) -> tuple[Perspective, torch.Tensor]:
+    """Perspective camera with a usual lens that sees the same, and the translation to it, shape (B, 3) [m]."""
+    lens = UsualLens.of_size(size)
+    return camera.to_perspective(lens.focal[:, 0].to(camera.scale), lens.centre.to(camera.scale))

@@ -21,6 +21,7 @@ from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES
 from ..cameras import Camera, first_of, zoomed
 from ..errors import check_type
+from ..files.json_files import rounded
 from ..inputs.evidence import Evidence
 from ..inputs.keypoints import Keypoints2D, person_height
 from ..inputs.part_labels import PartLabels
@@ -30,6 +31,7 @@ from ..models.measuring import BODY_MEASURES, measure_body
 from ..models.model import detailed_mesh
 from ..models.registration import Registered
 from ..models.smpl_parameters import POSES, to_smplx
+from ..models.suit import in_suit
 from ..render.mesh import draw_mesh
 from ..solve.confidence.judge import BodyConfidence, confidence_record, judge_fits
 from ..solve.ellipsoids.result import FitResult
@@ -41,6 +43,7 @@ from .overlays import draw_detailed, draw_overlay, overlay_size
 from .palette import group_colours
 from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, names_file, replacing
 from .skinned_files import save_detailed
+from .views import VIEWS, PlacedBody, draw_views
 
 RESULT_FILES = ("body.npz", "body.json", "ellipbody.glb", "overlay.png", "parts.png", "loss.png", FIT_REPORT)
 DETAILED_FILES = (*(f"detailed.{ending}" for ending in ("png", "glb", "obj", "ply", "bvh", "npz")), REGISTRATION_REPORT)
@@ -144,6 +147,8 @@ def save_registered(
     evidence: Evidence | None = None,
     clothes: torch.Tensor | None = None,
     formats: Sequence[str] = (),
+    bare: bool = False,
+    views: PlacedBody | None = None,
     **about: Any,
 ) -> dict[str, Any]:
     """Write the first body as ``DETAILED_FILES``, and return the report.
@@ -160,8 +165,10 @@ def save_registered(
         evidence: Evidence of the person in that picture. If it has labels, the report has scores: "parts" for the bare
             meshes that are written and, if there are clothes, "parts_clothed" for the mesh in its clothes.
         clothes: Thicknesses of clothes on the parts ``CLOTHED`` [m], shape (1, 8), as the picture shows them. The
-            meshes in the files have none.
+            meshes in the files have none, and the picture has their outline.
         formats: Formats in ``FURTHER``, for more files.
+        bare: True draws and writes the skin. By default the picture and the meshes wear a plain T-shirt and shorts.
+        views: The same body, placed before the camera, of which ``VIEWS`` is drawn, too; None: it is not drawn.
         **about: Further entries of the report.
 
     Examples:
@@ -175,8 +182,8 @@ def save_registered(
     """
     model = registered.model
     clothed = registered if clothes is None else replace(registered, detailed=registered.clothed(clothes))
-    picture = draw_detailed(clothed, camera, size, photo)
-    losses = {name: round(float(value[0]), 5) for name, value in registered.losses.items()}
+    picture = draw_detailed(registered, camera, size, photo, clothes=clothes, bare=bare)
+    losses = {name: round(float(value[0]), 4) for name, value in registered.losses.items()}
     report: dict[str, Any] = {
         "model": model.name,
         "losses": losses,
@@ -185,7 +192,7 @@ def save_registered(
     }
     if clothes is not None:
         report["clothes_cm"] = {
-            name: round(100 * thick, 2) for name, thick in zip(CLOTHED, clothes[0].tolist(), strict=True)
+            name: round(100 * thick, 1) for name, thick in zip(CLOTHED, clothes[0].tolist(), strict=True)
         }
     if evidence is not None and evidence.picture is not None:
         label_set = evidence.picture.label_set
@@ -194,10 +201,12 @@ def save_registered(
             in_clothes = _score_detailed(clothed, evidence, label_set, camera, size)
             report |= {f"{name}_clothed": scores for name, scores in in_clothes.items()}
     with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
-        save_detailed(registered, temporary)
-        save_further(registered, temporary / "detailed", formats)
+        save_detailed(registered, temporary, bare=bare)
+        save_further(registered if bare else in_suit(registered), temporary / "detailed", formats)
         save_detailed_arrays(registered, temporary, clothes)
         picture.save(temporary / "detailed.png")
+        if views is not None:
+            draw_views([views], size, photo, bare=bare).save(temporary / VIEWS)
         if model.name in POSES and bool((registered.growth[0] == 1).all()):
             smplx = to_smplx(model, registered.shape[:1], registered.rotations[:1], registered.translation[:1])
             of_smplx: dict[str, Any] = {**smplx, **camera_arrays(camera, size)}
@@ -307,25 +316,25 @@ def describe_posed(
     pixels = camera.project(positions)[0, :, :2].detach().cpu().numpy()
     scale, _, *centre = camera.intrinsics[0].detach().cpu().tolist()
     described: dict[str, Any] = {
-        "measurements_cm": {name: round(100 * value, 2) for name, value in measured.items()}
+        "measurements_cm": {name: round(100 * value, 1) for name, value in measured.items()}
         | ({} if mesh is None else describe_mesh(mesh)),
         "joints": {
             "frame": "camera: x right, y down, z away from the viewer; metres from the "
             + ("camera" if camera.perspective else "pelvis"),
             "names": list(JOINT_NAMES),
-            "points_m": joints.round(4).tolist(),
-            "pixels": pixels.round(2).tolist(),
+            "points_m": rounded(joints, 4),
+            "pixels": rounded(pixels, 2),
         },
         "camera": {
             "model": "perspective: u = focal X / Z + principal[0], v = focal Y / Z + principal[1]",
-            "focal_px": round(scale, 4),
-            "principal_px": np.round(centre, 3).tolist(),
+            "focal_px": round(scale, 2),
+            "principal_px": rounded(centre, 2),
         }
         if camera.perspective
         else {
             "model": "weak perspective: u = scale X + translation[0], v = scale Y + translation[1]",
-            "scale_px_per_m": round(scale, 4),
-            "translation_px": np.round(centre, 3).tolist(),
+            "scale_px_per_m": round(scale, 2),
+            "translation_px": rounded(centre, 2),
         },
     }
     if guessed:
@@ -353,11 +362,11 @@ def make_report(result: FitResult) -> dict[str, Any]:
         "distance": describe_distance(result),
         "keypoints": {
             "confident": int(confident.sum()),
-            "mean_distance_px": round(distance, 3),
-            "mean_distance_share_of_person_height": round(distance / height, 5) if height else None,
+            "mean_distance_px": round(distance, 2),
+            "mean_distance_share_of_person_height": round(distance / height, 4) if height else None,
         },
-        "seconds": {name: round(value, 3) for name, value in result.stage_seconds.items()},
-        "seconds_total": round(sum(result.stage_seconds.values()), 3),
+        "seconds": {name: round(value, 2) for name, value in result.stage_seconds.items()},
+        "seconds_total": round(sum(result.stage_seconds.values()), 2),
         "versions": {
             "warp-partdr": __version__,
             "warp": wp.config.version,

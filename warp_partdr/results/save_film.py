@@ -13,6 +13,7 @@ import numpy as np
 from ..body.template import LENGTH_NAMES
 from ..cameras import UsualLens
 from ..errors import InputError, check_type
+from ..files.json_files import rounded
 from ..inputs.camera_files import camera_data
 from ..inputs.cuts import cuts_sentence
 from ..inputs.films import read_frames
@@ -21,6 +22,7 @@ from ..interop.ahead import made_ahead
 from ..interop.torch_threads import one_torch_thread
 from ..models.clothes import CLOTHED
 from ..models.measuring import measure_ellipbody
+from ..models.suit import in_suit
 from ..networks.detection.film_people import SEEN
 from ..networks.predictors.film_predictions import GivenNetworks
 from ..pipelines.film import FilmFit, Motion
@@ -50,6 +52,7 @@ def save_film_fit(
     *,
     films: Sequence[str | Path],
     formats: Sequence[str] = (),
+    bare: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Write overlay.mp4, people.json, scene.glb and confidence.png, and for each person N personN.npz, .glb and .bvh.
@@ -78,6 +81,7 @@ def save_film_fit(
         folder: Folder for the files, made if it does not exist.
         films: Files of the films, in the order of the fit.
         formats: Formats in ``FURTHER``, for more files of each motion.
+        bare: True draws and writes bare skin. By default people wear a plain T-shirt and shorts.
         progress: Function that is called with the stage, the number of frames that are done, and that of all frames.
 
     Returns:
@@ -118,13 +122,13 @@ def save_film_fit(
             actors.append(actor)
             own_rows = zip(report["views"], _rows_by_film(fit, person), strict=True)
             films_of_person = [view["film"] for view, own in own_rows if len(own)]
-            described = _save_motion(fit, person, rows, actor, temporary, formats)
+            described = _save_motion(fit, person, rows, actor, temporary, formats, bare)
             report["people"].append({**described, "seen_by": films_of_person})
         names = camera_names(films)
         views = [
             NamedView(name, each.view, each.people.image_size) for name, each in zip(names, fit.films, strict=True)
         ]
-        (temporary / SCENE).write_bytes(scene_glb(actors, views))
+        (temporary / SCENE).write_bytes(scene_glb(actors, views, bare=bare))
         confidence_chart(fit.motions, fit.times).save(temporary / CURVES)
         if len(films) > 1:
             data = camera_data(dict(zip(names, (each.camera for each in fit.films), strict=True)))
@@ -132,7 +136,7 @@ def save_film_fit(
         total = sum(int((each.file_numbers >= 0).sum()) for each in fit.films)
         done = 0
         for index, film in enumerate(films):
-            pictures = _with_progress(made_ahead(draw_film(fit, film, index)), done, total, progress)
+            pictures = _with_progress(made_ahead(draw_film(fit, film, index, bare=bare)), done, total, progress)
             numbers = fit.films[index].file_numbers
             times = fit.times[: len(numbers)][numbers >= 0]
             even = times[0] == 0 and is_even(times, fit.people.rate)
@@ -152,7 +156,7 @@ def overlay_name(film: int) -> str:
     return OVERLAY if film == 0 else f"overlay{film}.mp4"
 
 
-def draw_film(fit: FilmFit, film: str | Path, index: int = 0) -> Iterator[np.ndarray]:
+def draw_film(fit: FilmFit, film: str | Path, index: int = 0, *, bare: bool = False) -> Iterator[np.ndarray]:
     """Frames of a film with the bodies over them, at most 960 px a side: RGB, (H, W, 3), uint8.
 
     If the film was matched with others, only the frames that were matched are drawn. Distortion is removed.
@@ -161,6 +165,7 @@ def draw_film(fit: FilmFit, film: str | Path, index: int = 0) -> Iterator[np.nda
         fit: Fit of the films.
         film: File of the film.
         index: Index of the film in the fit.
+        bare: True draws the skin alone. By default people wear a plain T-shirt and shorts.
     """
     observed = fit.films[index]
     zoom, size = overlay_size(observed.people.image_size, _SIDE)
@@ -169,7 +174,7 @@ def draw_film(fit: FilmFit, film: str | Path, index: int = 0) -> Iterator[np.nda
     read = islice(read_frames(film, size=size), max(frame_of) + 1)
     matched = ((frame_of[each.index], each.picture) for each in read if each.index in frame_of)
     for frame, picture in made_ahead((frame, resized(each, size, observed.lens)) for frame, each in matched):
-        yield draw_bodies(picture, posed.at(frame), fit.motions, view, pale=posed.pale_at(frame))
+        yield draw_bodies(picture, posed.at(frame), fit.motions, view, pale=posed.pale_at(frame), bare=bare)
 
 
 def _view(name: str, film: ObservedFilm) -> dict[str, Any]:
@@ -184,11 +189,11 @@ def _view(name: str, film: ObservedFilm) -> dict[str, Any]:
         "skipped_frames": film.skipped,
         **({} if film.numbers is None else {"film_frames": film.numbers.tolist()}),
         "size": list(film.people.image_size[::-1]),
-        "focal": float(camera.focal[0, 0]),
-        "principal": camera.centre[0].tolist(),
+        "focal": rounded(camera.focal[0, 0], 2),
+        "principal": rounded(camera.centre[0], 2),
         **({"guessed": True} if isinstance(camera, UsualLens) else {}),
-        "rotation": film.view.rotation.tolist(),
-        "translation": film.view.translation.tolist(),
+        "rotation": rounded(film.view.rotation, 6),
+        "translation": rounded(film.view.translation, 4),
         **lens,
     }
 
@@ -214,7 +219,7 @@ def _make_actor(fit: FilmFit, person: int, motion: Motion) -> tuple[np.ndarray, 
 
 
 def _save_motion(
-    fit: FilmFit, person: int, rows: np.ndarray, actor: Actor, folder: Path, formats: Sequence[str]
+    fit: FilmFit, person: int, rows: np.ndarray, actor: Actor, folder: Path, formats: Sequence[str], bare: bool
 ) -> dict[str, Any]:
     """Write a person's files, and return the person's entry in the report."""
     motion, name = fit.motions[person], actor.name
@@ -227,9 +232,9 @@ def _save_motion(
         **({} if motion.confidence is None else confidence_arrays(motion.confidence)),
     )
     poses = actor.poses.since(float(actor.poses.times[0]))
-    (folder / f"{name}.glb").write_bytes(glb(actor.body, poses))
+    (folder / f"{name}.glb").write_bytes(glb(actor.body, poses, bare=bare))
     (folder / f"{name}.bvh").write_text(bvh(actor.body, poses))
-    further = save_further(actor.body, folder / name, formats, poses)
+    further = save_further(actor.body if bare else in_suit(actor.body), folder / name, formats, poses)
     found = _rows_by_film(fit, person)
     return {
         "person": person,
@@ -308,4 +313,5 @@ def _cut_warnings(fit: FilmFit, films: Sequence[str | Path]) -> list[str]:
 
 
 def _centimetres(metres: np.ndarray) -> list[float]:
-    return (100 * metres.astype(np.float64)).round(2).tolist()
+    centimetres: list[float] = rounded(100 * metres.astype(np.float64), 1)
+    return centimetres

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import check_type
+from ..files.json_files import rounded
 from ..interop.torch_threads import one_torch_thread
+from ..models.suit import in_suit
 from ..pipelines.photo import PhotoFit
 from ..solve.confidence.judge import confidence_record
 from ..solve.confidence.limbs import guessed_parts
@@ -31,18 +33,26 @@ from .save import (
     save_fit,
     save_registered,
 )
+from .skinned_files import BODY_MATERIAL
+from .views import VIEWS, PlacedBody, draw_views, feet_seen
 
 if TYPE_CHECKING:
     import trimesh
     from PIL.Image import Image
 
-PHOTO_FILES = (PAGE, "overlay.png", "people.png", "scene.glb", PEOPLE_REPORT)
+PHOTO_FILES = (PAGE, "overlay.png", VIEWS, "people.png", "scene.glb", PEOPLE_REPORT)
 _TINT = 0.45  # opacity of masks over the photo
 
 
 @one_torch_thread()
 def save_photo_fit(
-    fit: PhotoFit, folder: str | Path, *, photo: np.ndarray, formats: Sequence[str] = (), name: str = "the photo"
+    fit: PhotoFit,
+    folder: str | Path,
+    *,
+    photo: np.ndarray,
+    formats: Sequence[str] = (),
+    name: str = "the photo",
+    bare: bool = False,
 ) -> dict[str, Any]:
     """Write folders person0, person1, ... with ``RESULT_FILES`` and ``DETAILED_FILES``, and write ``PHOTO_FILES``.
 
@@ -53,6 +63,7 @@ def save_photo_fit(
         photo: Picture, shape (H, W, 3), uint8.
         formats: Formats in ``FURTHER``, for more files of each detailed body.
         name: Name of the photo, which the page shows.
+        bare: True draws and writes bare skin. By default bodies wear a plain T-shirt and shorts.
 
     Returns:
         Report, as ``people.json`` holds it.
@@ -80,7 +91,9 @@ def save_photo_fit(
     overlay = small
     for index in sorted(fit.fits, key=lambda index: -placements[index].distance):  # the farthest first
         pale = guessed_parts(fit.confidences[index].guessed)
-        overlay = np.asarray(draw_detailed(fit.fits[index].body, fit.fits[index].camera, size, overlay, pale))
+        overlay = np.asarray(
+            draw_detailed(fit.fits[index].body, fit.fits[index].camera, size, overlay, pale, bare=bare)
+        )
     for index, mesh in fit.fits.items():
         own, found = folder / _name(index), mesh.ellipbody
         background = small if found.evidence.picture is not None else photo
@@ -94,10 +107,23 @@ def save_photo_fit(
         )
         save_registered(
             mesh.body, own, found.camera, size, photo=small, evidence=found.evidence, clothes=mesh.clothes,
-            seconds=round(found.stage_seconds["mesh"], 3), formats=formats,
+            seconds=round(found.stage_seconds["mesh"], 2), formats=formats, bare=bare,
         )  # fmt: skip
-    pictures = {index: draw_pictures(fit, index, small) for index in fit.fits}
-    page = write_photo_page(report, pictures, overlay, size=size, folder=folder, name=name)
+    placed = [
+        PlacedBody(
+            _name(index),
+            mesh.body,
+            mesh.camera,
+            placements[index],
+            feet_seen(fit.people[index].keypoints),
+            mesh.ellipbody.camera_guessed or not mesh.camera.perspective,
+            guessed_parts(fit.confidences[index].guessed),
+        )
+        for index, mesh in fit.fits.items()
+    ]
+    views = draw_views(placed, size, small, bare=bare)
+    pictures = {index: draw_pictures(fit, index, small, bare=bare) for index in fit.fits}
+    page = write_photo_page(report, pictures, overlay, np.asarray(views), size=size, folder=folder, name=name)
     _remove_others(folder, {_name(index) for index in fit.fits})
     # people.json is written last: if it is there, all people are. It outdates a single person's fit with its overlay.
     with replacing(
@@ -105,8 +131,12 @@ def save_photo_fit(
     ) as temporary:
         (temporary / PAGE).write_text(page, encoding="utf-8")
         _picture(overlay).save(temporary / "overlay.png")
+        views.save(temporary / VIEWS)
         draw_people(fit, small).save(temporary / "people.png")
-        vertices = {index: each.apply(fit.fits[index].vertices) for index, each in placements.items()}
+        shown = {index: each.body if bare else in_suit(each.body) for index, each in fit.fits.items()}
+        vertices = {
+            index: placements[index].apply(body.detailed.vertices[0].cpu().numpy()) for index, body in shown.items()
+        }
         _scene(vertices, fit).export(temporary / "scene.glb")
     return report
 
@@ -139,20 +169,20 @@ def _name(index: int) -> str:
 
 def _describe(fit: PhotoFit, index: int, placement: Placement) -> dict[str, Any]:
     person, mesh = fit.people[index], fit.fits[index]
-    keypoints = np.column_stack([person.keypoints.points.round(2), person.keypoints.confidence.round(3)])
+    points, confidence = rounded(person.keypoints.points, 2), rounded(person.keypoints.confidence, 3)
     return {
         "person": index,
         "folder": _name(index),
         "score": round(person.score, 3),
         **confidence_record(fit.confidences[index]),
-        "box": [round(float(edge), 1) for edge in person.box],
+        "box": rounded(person.box, 1),
         "distance_m": round(placement.distance, 2),
         "scene_scale": round(placement.scale, 3),
         "distance": describe_distance(mesh.ellipbody),
         "hidden_by": fit.hidden_by(index),
         "sources": fit.sources[index],
         "format": person.keypoints.format.name,
-        "keypoints": keypoints.astype(float).tolist(),
+        "keypoints": [[*point, sure] for point, sure in zip(points, confidence, strict=True)],
         **describe_body(mesh.ellipbody, mesh.body),
         "warnings": list(mesh.ellipbody.warnings),
     }
@@ -165,7 +195,8 @@ def _scene(vertices: dict[int, np.ndarray], fit: PhotoFit) -> trimesh.Scene:
     scene = trimesh.Scene()
     for index, points in vertices.items():
         faces = fit.fits[index].body.model.faces.cpu().numpy()
-        mesh = trimesh.Trimesh(points @ GLTF_FROM_CAMERA.T, faces, process=False)
+        look = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(**BODY_MATERIAL))
+        mesh = trimesh.Trimesh(points @ GLTF_FROM_CAMERA.T, faces, process=False, visual=look)
         scene.add_geometry(mesh, node_name=_name(index), geom_name=_name(index))
     return scene
 

@@ -44,7 +44,7 @@ class NamedView:
     size: tuple[int, int]
 
 
-def scene_glb(actors: Sequence[Actor], views: Sequence[NamedView]) -> bytes:
+def scene_glb(actors: Sequence[Actor], views: Sequence[NamedView], *, bare: bool = False) -> bytes:
     """Write bodies and cameras as binary glTF 2.0 with one animation, y up; the lowest vertex lies on y = 0.
 
     The world's y axis must point down. Outside of its own time, a body is scaled to 0. Cameras of glTF look through the
@@ -53,12 +53,13 @@ def scene_glb(actors: Sequence[Actor], views: Sequence[NamedView]) -> bytes:
     Args:
         actors: Moving bodies, at least one; each may begin at another time.
         views: Cameras of the scene.
+        bare: True writes the skin. By default bodies wear a plain suit.
     """
     lowest, end = min(each.poses.lowest for each in actors), max(float(each.poses.times[-1]) for each in actors)
     document = Document()
     for actor in actors:
         poses = replace(actor.poses, lowest=lowest)
-        body = add_body(document, actor.body, poses, name=actor.name)
+        body = add_body(document, actor.body, poses, name=actor.name, bare=bare)
         first, last = float(poses.times[0]), float(poses.times[-1])
         keys = [(0.0, 0.0)] * (first > 0) + [(first, 1.0)] + [(actor.until, 0.0)] * (last < end)
         if len(keys) > 1:

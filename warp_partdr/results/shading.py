@@ -212,7 +212,7 @@ class _Paint:
         none = np.full((len(vertices), 1), -1.0)
         cloth = none.repeat(2, axis=1) if surface.cloth is None else surface.cloth
         guessed = none[:, 0] if surface.guessed is None else surface.guessed
-        tone, opacity = _tone(cloth), _opacity(guessed)
+        tone, opacity = suit_tones(cloth), _opacity(guessed)
         one, two, three = faces.T
         mixed = (tone[one] != tone[two]) | (tone[one] != tone[three])
         mixed |= (opacity[one] != opacity[two]) | (opacity[one] != opacity[three])
@@ -229,7 +229,7 @@ class _Paint:
         some = np.flatnonzero(self.mixed[faces])
         fields = self.fields[faces[some]]
         values = fields[:, 0] + fields[:, 1] * points[some, :1] + fields[:, 2] * points[some, 1:]
-        brightness[some] *= _tone(values[:, :2])
+        brightness[some] *= suit_tones(values[:, :2])
         opacity[some] = _opacity(values[:, 2])
         painted = np.empty((len(faces), 4), dtype=np.float32)
         painted[:, :3] = self.colours[faces] * (brightness.clip(0, _BRIGHTEST) * opacity)[:, None]
@@ -237,7 +237,7 @@ class _Paint:
         return painted
 
 
-def _tone(cloth: np.ndarray) -> np.ndarray:
+def suit_tones(cloth: np.ndarray) -> np.ndarray:
     """Brightness as a share of the skin's, by the distances from the edges of garments (N, 2), shape (N,)."""
     return np.where(cloth > 0, np.array(_TONES, dtype=np.float32), np.float32(1)).min(1)
 

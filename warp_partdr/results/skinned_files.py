@@ -19,31 +19,38 @@ from ..inputs.frame_times import USUAL_RATE, is_even
 from ..models.model import DetailedModel
 from ..models.normals import vertex_normals
 from ..models.registration import Registered
+from ..models.suit import in_suit, suit_of
 from .binding import Binding, from_rest, numbers_of, to_quaternions
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .gltf import Document
 from .palette import PART_COLOURS
+from .shading import SKIN_COLOUR, suit_tones
 
 if TYPE_CHECKING:
     import trimesh
 
 SKIN_WEIGHTS = 4  # weights of a vertex, as many as glTF's JOINTS_0 has
-SKIN_MATERIAL: dict[str, Any] = {  # by glTF's names
-    "baseColorFactor": [0.6, 0.42, 0.34, 1.0],
+_GAMMA = 2.2  # of colours on screens; those of glTF are linear
+BODY_MATERIAL: dict[str, Any] = {  # by glTF's names: matt, and as neutral as in pictures
+    "baseColorFactor": [*((SKIN_COLOUR / 255.0) ** _GAMMA).round(3).tolist(), 1.0],
     "metallicFactor": 0.0,
-    "roughnessFactor": 0.8,
+    "roughnessFactor": 0.75,
 }
 _MOST_OFTEN = 16  # most poses at a constant rate for each given pose
 _STILL = 1e-5  # change of a rotation's entries; joints that turn less do not move
 _INDICES = 34963  # glTF's ELEMENT_ARRAY_BUFFER
 
 
-def save_detailed(registered: Registered, folder: Path) -> None:
-    """Write detailed.glb, detailed.obj, detailed.ply and detailed.bvh of the first body, given in the camera frame."""
-    (folder / "detailed.glb").write_bytes(glb(registered))
-    posed_mesh(registered).export(folder / "detailed.obj")
+def save_detailed(registered: Registered, folder: Path, *, bare: bool = False) -> None:
+    """Write detailed.glb, detailed.obj, detailed.ply and detailed.bvh of the first body, given in the camera frame.
+
+    With ``bare``, the meshes are the skin. By default they wear a plain suit, whose surface has no detail.
+    """
+    (folder / "detailed.glb").write_bytes(glb(registered, bare=bare))
+    shown = registered if bare else in_suit(registered)
+    posed_mesh(shown).export(folder / "detailed.obj")
     colours = PART_COLOURS[registered.model.face_parts.cpu().numpy()]
-    posed_mesh(registered, face_colors=colours).export(folder / "detailed.ply")
+    posed_mesh(shown, face_colors=colours).export(folder / "detailed.ply")
     (folder / "detailed.bvh").write_text(bvh(registered))
 
 
@@ -109,17 +116,23 @@ class Poses:
         return rotations, translation
 
 
-def glb(registered: Registered, poses: Poses | None = None) -> bytes:
-    """Write the first body as binary glTF 2.0: mesh, skeleton, skin weights and pose, or an animation of its poses."""
+def glb(registered: Registered, poses: Poses | None = None, *, bare: bool = False) -> bytes:
+    """Write the first body as binary glTF 2.0: mesh, skeleton, skin weights and pose, or an animation of its poses.
+
+    It wears a plain suit, unless ``bare``.
+    """
     document = Document()
-    add_body(document, registered, poses or Poses.first(registered), name="body")
+    add_body(document, registered, poses or Poses.first(registered), name="body", bare=bare)
     return document.glb()
 
 
-def add_body(document: Document, registered: Registered, poses: Poses, *, name: str) -> int:
-    """Add the first body to a glTF file, with its pose and motion, and return the index of the node that carries it."""
+def add_body(document: Document, registered: Registered, poses: Poses, *, name: str, bare: bool = False) -> int:
+    """Add the first body to a glTF file, with its pose and motion, and return the index of the node that carries it.
+
+    It wears a plain suit, unless ``bare``.
+    """
     model, faces = registered.model, registered.model.faces.cpu().numpy()
-    binding = Binding.of(registered, SKIN_WEIGHTS)
+    binding = Binding.of(registered if bare else in_suit(registered), SKIN_WEIGHTS)
     rest, bind, nodes = binding.joints, binding.points, document.nodes
 
     first = len(nodes)
@@ -141,11 +154,14 @@ def add_body(document: Document, registered: Registered, poses: Poses, *, name: 
         "JOINTS_0": document.add(binding.bones.astype(np.uint16)),
         "WEIGHTS_0": document.add(binding.shares.astype(np.float32)),
     }
+    if not bare:
+        tones = suit_tones(suit_of(model).cloth) ** _GAMMA
+        attributes["COLOR_0"] = document.add(np.repeat(tones[:, None], 3, axis=1).astype(np.float32))
     indices = document.add(faces.astype(np.uint32).reshape(-1), target=_INDICES)
     # glTF's matrices are stored column by column.
     matrices = document.add(from_rest(rest).transpose(0, 2, 1).astype(np.float32))
     primitive = {"attributes": attributes, "indices": indices, "material": len(document.materials)}
-    document.materials.append({"name": "skin", "pbrMetallicRoughness": SKIN_MATERIAL})
+    document.materials.append({"name": "body", "pbrMetallicRoughness": BODY_MATERIAL})
     document.meshes.append({"name": model.name, "primitives": [primitive]})
     document.skins.append({"joints": list(range(first, body)), "inverseBindMatrices": matrices, "skeleton": body})
     if len(poses.rotations) > 1:

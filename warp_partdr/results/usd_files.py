@@ -18,7 +18,7 @@ from ..models.normals import vertex_normals
 from ..models.registration import Registered
 from .binding import Binding, numbers_of, to_quaternions
 from .ellipbody_files import GLTF_FROM_CAMERA
-from .skinned_files import SKIN_MATERIAL, Poses
+from .skinned_files import BODY_MATERIAL, Poses
 
 _WHOLE = 1e-6  # [frames]; times that are so near to a whole frame are rounded to it
 
@@ -143,7 +143,7 @@ def _add_skin(stage: Any, skeleton: Any, model: DetailedModel, binding: Binding)
     material = UsdShade.Material.Define(stage, "/body/look")
     shader = UsdShade.Shader.Define(stage, "/body/look/surface")
     shader.CreateIdAttr("UsdPreviewSurface")
-    colour, roughness = SKIN_MATERIAL["baseColorFactor"][:3], SKIN_MATERIAL["roughnessFactor"]
+    colour, roughness = BODY_MATERIAL["baseColorFactor"][:3], BODY_MATERIAL["roughnessFactor"]
     shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(Gf.Vec3f(*colour))
     shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(roughness)
     material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
