@@ -44,6 +44,8 @@ DRAWN: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
 )
 
 MEASURED = {
+    "film.gif": "python scripts/film_pictures.py WHEEL",
+    "views.png": "python scripts/film_pictures.py WHEEL",
     "bench-cpu.png": "partdr bench kernels --device cpu",
     "bench-h100.png": "partdr bench kernels --device cuda",
     "tradeoff-cpu.png": "partdr bench tradeoff --device cpu",
