@@ -31,7 +31,7 @@ from warp_partdr.results.palette import PEOPLE_COLOURS
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 FILM = "Sports2D/Demo/demo.mp4"  # in the wheel
-FRAMES, RATE = range(40, 166, 3), 10  # frames of the film, and the GIF's frames a second
+FRAMES, RATE = range(40, 166, 4), 8  # frames of the film, and the GIF's frames a second
 STILL = 118  # frame of the film for views.png
 HEIGHT = 360  # [px], of the GIF
 SIDE_WIDTH = 250  # [px], of the views beside the film

@@ -135,20 +135,20 @@ def link(name: str, file: Path) -> str:
 def gallery() -> str:
     """All pictures that pages show, charts last, each with its line, its page and the command that makes it."""
     pictures = ast.parse((ROOT / "scripts" / "pictures.py").read_text(encoding="utf-8"))
-    (measured,) = (
+    (elsewhere,) = (
         ast.literal_eval(node.value)
         for node in pictures.body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "MEASURED"
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "MADE_ELSEWHERE"
     )
     shown: dict[str, str] = {}
     for source in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
         for line, path in _PICTURE.findall(source.read_text(encoding="utf-8")):
             picture = (source.parent / path).resolve().relative_to(ROOT).as_posix()
-            command = measured.get(Path(path).name, "make pictures")
+            command = elsewhere.get(Path(path).name, "make pictures")
             page = source.relative_to(ROOT).as_posix()
             shown.setdefault(picture, f"![{line}]({picture})\n\n{line}: [{source.stem}]({page}), by `{command}`.\n")
     return "# Gallery\n\n" + "\n".join(
-        shown[each] for each in sorted(shown, key=lambda picture: Path(picture).name in measured)
+        shown[each] for each in sorted(shown, key=lambda picture: Path(picture).name in elsewhere)
     )
 
 

@@ -3,8 +3,8 @@
     python scripts/pictures.py [--out docs/images] [NAME ...]
 
 Says of each whether it is as it was; those of the demo never are to the last pixel, for measured milliseconds stand in
-them. A picture that can't be made (VTK without OpenGL) is left as it is, and the exit code is 1. Charts of long
-measurements are not made here: ``MEASURED`` says what draws them, each beside a JSON file of its figures.
+them. A picture that can't be made (VTK without OpenGL) is left as it is, and the exit code is 1. Charts of
+long measurements, and pictures that need a film of others, are not made here: ``MADE_ELSEWHERE`` says what draws them.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ DRAWN: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     ),
 )
 
-MEASURED = {
+MADE_ELSEWHERE = {
     "film.gif": "python scripts/film_pictures.py WHEEL",
     "views.png": "python scripts/film_pictures.py WHEEL",
     "bench-cpu.png": "partdr bench kernels --device cpu",
@@ -219,7 +219,7 @@ def main(argv: list[str] | None = None) -> int:
         if (chosen := tuple(name for name in names if name in asked))
     ]
     if not options.names:
-        for name, command in MEASURED.items():
+        for name, command in MADE_ELSEWHERE.items():
             print(f"{name}: not made here; {command} draws it")
     return 0 if all(done) else 1
 

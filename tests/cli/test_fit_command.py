@@ -55,6 +55,13 @@ def test_a_real_process_says_what_it_found_and_no_more(files: Path) -> None:
     assert {path.name for path in Path("out").iterdir()} == EVERY_FILE
 
 
+def test_skin_is_shown_if_asked_for(run: Run, files: Path) -> None:
+    """By default the mesh wears a suit, whose colours the file has."""
+    for option, worn in (("", True), ("--bare", False)):
+        assert run(f"fit photo.png --keypoints k.json --out out {option}")[0] == 0
+        assert (b"COLOR_0" in Path("out", "detailed.glb").read_bytes()) == worn
+
+
 def test_a_second_run_replaces_the_first_and_nothing_else(run: Run, files: Path) -> None:
     Path("out").mkdir()
     for name in ("report.json", "notes.txt", "parts.png"):

@@ -205,3 +205,14 @@ def clips(folder: Path) -> tuple[mocap.Clip, ...]:
 @cache
 def bank() -> PoseBank:
     return PoseBank.of_prior(64)
+
+
+def upright(x: float = 0.0, z: float = 0.0) -> Registered:
+    """Anny at rest, facing the camera at a place in its frame [m]."""
+    model = anny()
+    shape, place = torch.zeros(1, model.num_shapes), torch.tensor([[x, 0.0, z]])
+    rotations = torch.eye(3).repeat(1, model.num_joints, 1, 1)
+    rotations[:, 0] = torch.diag(torch.tensor([1.0, -1.0, -1.0]))  # y down, z away
+    posed, sizes = model.pose(shape, rotations, place), torch.zeros(1, 27)
+    stretches = torch.eye(3).repeat(1, 20, 1, 1)
+    return Registered(model, shape, rotations, place, stretches, torch.exp(sizes), sizes, posed, {})

@@ -16,11 +16,12 @@ from helpers.files import EXAMPLE
 from helpers.quick import QUICK_FIT
 from warp_partdr.cli import main
 from warp_partdr.results import save
+from warp_partdr.results.views import VIEWS
 from warp_partdr.solve.ellipsoids import stages
 
 GOOD = "photo.png --keypoints k.json --parts p.png --labels cdcl14 --out out"
 ALONE = "--model none"  # no detailed model: that takes most of a quick fit's time
-EVERY_FILE = {*save.RESULT_FILES, *save.DETAILED_FILES}
+EVERY_FILE = {*save.RESULT_FILES, *save.DETAILED_FILES, VIEWS}
 Run = Callable[..., tuple[int, str, str]]
 
 

@@ -26,7 +26,9 @@ from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.results import overlays, save
 from warp_partdr.results.body_file import load_body
 from warp_partdr.results.fit_charts import loss_chart, panels
+from warp_partdr.results.overlays import draw_detailed
 from warp_partdr.results.palette import PART_COLOURS, group_colours
+from warp_partdr.results.views import draw_views, place_alone
 from warp_partdr.solve.ellipsoids.fitting import fit_body
 from warp_partdr.solve.ellipsoids.result import FitResult
 from warp_partdr.solve.ellipsoids.stages import Stage
@@ -342,3 +344,57 @@ def test_overlay_of_a_large_photo_is_smaller_and_shows_the_same(
     assert np.abs(small - blocks).mean() < 6
     empty = np.asarray(overlays.draw_overlay(result, (10**6, 10**5))).shape
     assert empty == (256, 26, 3)
+
+
+def long_numbers(value: Any) -> list[float]:
+    """Numbers with more than six digits after the point in what a JSON file holds."""
+    if isinstance(value, dict):
+        return [number for each in value.values() for number in long_numbers(each)]
+    if isinstance(value, list):
+        return [number for each in value for number in long_numbers(each)]
+    return [value] if isinstance(value, float) and round(value, 6) != value else []
+
+
+def test_numbers_in_json_are_rounded_to_what_they_mean(
+    registered: Registered, result: FitResult, tmp_path: Path
+) -> None:
+    """Metres to 0.1 mm, pixels to 0.01, centimetres to 1 mm, seconds to 0.01; none has the digits of float32."""
+    save.save_fit(result, tmp_path)
+    save.save_registered(registered, tmp_path, result.camera, (512, 384), evidence=result.evidence)
+    for name in ("body.json", "report.json", "registration.json"):
+        assert long_numbers(json.loads((tmp_path / name).read_text())) == []
+    body = json.loads((tmp_path / "body.json").read_text())
+    joints = result.posed.joints[0].numpy()
+    np.testing.assert_allclose(body["joints"]["points_m"], joints, atol=5.1e-5)
+    for number, digits in ((body["joints"]["points_m"][3][0], 4), (body["joints"]["pixels"][3][1], 2)):
+        assert number == round(number, digits)
+    assert all(value == round(value, 1) for value in body["measurements_cm"].values())
+    seconds = json.loads((tmp_path / "report.json").read_text())["seconds"]
+    assert all(value == round(value, 2) for value in seconds.values())
+
+
+@pytest.mark.parametrize("bare", [False, True])
+def test_pictures_and_meshes_wear_a_suit_unless_skin_is_asked_for(
+    registered: Registered, result: FitResult, tmp_path: Path, bare: bool
+) -> None:
+    """The arrays are of the body in either case. Views are written for whoever asks for them."""
+    size, thick = (512, 384), torch.full((1, 8), 0.02)
+    views = place_alone(registered, result.camera, size, result.evidence.keypoints, lens_assumed=True)
+    save.save_registered(registered, tmp_path, result.camera, size, clothes=thick, bare=bare, views=views)
+    same, other = (
+        np.asarray(draw_detailed(registered, result.camera, size, clothes=thick, bare=each))
+        for each in (bare, not bare)
+    )
+    shown = np.asarray(Image.open(tmp_path / "detailed.png"))
+    np.testing.assert_array_equal(shown, skin if bare else worn)
+    assert (skin != worn).any()
+    assert (b"COLOR_0" in (tmp_path / "detailed.glb").read_bytes()) == (not bare)
+    mesh = trimesh.load(tmp_path / "detailed.obj", process=False, maintain_order=True)
+    exact = trimesh.load(tmp_path / "detailed.ply", process=False, maintain_order=True)
+    height = np.ptp(registered.detailed.vertices[0, :, 1].numpy())
+    assert np.ptp(mesh.vertices[:, 1]) == pytest.approx(height, abs=1e-4)
+    np.testing.assert_allclose(mesh.vertices, exact.vertices, atol=1e-5)
+    with np.load(tmp_path / "detailed.npz") as saved:
+        np.testing.assert_array_equal(saved["rotations"], registered.rotations[0].numpy())
+    sheet = np.asarray(Image.open(tmp_path / "views.png"))
+    np.testing.assert_array_equal(sheet, np.asarray(draw_views([views], size, bare=bare)))

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 import torch
+from helpers.bodies import upright
 
 from warp_partdr.cameras import Perspective, WeakPerspective
 from warp_partdr.models.anny import anny
 from warp_partdr.models.model import detailed_mesh
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
+from warp_partdr.results.overlays import CLOTHES_COLOUR, clothes_over
 from warp_partdr.results.palette import PART_COLOURS
 from warp_partdr.results.shading import shade_mesh, shade_skin
 
@@ -130,3 +132,27 @@ def test_ellipsoids_of_each_part_keep_their_colours():
     inside = rgba[60:140, 60:140, :3].astype(float)
     hue = inside / inside.sum(-1, keepdims=True)
     np.testing.assert_allclose(hue, np.broadcast_to(PART_COLOURS[1] / PART_COLOURS[1].sum(), hue.shape), atol=0.02)
+
+
+def test_clothes_are_a_thin_line_around_the_body():
+    """The line lies where the mesh in its clothes ends, and nothing else of the picture changes."""
+    body = upright()
+    thick = torch.tensor([[0.0, 0.0, 0.05, 0.05, 0.0, 0.0, 0.05, 0.05]])
+    white, camera = np.full((*SIZE, 3), 255, dtype=np.uint8), from_ahead()
+    drawn = clothes_over(white, body, thick, camera)
+    line = (drawn != 255).any(-1)
+    covered = draw_mesh(body.clothed(thick).vertices, detailed_mesh(body.model), camera, SIZE).labels[0].numpy() > 0
+    edge = covered[:, 1:] != covered[:, :-1]
+    assert line[:, 1:][edge].all()
+    assert line[:, :-1][edge].all()
+    assert not line[~near(covered)].any()
+    strong = (np.abs(drawn.astype(int) - CLOTHES_COLOUR) < 60).all(-1)
+    assert strong.sum() > 300
+    assert line.mean() < 0.12
+
+
+def near(covered):
+    """Pixels that have both kinds of pixels among their neighbours and themselves."""
+    padded = np.pad(covered, 1, mode="edge")
+    around = [padded[y : y + covered.shape[0], x : x + covered.shape[1]] for y, x in np.ndindex(3, 3)]
+    return np.any(around, axis=0) & ~np.all(around, axis=0)

@@ -19,10 +19,11 @@ them, only keypoints are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON 
 (docs/reference/inputs.md).
 
 **Results** for a person: overlay.png (look at it first), parts.png, loss.png, body.json (measurements), body.npz,
-ellipbody.glb (for Blender), report.json; and for the mesh detailed.png, detailed.glb, detailed.obj, detailed.ply,
-detailed.bvh, detailed.npz, registration.json. For a photo, each person has a folder; report.html shows all people, the
-least confident body first (look at it first), and people.json lists them. For a film: overlay.mp4, scene.glb,
-people.json, and a .npz, .glb and .bvh for each person. Older results are replaced.
+ellipbody.glb (for Blender), report.json; and for the mesh views.png (from four sides), detailed.png, detailed.glb,
+detailed.obj, detailed.ply, detailed.bvh, detailed.npz, registration.json. For a photo, each person has a folder;
+report.html shows all people, the least confident body first (look at it first), views.png shows them from four sides,
+and people.json lists them. For a film: overlay.mp4, scene.glb, people.json, and a .npz, .glb and .bvh for each person.
+Older results are replaced.
 
 **Settings** (docs/reference/settings.md): `stature=1.78` (a person's height [m], in films, too),
 `trust_background=true`, `landmarks=full` (for photos and films: faster keypoints, farther from the truth),
