@@ -21,7 +21,7 @@ from ..render.mesh import draw_mesh
 from ..solve.scene.ground import ankle_confidence
 from .overlays import GRAY, gray_picture, skin_over
 from .palette import PEOPLE_COLOURS
-from .placements import Placement, camera_offset, usual_lens
+from .placements import Placement, camera_offset, with_usual_lens
 from .shading import SKIN_COLOUR
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ class _Scene:
         colours = [SKIN_COLOUR if len(bodies) == 1 else pastel[index % len(pastel)] for index in range(len(bodies))]
         camera = bodies[0].camera
         if not isinstance(camera, Perspective):
-            camera, _ = usual_lens(camera, size)
+            camera, _ = with_usual_lens(camera, size)
         focal_x, focal_y, *centre = camera.intrinsics[0].tolist()
         height, width = size
         edges = np.array([(0, 0), (width, 0), (width, height), (0, height)]) - centre
