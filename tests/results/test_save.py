@@ -381,9 +381,8 @@ def test_pictures_and_meshes_wear_a_suit_unless_skin_is_asked_for(
     size, thick = (512, 384), torch.full((1, 8), 0.02)
     views = place_alone(registered, result.camera, size, result.evidence.keypoints, lens_assumed=True)
     save.save_registered(registered, tmp_path, result.camera, size, clothes=thick, bare=bare, views=views)
-    same, other = (
-        np.asarray(draw_detailed(registered, result.camera, size, clothes=thick, bare=each))
-        for each in (bare, not bare)
+    worn, skin = (
+        np.asarray(draw_detailed(registered, result.camera, size, clothes=thick, bare=each)) for each in (False, True)
     )
     shown = np.asarray(Image.open(tmp_path / "detailed.png"))
     np.testing.assert_array_equal(shown, skin if bare else worn)

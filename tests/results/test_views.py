@@ -42,6 +42,13 @@ def test_people_have_one_colour_in_all_views_and_stand_where_they_are():
         assert (np.median(one) < np.median(other)) == first_is_less
 
 
+def test_the_nearer_person_hides_the_other():
+    for places in ((2.0, 4.0), (4.0, 2.0)):
+        scene = _Scene.of([placed(0.0, places[0]), placed(0.0, places[1], "person1")], SIZE, bare=True)
+        shown = [len(hues(scene.draw(_FRONT, 0.0), colour)[0]) for colour in scene.colours]
+        assert (shown[0] > 3 * shown[1]) == (places[0] < places[1])
+
+
 def test_lengths_are_those_of_the_scene():
     body = placed(0.0, 3.0)
     scene = _Scene.of([body], SIZE, bare=True)
@@ -51,6 +58,8 @@ def test_lengths_are_those_of_the_scene():
         first, second = np.zeros(3), np.zeros(3)
         second[axis] = 1.0
         assert math.dist(view.point(*first), view.point(*second)) == pytest.approx(view.scale)
+        corners = [view.point(*scene.points[0][index]) for index in scene.points[0].argmin(0)]
+        assert all(0 < left < view.width and 0 < top < 560 for left, top in corners)
         left, top = view.point(0.0, 0.0, 0.0)
         if view.has_camera:
             assert 0 < left < view.width

@@ -63,11 +63,11 @@ def camera_offset(camera: Camera, size: tuple[int, int]) -> np.ndarray:
     """Offset that brings a body before the camera of its picture of (H, W) pixels, shape (3,) [m]."""
     if isinstance(camera, Perspective):
         return np.zeros(3)
-    offset: np.ndarray = usual_lens(camera, size)[1][0].detach().cpu().numpy()
+    offset: np.ndarray = with_usual_lens(camera, size)[1][0].detach().cpu().numpy()
     return offset
 
 
-def usual_lens(camera: WeakPerspective, size: tuple[int, int]) -> tuple[Perspective, torch.Tensor]:
+def with_usual_lens(camera: WeakPerspective, size: tuple[int, int]) -> tuple[Perspective, torch.Tensor]:
     """Perspective camera with a usual lens that sees the same, and the translation to it, shape (B, 3) [m]."""
     lens = UsualLens.of_size(size)
     return camera.to_perspective(lens.focal[:, 0].to(camera.scale), lens.centre.to(camera.scale))

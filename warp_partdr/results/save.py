@@ -168,7 +168,7 @@ def save_registered(
             meshes in the files have none, and the picture has their outline.
         formats: Formats in ``FURTHER``, for more files.
         bare: True draws and writes the skin. By default the picture and the meshes wear a plain T-shirt and shorts.
-        views: The same body, placed before the camera, of which ``VIEWS`` is drawn, too; None: it is not drawn.
+        views: Same body with its place before the camera, of which ``VIEWS`` is drawn, too; None: it is not drawn.
         **about: Further entries of the report.
 
     Examples:

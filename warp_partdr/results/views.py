@@ -21,7 +21,7 @@ from ..render.mesh import draw_mesh
 from ..solve.scene.ground import ankle_confidence
 from .overlays import GRAY, gray_picture, skin_over
 from .palette import PEOPLE_COLOURS
-from .placements import Placement, camera_offset, usual_lens
+from .placements import Placement, camera_offset, with_usual_lens
 from .shading import SKIN_COLOUR
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ _MARGIN = 0.06  # margin around what a view shows, as a share of it
 _TILT = 0.16  # [rad], by which front and side look down, so that the ground is seen
 _AROUND = 0.5  # [m], ground around people and camera
 _FRUSTUM = 0.45  # [m], length of the camera's frustum, or less if somebody is near
-_SMALLEST = 95.0  # [px/m], scale below which the camera is left out and its distance is written
+_SMALLEST, _SMALLEST_ABOVE = 95.0, 60.0  # [px/m], scales below which the camera is left out and its distance written
 _FEET = 0.5  # confidence of the ankles from which on feet count as seen
 _PASTEL = 0.5  # share of white in the colours of people
 
@@ -194,7 +194,7 @@ class _Scene:
         colours = [SKIN_COLOUR if len(bodies) == 1 else pastel[index % len(pastel)] for index in range(len(bodies))]
         camera = bodies[0].camera
         if not isinstance(camera, Perspective):
-            camera, _ = usual_lens(camera, size)
+            camera, _ = with_usual_lens(camera, size)
         focal_x, focal_y, *centre = camera.intrinsics[0].tolist()
         height, width = size
         edges = np.array([(0, 0), (width, 0), (width, height), (0, height)]) - centre
@@ -350,7 +350,7 @@ class _View:
         low, high = low - _MARGIN * (high - low) - 0.05, high + _MARGIN * (high - low) + 0.05
         across, down = (high - low).tolist()
         scale = min(_HEIGHT / down, _WIDTHS[1] / across)
-        if with_camera and scale < _SMALLEST:
+        if with_camera and scale < (_SMALLEST_ABOVE if abs(rotation[2, 1]) > 0.5 else _SMALLEST):
             return cls.around(scene, rotation, with_camera=False)
         width = min(max(round(across * scale), _WIDTHS[0]), _WIDTHS[1])
         return cls(rotation, scale, (low + high) / 2, width, floor, with_camera)
