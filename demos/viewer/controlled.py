@@ -80,17 +80,17 @@ class ControlledWindow:
         """Controls of the screen that shows everything."""
         raise NotImplementedError
 
-    def rows(self, more: bool) -> Rows:
-        """Rows of a screen: of everything, or of the first one."""
+    def rows(self, more: bool) -> tuple[Rows, Rows]:
+        """Rows above and below the picture of a page: with everything, or those of the first screen."""
         if not more:
             other = Button("more", "h", "renderers, gradients, sizes and all other controls", self.more_or_less)
-            return [[self.sentence()], [*self.first_row(), other]]
+            return [[self.sentence()]], [[*self.first_row(), other]]
         other = Button("less", "h", "back to the first screen", self.more_or_less)
-        said = [[line] for line in self.scene.said()]
+        first, *rows = self.all_rows()
         told = self.scene.message
         if self.panel.over is not None:
             told = self.panel.over.hint + (f" (key: {self.panel.over.key})" if self.panel.over.key else "")
-        return [[other], *said, *self.all_rows(), [told or self.hint()]]
+        return [[other, *first]], [*([line] for line in self.scene.said()), *rows, [told or self.hint()]]
 
     def hint(self) -> str:
         """What the mouse does."""
@@ -147,7 +147,8 @@ class ControlledWindow:
 
     def _paint(self) -> bool:
         look = self.scene.look_now
-        return look.controls and self.panel.update(self.rows(look.more), self.scene.panel, _LARGEST[look.more])
+        above, below = self.rows(look.more)
+        return look.controls and self.panel.update([*above, *below], self.scene.panel, _LARGEST[look.more])
 
     def _ticked(self) -> None:
         """Follow the window's size, and go on."""

@@ -69,7 +69,6 @@ class Controls:
         self.play = Button("play", "space", "play or pause the refinement", self._play, lambda: self.playing)
         return [
             [
-                "",
                 self.play,
                 Button("step", "n", "one iteration", self._step),
                 Button("restart", "BackSpace", "back to the start", state.restart),
@@ -187,7 +186,9 @@ class Controls:
             self._skin = Skin(self.registration)
         self._scene.skin = self._skin
         if not self._skin.rests:
-            self._scene.message = f"The detailed body has their pose; its shape takes about {self._skin.seconds:.0f} s ..."
+            self._scene.message = (
+                f"The detailed body has their pose; its shape takes about {self._skin.seconds:.0f} s ..."
+            )
 
     def settle(self) -> bool:
         """Register the detailed body, if it is shown and the ellipsoids rest; whether there was something to do."""
@@ -204,7 +205,9 @@ class Controls:
         state, scene = self._state, self._scene
         kinds = {"how tall [%]": "lengths", "how broad [%]": "thicknesses"}
         sizes = [
-            Slider(title, *(100 * side for side in SIZES[field]), 100 * state.share(field), partial(self._resize, field))
+            Slider(
+                title, *(100 * side for side in SIZES[field]), 100 * state.share(field), partial(self._resize, field)
+            )
             for title, field in kinds.items()
         ]
         return [*sizes, Slider("look from the side [°]", -180.0, 180.0, scene.turned, scene.turn)]

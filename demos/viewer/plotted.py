@@ -13,7 +13,7 @@ from .style import INK, PAPER
 
 WINDOW = (1280, 800)  # [px]
 PANEL = "panel"  # name of the view that buttons are painted in
-_LETTER = (7, 13)  # [px] smallest and largest letters of titles
+_LETTER = (5, 13)  # [px] smallest and largest letters of titles
 
 
 class Look(NamedTuple):

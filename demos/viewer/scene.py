@@ -31,7 +31,10 @@ _WALL = 0.9  # [m] behind the pelvis: where the target hangs
 _FRONT = 0.4  # [m] before the pelvis: where the drawn part of what the camera sees ends
 _MOST_ARROWS = 300  # along outlines
 _CAMERA = ((2.3, 0.9, 5.9), (-0.05, 0.02, -0.3), (0.0, 1.0, 0.0))
-_ANGLE, _NARROW = 30.0, 0.85  # [degrees] that it sees, and the least width of a view, of its height, in which all is seen
+_ANGLE, _NARROW = (
+    30.0,
+    0.85,
+)  # [degrees] that it sees, and the least width of a view, of its height, in which all is seen
 _BACK = 0.3  # of the distance that a camera goes back to see the body from aside
 _AROUND = 1.15  # of the crop: what is shown of a photo
 _FINE = 1200  # [px] of the photo's longer side, to which a smaller one is enlarged, for no sharp edge is blurred then
@@ -43,7 +46,7 @@ _TITLES = {
     "difference": "difference",
     "gradient": "pull (orange: nearer, blue: farther)",
 }
-_COLUMN, _STRIP = 430, 170  # [px] of the controls
+_COLUMN, _STRIP = 430, 120  # [px] of the controls
 _SHARE = 0.56  # of the views' space that the body in 3D has
 _PICTURES = 0.66  # of the rest that pictures have; below stand the chart and the table
 

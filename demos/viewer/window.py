@@ -20,7 +20,10 @@ from .state import DemoState
 from .tradeoff import Tradeoff, TradeoffTable
 
 _RESTS = 0.25  # [s] without a change, after which the detailed body is registered
-_FAR_FROM_END, _AT_ONCE = 60, 3  # first iterations of a run with the detailed body, and how many of them a picture shows
+_FAR_FROM_END, _AT_ONCE = (
+    60,
+    3,
+)  # first iterations of a run with the detailed body, and how many of them a picture shows
 _PHOTO = "Press play: the grey body moves until it stands on the person in the photo."
 _BODY = "Press play: the body moves until its labels cover those of the target behind it."
 
@@ -93,9 +96,7 @@ class Window(ControlledWindow):
             self.state.step()
         if self.state.converged:
             self.controls.playing = False
-            self.scene.message = (
-                f"Done: it stopped by itself after {len(self.state.history)} iterations, for they make it hardly better."
-            )
+            self.scene.message = f"Done: it stopped by itself after {len(self.state.history)} iterations, for they make it hardly better."
 
     def page(self) -> Page:
         """The sliders that are shown."""
