@@ -16,8 +16,8 @@ _CORNERS = 7
 class Arrows:
     """Arrows along x and y, coloured by z, in a picture that fills the square from -1 to 1 of the active view.
 
-    At most ``most`` are shown, the strongest. The length ``longest`` stands for the quantile ``strongest`` of the forces
-    that were measured last, and stronger ones are as long. So arrows shrink as a pull shrinks.
+    At most ``most`` are shown, the strongest. The length ``longest`` stands for the quantile ``strongest`` of the
+    forces that were measured last, and stronger ones are as long. So arrows shrink as a pull shrinks.
     """
 
     def __init__(self, plotter: Any, most: int, *, longest: float, half_width: float, strongest: float = 1.0) -> None:

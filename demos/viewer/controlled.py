@@ -46,6 +46,8 @@ class ControlledWindow:
         self.changed: Callable[[], None] = lambda: None
         self._filming, self._playing, self._size = filming, playing, WINDOW
         self.panel = Panel(scene.view(PANEL))
+        self._more = Button("more", "h", "renderers, gradients, sizes and all other controls", self.more_or_less)
+        self._less = Button("less", "h", "back to the first screen", self.more_or_less)
         self._held: Placed | None = None  # the slider that is pulled
         plotter = scene.plotter
         self._interactor = plotter.iren.interactor
@@ -83,14 +85,12 @@ class ControlledWindow:
     def rows(self, more: bool) -> tuple[Rows, Rows]:
         """Rows above and below the picture of a page: with everything, or those of the first screen."""
         if not more:
-            other = Button("more", "h", "renderers, gradients, sizes and all other controls", self.more_or_less)
-            return [[self.sentence()]], [[*self.first_row(), other]]
-        other = Button("less", "h", "back to the first screen", self.more_or_less)
+            return [[self.sentence()]], [[*self.first_row(), self._more]]
         first, *rows = self.all_rows()
         told = self.scene.message
         if self.panel.over is not None:
             told = self.panel.over.hint + (f" (key: {self.panel.over.key})" if self.panel.over.key else "")
-        return [[other, *first]], [*([line] for line in self.scene.said()), *rows, [told or self.hint()]]
+        return [[self._less, *first]], [*([line] for line in self.scene.said()), *rows, [told or self.hint()]]
 
     def hint(self) -> str:
         """What the mouse does."""

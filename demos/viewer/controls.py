@@ -196,8 +196,8 @@ class Controls:
         if skin is None or skin.rests:
             return False
         skin.register(self._state.placed, fitted=self._state.target.truth is None)
-        if not self._state.history or self._scene.message.endswith("..."):
-            self._scene.message = ""
+        if self._scene.message.endswith("..."):
+            self._scene.message = f"{skin.name}, registered in {skin.seconds:.1f} s"
         return True
 
     def first_sliders(self) -> list[Slider]:

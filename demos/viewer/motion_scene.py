@@ -61,7 +61,7 @@ class PlottedMotion(Plotted):
     def _arranged(self, boxes: Mapping[str, Box]) -> None:
         box = boxes["pictures"]
         if (box.width, box.height) != self._painted.size:
-            self._painted.begin((box.width, box.height), _LETTER)
+            self._painted.begin((box.width, box.height), _LETTER * self.look_now.zoom)
             self.pictures.arrange((box.width, box.height))
             self.pictures.update()
 

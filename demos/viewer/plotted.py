@@ -22,6 +22,7 @@ class Look(NamedTuple):
     size: tuple[int, int]  # (width, height) [px]
     more: bool = False  # True: everything; False: the first screen
     controls: bool = False  # True: buttons are painted in the picture; False: they are elsewhere, as in a browser
+    zoom: float = 1.0  # pixels of the picture a pixel that letters are measured in; 2 on a fine screen
 
 
 class Box(NamedTuple):
@@ -94,7 +95,7 @@ class Plotted:
             view.SetViewport(box.left / width, max(bottom, 0.0), (box.left + box.width) / width, top)
             if name in self._titles:
                 text, letters = self._titles[name]
-                text.prop.font_size = int(np.clip(1.9 * box.width / letters, *_LETTER))
+                text.prop.font_size = int(np.clip(1.9 * box.width / letters, _LETTER[0], _LETTER[1] * look.zoom))
         self._arranged(boxes)
 
     def _places(self, look: Look) -> Mapping[str, Box]:
@@ -140,9 +141,14 @@ class Plotted:
 
 
 def beside(picture: Box, share: float) -> tuple[Box, Box]:
-    """Two boxes in one: side by side in a wide one, one over the other in a tall one; the first has a share of it."""
+    """Two boxes in one, side by side in a wide one and one over the other in a tall one; see ``split``."""
+    return split(picture, share, wide=picture.width >= picture.height)
+
+
+def split(picture: Box, share: float, *, wide: bool) -> tuple[Box, Box]:
+    """Two boxes in one, side by side if ``wide``, else one over the other; the first has a share of it."""
     left, top, width, height = picture
-    if width >= height:
+    if wide:
         first = round(share * width)
         return Box(left, top, first, height), Box(left + first, top, width - first, height)
     first = round(share * height)

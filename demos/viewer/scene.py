@@ -17,7 +17,7 @@ from ..results.palette import PART_COLOURS
 from ..results.shading import SKIN_COLOUR
 from .arrows import Arrows
 from .overlay import Texture
-from .plotted import PANEL, Box, Look, Plotted, beside, controls_beside
+from .plotted import PANEL, Box, Look, Plotted, beside, controls_beside, split
 from .skin import Skin
 from .state import DemoState
 from .style import ACCENT, INK, PAPER
@@ -47,8 +47,9 @@ _TITLES = {
     "gradient": "pull (orange: nearer, blue: farther)",
 }
 _COLUMN, _STRIP = 430, 120  # [px] of the controls
+_SIDE_BY_SIDE = 520  # [px] that the chart and the table need beside each other
 _SHARE = 0.56  # of the views' space that the body in 3D has
-_PICTURES = 0.66  # of the rest that pictures have; below stand the chart and the table
+_PICTURES, _FEWER, _CHART = 0.65, 0.52, 0.36  # of the rest that pictures have, and of what is below them the chart
 
 
 class PlottedScene(Plotted):
@@ -164,19 +165,14 @@ class PlottedScene(Plotted):
         if not look.more:
             return {"solid": picture, PANEL: panel}
         solid, rest = beside(picture, _SHARE)
-        wide, tall = rest.width // 2, round(_PICTURES * rest.height)
+        side_by_side = rest.width > _SIDE_BY_SIDE * look.zoom
+        wide, tall = rest.width // 2, round((_PICTURES if side_by_side else _FEWER) * rest.height)
         places = {"solid": solid, PANEL: panel}
         for index, name in enumerate(_TITLES):
             row, column = divmod(index, 2)
             places[name] = Box(rest.left + column * wide, rest.top + row * (tall // 2), wide, tall // 2)
-        below = rest.height - tall
-        chart = round(0.38 * rest.width)
-        if rest.width > 2 * below:  # side by side
-            places["loss"] = Box(rest.left, rest.top + tall, chart, below)
-            places["table"] = Box(rest.left + chart, rest.top + tall, rest.width - chart, below)
-        else:
-            places["loss"] = Box(rest.left, rest.top + tall, rest.width, below // 2)
-            places["table"] = Box(rest.left, rest.top + tall + below // 2, rest.width, below - below // 2)
+        below = Box(rest.left, rest.top + tall, rest.width, rest.height - tall)
+        places["loss"], places["table"] = split(below, _CHART, wide=side_by_side)
         return places
 
     def _arranged(self, boxes: Mapping[str, Box]) -> None:
@@ -184,13 +180,13 @@ class PlottedScene(Plotted):
         for name in _TITLES:
             if (box := boxes.get(name)) is not None:
                 # The title stands below the picture, in as much of the view as its letters take.
-                title = 20 / max(box.height, 40)
+                title = min(20 * self.look_now.zoom / max(box.height, 1), 0.5)
                 scale = max(1.0 / (1 - title), box.height / max(box.width, 1))
                 camera = self.view(name).camera
                 camera.parallel_scale = 1.02 * scale
                 camera.position, camera.focal_point = (0, -title * scale, 5), (0, -title * scale, 0)
         if (box := boxes.get("loss")) is not None:
-            letter = int(np.clip(box.width / 20, 7, 13))
+            letter = int(np.clip(box.width / 20, 7, 13 * self.look_now.zoom))
             for axis in (self.chart.x_axis, self.chart.y_axis):
                 axis.label_size, axis.tick_label_size = letter, max(letter - 2, 7)
 

@@ -1,4 +1,4 @@
-"""The detailed body that clothes the ellipsoids: it only takes their pose while they move, and is registered at rest."""
+"""The detailed body around the ellipsoids: it only takes their pose while they move, and is registered at rest."""
 
 from __future__ import annotations
 

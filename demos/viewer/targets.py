@@ -25,7 +25,6 @@ from ..render.ellipsoids import draw_ellipsoids
 from ..results.body_file import load_body
 from ..results.palette import IGNORE_COLOUR, group_colours
 from ..solve.ellipsoids.stepper import SIZES
-from .style import PAPER
 
 # Preset: the kind of PartBench pose (None: at rest), the seed that draws it, how far the person turns [degrees].
 _PRESETS: dict[str, tuple[str | None, int, float]] = {

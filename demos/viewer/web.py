@@ -139,7 +139,9 @@ class _Pages:
             number, quality, rate = int(shown["number"]), int(shown["quality"]), float(shown["rate"])
             look = _look(shown)
         except (ValueError, TypeError, KeyError, OverflowError) as error:
-            raise web.HTTPBadRequest(text=f"{error}; expected number, quality, rate, width, height and more") from error
+            raise web.HTTPBadRequest(
+                text=f"{error}; expected number, quality, rate, width, height, zoom and more"
+            ) from error
         picture = await self._pictures.after(look, number, quality, rate)
         told = {"number": picture.number, "quality": picture.quality, "waited": clock() - asked}
         headers = {"X-Picture": json.dumps(told), "Cache-Control": "no-store"}
@@ -244,7 +246,8 @@ def _look(told: dict[str, Any]) -> Look:
         raise ValueError(f"size: {width:g} x {height:g}")
     shrink = min(1.0, (_PIXELS / (width * height)) ** 0.5)
     size = (int(min(max(side * shrink, _SIDE[0]), _SIDE[1])) for side in (width, height))
-    return Look((next(size), next(size)), bool(told["more"]))
+    zoom = min(max(float(told["zoom"]), 0.5), 4.0) * shrink
+    return Look((next(size), next(size)), bool(told["more"]), zoom=zoom)
 
 
 def _encode(image: np.ndarray, quality: int) -> bytes:

@@ -30,6 +30,7 @@ body { margin: 0; height: 100%; font: 16px/1.35 system-ui, sans-serif; color: --
 #page { height: 100dvh; display: flex; flex-direction: column; padding: 0 12px 10px; max-width: 1400px; margin: auto; }
 #above p { margin: 10px 0 8px; font-size: 20px; text-align: center; min-height: 1.35em; }
 #view { position: relative; flex: 1; min-height: 120px; touch-action: none; cursor: grab; user-select: none; }
+#view img:not([src]) { display: none; }
 #view img { position: absolute; inset: 0; width: 100%; height: 100%; pointer-events: none; }
 .row { display: flex; flex-wrap: wrap; gap: 8px 10px; align-items: center; justify-content: center; margin: 8px 0 0; }
 button { font: inherit; min-height: 44px; min-width: 44px; padding: 4px 16px; border: 0; border-radius: 8px; }
@@ -43,7 +44,7 @@ input { grid-column: 1 / 3; width: 100%; height: 30px; margin: 0; accent-color: 
 .label { color: --FAINT--; min-width: 86px; }
 #busy { position: fixed; top: 45%; left: 50%; transform: translateX(-50%); padding: 8px 16px; border-radius: 8px; }
 #busy { background: --ACCENT--; color: --ON_INK--; display: none; }
-.more #view { flex: none; height: 160vw; touch-action: pan-y; }
+.more #view { flex: none; height: 230vw; touch-action: pan-y; }
 .more #page { height: auto; }
 .more .row { justify-content: flex-start; }
 .more p { margin: 6px 0 0; font-size: 15px; }
@@ -61,7 +62,7 @@ input { grid-column: 1 / 3; width: 100%; height: 30px; margin: 0; accent-color: 
 }
 </style>
 <body class="first">
-<div id="page"><div id="above"></div><div id="view"><img alt=""></div><div id="below"></div></div>
+<div id="page"><div id="above"></div><div id="view"><img alt="The picture: the photo, and the body before it"></div><div id="below"></div></div>
 <div id="busy">working ...</div>
 <script>
 const keys = --KEYS--, view = document.getElementById("view"), picture = view.querySelector("img");
@@ -165,7 +166,7 @@ document.addEventListener("keydown", event => {
 });
 const size = () => {
   const ratio = Math.min(devicePixelRatio || 1, 2);
-  return {width: Math.round(view.clientWidth * ratio), height: Math.round(view.clientHeight * ratio), more};
+  return {width: Math.round(view.clientWidth * ratio), height: Math.round(view.clientHeight * ratio), zoom: ratio, more};
 };
 const mouse = (kind, event) => {
   const box = view.getBoundingClientRect();

@@ -24,7 +24,7 @@ _FAR_FROM_END, _AT_ONCE = (
     60,
     3,
 )  # first iterations of a run with the detailed body, and how many of them a picture shows
-_PHOTO = "Press play: the grey body moves until it stands on the person in the photo."
+_PHOTO = "Press play: the {} body moves until it stands on the person in the photo."
 _BODY = "Press play: the body moves until its labels cover those of the target behind it."
 
 
@@ -58,13 +58,18 @@ class Window(ControlledWindow):
         if detailed:
             self.controls.clothe()
             self.controls.settle()
+            scene.message = ""
         self.tradeoff.update(measure=True)
         scene.arrange(Look(WINDOW, more, controls=True))
         self._update()
 
     def sentence(self) -> str:
         """What one sees and can do, in one sentence, or what has just happened."""
-        return self.scene.message or (_BODY if self.state.target.photo is None else _PHOTO)
+        if self.scene.message:
+            return self.scene.message
+        return (
+            _BODY if self.state.target.photo is None else _PHOTO.format("grey" if self.scene.detailed else "coloured")
+        )
 
     def first_row(self) -> list[Entry]:
         """Play and three sliders."""
