@@ -36,7 +36,10 @@ class ControlledWindow:
     Attributes:
         more: True while the window shows everything; False on the first screen.
         changed: Function that is called when there is something new to draw.
+        tall: Height of the picture with everything on a phone, in its widths.
     """
+
+    tall = 2.3
 
     def __init__(
         self, scene: Plotted, filming: Filming, keys: dict[str, Callable[[], None]], playing: Playing, *, more: bool

@@ -202,15 +202,14 @@ class Controls:
 
     def first_sliders(self) -> list[Slider]:
         """Three sliders that explain most: how tall and how broad the body is, and the side that it is seen from."""
-        state, scene = self._state, self._scene
-        kinds = {"how tall [%]": "lengths", "how broad [%]": "thicknesses"}
-        sizes = [
-            Slider(
-                title, *(100 * side for side in SIZES[field]), 100 * state.share(field), partial(self._resize, field)
-            )
-            for title, field in kinds.items()
-        ]
+        scene = self._scene
+        sizes = [self._size("how tall [%]", "lengths"), self._size("how broad [%]", "thicknesses")]
         return [*sizes, Slider("look from the side [°]", -180.0, 180.0, scene.turned, scene.turn)]
+
+    def _size(self, title: str, field: str) -> Slider:
+        """Slider of all lengths or thicknesses [% of the mean adult's]."""
+        low, high = SIZES[field]
+        return Slider(title, 100 * low, 100 * high, 100 * self._state.share(field), partial(self._resize, field))
 
     def _resize(self, field: str, percent: float) -> None:
         self.playing = False

@@ -14,7 +14,7 @@ from .overlay import Overlay
 from .plotted import PANEL, Box, Look, Plotted, beside, controls_beside
 
 _COLUMN, _STRIP = 360, 110  # [px] of the controls
-_SHARE = 0.6  # of the space that the people in 3D have
+_SHARE, _LESS = 0.6, 0.45  # of the space that the people in 3D have, and on the first screen
 _LETTER = 12  # [px]
 _SKIN = {"interpolation": "Gouraud", "ambient": 0.3, "diffuse": 0.75, "specular": 0.0}
 _GRID, _CAMERAS = "#b9bec6", "#70767e"
@@ -55,10 +55,13 @@ class PlottedMotion(Plotted):
 
     def _places(self, look: Look) -> Mapping[str, Box]:
         picture, panel = controls_beside(look, _COLUMN, _STRIP)
-        solid, pictures = beside(picture, _SHARE)
+        solid, pictures = beside(picture, _SHARE if look.more else _LESS)
         return {"solid": solid, "pictures": pictures, PANEL: panel}
 
     def _arranged(self, boxes: Mapping[str, Box]) -> None:
+        width, height = self.body_view.GetSize()
+        half = np.tan(np.deg2rad(_ANGLE / 2)) / min(1.0, width / max(height, 1))  # in a narrow view, too, all is seen
+        self.body_view.camera.view_angle = 2 * np.rad2deg(np.arctan(half))
         box = boxes["pictures"]
         if (box.width, box.height) != self._painted.size:
             self._painted.begin((box.width, box.height), _LETTER * self.look_now.zoom)
@@ -91,10 +94,9 @@ class PlottedMotion(Plotted):
         """See all in 3D as at first: from the first camera's side."""
         low, high = self.state.room.low, self.state.room.high
         middle, camera = (low + high) / 2, self.body_view.camera
-        width, height = self.body_view.GetSize()
-        away = _FILLED * np.linalg.norm(high - low) / np.sin(np.deg2rad(_ANGLE / 2)) / min(1.0, width / max(height, 1))
+        away = _FILLED * np.linalg.norm(high - low) / np.sin(np.deg2rad(_ANGLE / 2))
         camera.position = tuple(middle + away * np.array(_FROM) / np.linalg.norm(_FROM))
-        camera.focal_point, camera.up, camera.view_angle = tuple(middle), (0.0, 1.0, 0.0), _ANGLE
+        camera.focal_point, camera.up = tuple(middle), (0.0, 1.0, 0.0)
         self.body_view.ResetCameraClippingRange()
 
     def update(self) -> None:

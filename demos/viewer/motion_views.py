@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -54,6 +54,8 @@ class ViewPictures:
         if size not in self._known:
             room = max(size[0] - 2 * _MARGIN, 1), max(size[1] - 2 * _MARGIN, 1)
             boxes = arrange([view.size for view in self.state.saved.views], room)
+            free = room[1] - max(box.top + box.size[0] for box in boxes)
+            boxes = [replace(box, top=box.top + max(free, 0) // 2) for box in boxes]
             readers: list[FilmReader | None] = []
             for view, box, film in zip(self.state.saved.views, boxes, self._films, strict=True):
                 shrink = partial(_shrunk, view=view, size=box.size)

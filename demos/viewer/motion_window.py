@@ -22,6 +22,7 @@ class MotionWindow(ControlledWindow):
     """Buttons, keys and a slider around people who move; ``off_screen`` for a browser, tests and ``profile``."""
 
     scene: PlottedMotion
+    tall = 1.5
 
     def __init__(
         self,
@@ -38,7 +39,7 @@ class MotionWindow(ControlledWindow):
         self._clock = time.perf_counter()
         self._play_button = Button("play", "space", "play or pause", self._play, lambda: state.playing)
         self._rows = self._make_rows(scene, filming)
-        keys = {"Home": partial(state.go, 0), "End": partial(state.go, state.count - 1)}
+        keys: dict[str, Callable[[], None]] = {"Home": partial(state.go, 0), "End": partial(state.go, state.count - 1)}
         keys |= {entry.key: entry.do for row in self._rows for entry in row if isinstance(entry, Button) and entry.key}
         super().__init__(scene, filming, keys, state, more=more)
         scene.arrange(Look(WINDOW, more, controls=True))
@@ -51,7 +52,7 @@ class MotionWindow(ControlledWindow):
             return self.scene.message or self.scene.pictures.fault
         count = len(self.state.people)
         who = "one person" if count == 1 else f"{count} people"
-        return f"Press play: {who} of the film in 3D, and beside it what the camera saw with the bodies drawn over it."
+        return f"Press play: you see {who} of a film in 3D, and the film with their bodies drawn over it."
 
     def first_row(self) -> list[Entry]:
         """Play and the slider through time."""

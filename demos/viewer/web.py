@@ -124,7 +124,9 @@ class _Pages:
         """Answer with the page itself."""
         web = import_module("aiohttp.web")
         keys = {BROWSER_NAMES.get(key, key): key for key in self._window.keys}
-        answer = web.Response(text=page(keys), content_type="text/html", headers={"Cache-Control": "no-cache"})
+        answer = web.Response(
+            text=page(keys, self._window.tall), content_type="text/html", headers={"Cache-Control": "no-cache"}
+        )
         answer.enable_compression()
         return answer
 

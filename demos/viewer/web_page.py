@@ -9,12 +9,17 @@ from .style import ACCENT, FAINT, IDLE, INK, ON_INK, OVER, PAPER
 _COLOURS = {"PAPER": PAPER, "ACCENT": ACCENT, "FAINT": FAINT, "IDLE": IDLE, "ON_INK": ON_INK, "OVER": OVER, "INK": INK}
 
 
-def page(keys: dict[str, str]) -> str:
-    """The page; ``keys``: what keys of a browser are called in the window."""
+def page(keys: dict[str, str], tall: float) -> str:
+    """The page.
+
+    Args:
+        keys: Names in the window of a browser's keys.
+        tall: Height of the picture with everything on a phone, in its widths.
+    """
     text = _PAGE
     for name, colour in _COLOURS.items():
         text = text.replace(f"--{name}--", colour)
-    return text.replace("--KEYS--", json.dumps(keys))
+    return text.replace("--TALL--", f"{100 * tall:.0f}vw").replace("--KEYS--", json.dumps(keys))
 
 
 _PAGE = """<!doctype html>
@@ -44,7 +49,7 @@ input { grid-column: 1 / 3; width: 100%; height: 30px; margin: 0; accent-color: 
 .label { color: --FAINT--; min-width: 86px; }
 #busy { position: fixed; top: 45%; left: 50%; transform: translateX(-50%); padding: 8px 16px; border-radius: 8px; }
 #busy { background: --ACCENT--; color: --ON_INK--; display: none; }
-.more #view { flex: none; height: 230vw; touch-action: pan-y; }
+.more #view { flex: none; height: --TALL--; touch-action: pan-y; }
 .more #page { height: auto; }
 .more .row { justify-content: flex-start; }
 .more p { margin: 6px 0 0; font-size: 15px; }
@@ -62,7 +67,11 @@ input { grid-column: 1 / 3; width: 100%; height: 30px; margin: 0; accent-color: 
 }
 </style>
 <body class="first">
-<div id="page"><div id="above"></div><div id="view"><img alt="The picture: the photo, and the body before it"></div><div id="below"></div></div>
+<div id="page">
+<div id="above"></div>
+<div id="view"><img alt="The picture: the photo, and the body before it"></div>
+<div id="below"></div>
+</div>
 <div id="busy">working ...</div>
 <script>
 const keys = --KEYS--, view = document.getElementById("view"), picture = view.querySelector("img");
@@ -111,21 +120,26 @@ const make = (entry, row, at, alone) => {
   const span = document.createElement("span"), value = document.createElement("output");
   span.textContent = entry.text;
   slider.type = "range"; slider.min = entry.low; slider.max = entry.high; slider.step = "any";
-  slider.oninput = () => { held = slider; tellLater({do: "slide", more, row, at, text: entry.text, value: +slider.value}); };
+  slider.oninput = () => {
+    held = slider;
+    tellLater({do: "slide", more, row, at, text: entry.text, value: +slider.value});
+  };
   slider.onchange = () => setTimeout(() => { held = null; }, 300);
   label.append(span, value, slider);
   return label;
 };
 const arrange = told => {
   const rows = [...told.above, ...told.below];
-  const now = JSON.stringify(rows.map(row => row.map(e => e.kind === "text" ? row.length === 1 : [e.text, e.hint, e.low, e.high])));
+  const kind = ({kind, text, hint, low, high}, row) => kind === "text" ? row.length === 1 : [text, hint, low, high];
+  const now = JSON.stringify(rows.map(row => row.map(entry => kind(entry, row))));
   if (now !== shape) {
     shape = now; entries = [];
     places.forEach(place => place.replaceChildren());
     rows.forEach((row, index) => {
       const alone = row.length === 1 && row[0].kind === "text", line = document.createElement("div");
       if (!alone) line.className = "row";
-      entries.push(row.map((entry, at) => { const made = make(entry, index, at, alone); line.append(made); return made; }));
+      entries.push(row.map((entry, at) => make(entry, index, at, alone)));
+      line.append(...entries[index]);
       places[index < told.above.length ? 0 : 1].append(line);
     });
   }
@@ -166,7 +180,8 @@ document.addEventListener("keydown", event => {
 });
 const size = () => {
   const ratio = Math.min(devicePixelRatio || 1, 2);
-  return {width: Math.round(view.clientWidth * ratio), height: Math.round(view.clientHeight * ratio), zoom: ratio, more};
+  const [width, height] = [view.clientWidth, view.clientHeight].map(side => Math.round(side * ratio));
+  return {width, height, zoom: ratio, more};
 };
 const mouse = (kind, event) => {
   const box = view.getBoundingClientRect();
@@ -175,7 +190,10 @@ const mouse = (kind, event) => {
 };
 const fingers = new Map();
 let apart = 0;
-const gap = () => { const [a, b] = [...fingers.values()]; return Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY); };
+const gap = () => {
+  const [one, other] = [...fingers.values()];
+  return Math.hypot(one.clientX - other.clientX, one.clientY - other.clientY);
+};
 view.addEventListener("pointerdown", event => {
   view.setPointerCapture(event.pointerId);
   fingers.set(event.pointerId, event);
@@ -216,7 +234,8 @@ const watch = async () => {
     const now = size(), begun = performance.now();
     if (JSON.stringify(now) !== last) shown = {...shown, number: 0, quality: 0};
     last = JSON.stringify(now);
-    const answer = await fetch("picture", {method: "POST", body: JSON.stringify({...shown, ...now}), signal: stop.signal});
+    const body = JSON.stringify({...shown, ...now});
+    const answer = await fetch("picture", {method: "POST", body, signal: stop.signal});
     const file = await answer.blob();
     if (!answer.ok) throw new Error(answer.status);
     const seconds = (performance.now() - begun) / 1000, told = JSON.parse(answer.headers.get("X-Picture"));

@@ -101,7 +101,8 @@ class Window(ControlledWindow):
             self.state.step()
         if self.state.converged:
             self.controls.playing = False
-            self.scene.message = f"Done: it stopped by itself after {len(self.state.history)} iterations, for they make it hardly better."
+            count = len(self.state.history)
+            self.scene.message = f"Done: it stopped by itself after {count} iterations; more make it hardly better."
 
     def page(self) -> Page:
         """The sliders that are shown."""

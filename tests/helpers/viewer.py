@@ -97,8 +97,9 @@ def buttons(window: ControlledWindow) -> list[Button]:
 def click(window: ControlledWindow, text: str, hint: str = "") -> None:
     """Click on the button that says ``text``; of two, on that with ``hint`` in its hint."""
     (button,) = (button for button in buttons(window) if button.text == text and hint in button.hint)
+    place = middle(window, button)
     for event in ("LeftButtonPressEvent", "LeftButtonReleaseEvent"):
-        send(window, event, middle(window, button))
+        send(window, event, place)
 
 
 def said(window: ControlledWindow) -> str:

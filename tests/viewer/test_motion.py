@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from helpers import viewer
 from helpers.motions import COUNT, LATE, RATE, SIZE, made_fit, shade, write_fitted
-from helpers.viewer import box, buttons, click, said
+from helpers.viewer import box as box_of
+from helpers.viewer import buttons, click
+from helpers.viewer import said as said_by
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -144,12 +146,12 @@ def test_the_slider_moves_bodies(window: MotionWindow) -> None:
     assert window.state.frame == 10
     np.testing.assert_allclose(scene.people[0].mapper.dataset.points, first + np.array([1, 0, 0]), atol=1e-4)
     assert scene.people[1].visibility
-    assert "frame 10 of 20 · 1.00 s · 2 of 2 people" in said(window)
+    assert "frame 10 of 20 · 1.00 s · 2 of 2 people" in said_by(window)
     after = scene.screenshot()
-    solid = box(window, "solid")
+    solid = box_of(window, "solid")
     places = [whose(each[solid], window.state.colour(0))[:, 1].mean() for each in (before, after)]
     assert places[1] > places[0] + 10
-    assert (before != after)[box(window, "pictures")].any()
+    assert (before != after)[box_of(window, "pictures")].any()
 
 
 def test_buttons_and_keys_change_what_is_shown(window: MotionWindow) -> None:
@@ -184,7 +186,7 @@ def test_buttons_and_keys_change_what_is_shown(window: MotionWindow) -> None:
 def test_the_first_screen_has_a_sentence_play_and_time(window: MotionWindow) -> None:
     click(window, "less")
     assert [button.text for button in buttons(window)] == ["play", "more"]
-    assert said(window).startswith("Press play: 2 people of the film in 3D, and beside it what the camera")
+    assert said_by(window).startswith("Press play: you see 2 people of a film in 3D")
     (slider,) = (placed.entry for placed in window.panel.entries if isinstance(placed.entry, Slider))
     assert (slider.title, slider.high) == ("time [s]", pytest.approx((COUNT - 1) / RATE))
     window.pull(slider, 99.0)
@@ -195,7 +197,7 @@ def test_the_first_screen_has_a_sentence_play_and_time(window: MotionWindow) -> 
 def test_pictures_have_the_size_of_their_view(window: MotionWindow, size: tuple[int, int]) -> None:
     window.arrange(Look(size))
     window.refresh()
-    rows, columns = box(window, "pictures")
+    rows, columns = box_of(window, "pictures")
     for placed in window.scene.pictures.boxes:
         assert placed.left + placed.size[1] + 16 <= columns.stop - columns.start
         assert placed.top + placed.size[0] + 16 <= rows.stop - rows.start
@@ -322,6 +324,6 @@ def test_another_film_is_told_and_left_out(window: MotionWindow, folder: Path) -
     write_film(folder.parent / "walk.mp4", [np.full((96, 160, 3), 90, np.uint8)] * COUNT, rate=RATE)
     state, films = open_motion(folder, MotionSettings())
     other = MotionWindow(state, films, folder.parent / "saved", off_screen=True)
-    assert "pictures of 160x96; expected 320x200" in said(other)
+    assert "pictures of 160x96; expected 320x200" in said_by(other)
     assert np.median(other.scene.pictures.picture(0)) == 232
     other.scene.close()

@@ -68,15 +68,15 @@ class Browser:
         self._look["more"] = more
         await self.tell("look", visible=visible, more=more)
 
-    async def send(self, kind: str, **values: Any) -> int:
+    async def send(self, do: str, **values: Any) -> int:
         """Send a message; the number that its answer will bear."""
         number = next(self._numbers)
-        await self._connection.send_json({"do": kind, "id": number} | values)
+        await self._connection.send_json({"do": do, "id": number} | values)
         return number
 
-    async def tell(self, kind: str, **values: Any) -> None:
+    async def tell(self, do: str, **values: Any) -> None:
         """Send a message and wait until it is done."""
-        number = await self.send(kind, **values)
+        number = await self.send(do, **values)
         while (answer := await self.hear()).get("done") != number:
             assert "fault" not in answer, answer
 
