@@ -80,7 +80,7 @@ class Panel:
         self.over: Button | None = None  # under the mouse
         self.letter = 8  # [px]
         self._known: object = None  # what the size of letters was chosen for
-        self._painted: list[object] = []  # how each entry looks, and where it is
+        self._painted: list[tuple[Any, ...]] = []  # how each entry looks, and where it is
 
     def at(self, x: float, y: float) -> Placed | None:
         """The button or slider at a place of the window [px, y up]; None if there is none."""

@@ -44,6 +44,7 @@ button:hover { background: --OVER--; }
 button.on { background: --ACCENT--; color: --ON_INK--; }
 .first button[data-text=play] { background: --ACCENT--; color: --ON_INK--; min-width: 96px; }
 label { flex: 1 1 180px; max-width: 320px; display: grid; grid-template-columns: 1fr auto; font-size: 15px; }
+.first label:only-of-type { max-width: 760px; }
 label span { color: --FAINT--; }
 input { grid-column: 1 / 3; width: 100%; height: 30px; margin: 0; accent-color: --ACCENT--; touch-action: pan-x; }
 .label { color: --FAINT--; min-width: 86px; }
