@@ -64,6 +64,7 @@ class PlottedScene(Plotted):
         self.outline_arrows = False  # pull along the silhouettes instead of that at the centres
         self.chosen: str | None = None  # the part that stands out
         self.skin: Skin | None = None  # the detailed body, while it is shown
+        self.has_table = False  # whether there is something in the view of the table
         self._level: int | None = -1  # of the spheres that are shown
         self._photo: Photo | None = None  # that hangs on the wall
         self._add_body()
@@ -172,7 +173,7 @@ class PlottedScene(Plotted):
             row, column = divmod(index, 2)
             places[name] = Box(rest.left + column * wide, rest.top + row * (tall // 2), wide, tall // 2)
         below = Box(rest.left, rest.top + tall, rest.width, rest.height - tall)
-        places["loss"], places["table"] = split(below, _CHART, wide=side_by_side)
+        places["loss"], places["table"] = split(below, _CHART if self.has_table else 1.0, wide=side_by_side)
         return places
 
     def _arranged(self, boxes: Mapping[str, Box]) -> None:

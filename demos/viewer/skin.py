@@ -9,6 +9,7 @@ import torch
 
 from ..body.parameters import BodyParameters
 from ..body.posing import Posed
+from ..body.template import PARENTS
 from ..models.anny import anny
 from ..models.normals import vertex_normals
 from ..models.pose import pose_from_ellipbody
@@ -29,7 +30,7 @@ class Skin:
 
     Attributes:
         seconds: Time that the last registration took [s], or a usual one before the first.
-        rests: True if the body was registered; False if it only has the ellipsoids' pose and lengths.
+        rests: True if the body was registered; False if it only has the ellipsoids' pose and size.
     """
 
     def __init__(self, options: RegistrationOptions | None = None) -> None:
@@ -37,6 +38,8 @@ class Skin:
         self._model = anny()
         self._mean: Registered | None = None  # the mean adult; what is an edit of it may grow beyond people
         self._posed: Posed | None = None  # the body that is clothed
+        usual = BodyParameters.mean(1).posed()
+        self._shape, self._size = shape_from_lengths(self._model, usual), _size(usual)  # of the last one registered
         self._vertices = self._model.rest_vertices.numpy()
         self.seconds, self.rests = _USUAL, False
 
@@ -52,12 +55,15 @@ class Skin:
 
     @torch.no_grad()
     def follow(self, posed: Posed) -> None:
-        """Take the pose and the lengths of a body, unless it is clothed yet."""
+        """Take the pose and the size of a body, unless it is clothed yet; the shape is that of the last one registered.
+
+        Shapes from the lengths of a body on its way are often those of nobody.
+        """
         if self._posed is not None and _same(self._posed, posed):
             return
-        shape = shape_from_lengths(self._model, posed)
-        rotations, translation = pose_from_ellipbody(self._model, posed, shape)
-        self._vertices = self._model.pose(shape, rotations, translation).vertices[0].numpy()
+        rotations, translation = pose_from_ellipbody(self._model, posed, self._shape)
+        vertices, pelvis = self._model.pose(self._shape, rotations, translation).vertices[0], posed.joints[0, 0]
+        self._vertices = (pelvis + (vertices - pelvis) * _size(posed) / self._size).numpy()
         self._posed, self.rests = posed, False
 
     def register(self, posed: Posed, *, fitted: bool) -> None:
@@ -71,11 +77,18 @@ class Skin:
             start = self._mean
         registered = register(posed, self._model, start=start, options=options)
         self._vertices = registered.detailed.vertices[0].numpy()
+        self._shape, self._size = registered.shape, _size(posed)
         self._posed, self.rests, self.seconds = posed, True, time.perf_counter() - began
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """Vertices (V, 3) [m] and their normals (V, 3)."""
         return self._vertices, vertex_normals(self._vertices, self.faces).astype(np.float32)
+
+
+def _size(posed: Posed) -> float:
+    """Length of all bones together [m]."""
+    parents = [parent + 1 for parent in PARENTS]
+    return float((posed.joints[0, 1:] - posed.joints[0, parents]).norm(dim=1).sum())
 
 
 def _same(one: Posed, other: Posed) -> bool:

@@ -50,6 +50,7 @@ class Window(ControlledWindow):
         scene = PlottedScene(state, off_screen=off_screen, smooth=False)
         self.tradeoff = Tradeoff(state)
         self.controls = Controls(state, scene, folder, self.refresh, seed)
+        scene.has_table = True
         self._table = TradeoffTable(scene.view("table"), self.tradeoff)
         self._moved = 0.0  # when the body moved last
         super().__init__(scene, self.controls.filming, self.controls.keys, self.controls, more=more)

@@ -270,6 +270,8 @@ def _record(state: Any, path: Path, steps: int) -> None:
     from .progress import FitProgress
 
     scene = _viewer("scene").PlottedScene(state)
+    if state.target.photo is not None:
+        scene.skin = _viewer("skin").Skin()
     try:
         pictures = []
         with FitProgress() as progress:
