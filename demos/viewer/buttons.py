@@ -46,7 +46,7 @@ class Slider(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Where the value lies between the smallest and the largest, 0 to 1."""
+        """Place of the value between the smallest and the largest, 0 to 1."""
         return min(max((self.value - self.low) / max(self.high - self.low, 1e-9), 0.0), 1.0)
 
 
@@ -194,7 +194,7 @@ def _wrapped(text: str, font: Any, width: float) -> list[str]:
 
 
 def _look(placed: Placed, over: Button | None) -> tuple[Any, ...]:
-    """Where an entry is, then how it looks."""
+    """Place of an entry, then its look."""
     entry = placed.entry
     if isinstance(entry, str):
         return (*placed[1:], entry)

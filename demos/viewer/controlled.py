@@ -74,7 +74,7 @@ class ControlledWindow:
         self._interactor.CreateRepeatingTimer(_TICK)
 
     def sentence(self) -> str:
-        """What one sees and can do, in one sentence, or what has just happened."""
+        """One sentence that says what one sees and can do, or what has just happened."""
         raise NotImplementedError
 
     def first_row(self) -> list[Entry]:
@@ -96,7 +96,7 @@ class ControlledWindow:
         return [[self._less, *first]], [*([line] for line in self.scene.said()), *rows, [told or self.hint()]]
 
     def hint(self) -> str:
-        """What the mouse does."""
+        """A line about the mouse."""
         return "Drag to turn, wheel to zoom, shift and drag to move; q closes. Point at a button for more."
 
     def more_or_less(self) -> None:

@@ -19,7 +19,7 @@ from .buttons import Button, Entry, Slider, flip
 from .recording import Filming
 from .scene import PlottedScene
 from .settings import CHOICES, QUALITIES
-from .skin import Skin
+from .skin import ShownSkin
 from .sliders import PAGES
 from .state import DemoState
 from .targets import NETWORK, PRESETS, RANDOM, body_of, body_target, network_body, read_body
@@ -52,7 +52,7 @@ class Controls:
         self.page = 0  # of ``PAGES``
         self.part = "left_upper_arm"  # that the rotation sliders turn
         self.registration: RegistrationOptions | None = None  # of the detailed body
-        self._skin: Skin | None = None
+        self._skin: ShownSkin | None = None
         self.filming = Filming(scene, folder, redraw)
         self._given = state.target
         self._presets = {name: body_of(name) for name in PRESETS}
@@ -183,7 +183,7 @@ class Controls:
             self._scene.skin = None
             return
         if self._skin is None:
-            self._skin = Skin(self.registration)
+            self._skin = ShownSkin(self.registration)
         self._scene.skin = self._skin
         if not self._skin.rests:
             self._scene.message = (

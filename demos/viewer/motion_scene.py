@@ -11,7 +11,7 @@ from ..models.normals import vertex_normals
 from .motion_state import MotionState
 from .motion_views import ViewPictures
 from .overlay import Overlay
-from .plotted import PANEL, Box, Look, Plotted, beside, controls_beside
+from .plotted import PANEL, Box, Look, Plotted, controls_beside, halves
 
 _COLUMN, _STRIP = 360, 110  # [px] of the controls
 _SHARE, _LESS = 0.6, 0.45  # of the space that the people in 3D have, and on the first screen
@@ -55,7 +55,7 @@ class PlottedMotion(Plotted):
 
     def _places(self, look: Look) -> Mapping[str, Box]:
         picture, panel = controls_beside(look, _COLUMN, _STRIP)
-        solid, pictures = beside(picture, _SHARE if look.more else _LESS)
+        solid, pictures = halves(picture, _SHARE if look.more else _LESS)
         return {"solid": solid, "pictures": pictures, PANEL: panel}
 
     def _arranged(self, boxes: Mapping[str, Box]) -> None:

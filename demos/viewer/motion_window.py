@@ -47,7 +47,7 @@ class MotionWindow(ControlledWindow):
         self._update()
 
     def sentence(self) -> str:
-        """What one sees and can do, in one sentence, or what has just happened."""
+        """One sentence that says what one sees and can do, or what has just happened."""
         if self.scene.message or self.scene.pictures.fault:
             return self.scene.message or self.scene.pictures.fault
         count = len(self.state.people)

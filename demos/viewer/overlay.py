@@ -27,12 +27,15 @@ class Texture:
         if picture is self._shown:
             return
         self._shown = picture
-        columns, rows = (
-            ((np.arange(size) + 0.5) * (has / size)).astype(int)
-            for size, has in zip(self._size, picture.shape[1::-1], strict=True)
-        )
-        # VTK's rows go up.
-        np.asarray(self.image.point_data["rgb"])[:] = picture[rows[::-1]][:, columns].reshape(-1, 3)
+        shown = np.asarray(self.image.point_data["rgb"])
+        if picture.shape[1::-1] == self._size:
+            shown[:] = picture[::-1].reshape(-1, 3)  # VTK's rows go up
+        else:
+            columns, rows = (
+                ((np.arange(size) + 0.5) * (has / size)).astype(int)
+                for size, has in zip(self._size, picture.shape[1::-1], strict=True)
+            )
+            shown[:] = picture[rows[::-1]][:, columns].reshape(-1, 3)
         self.image.GetPointData().GetScalars().Modified()
         self.image.Modified()
 

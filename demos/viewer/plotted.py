@@ -17,7 +17,7 @@ _LETTER = (5, 13)  # [px] smallest and largest letters of titles
 
 
 class Look(NamedTuple):
-    """What somebody looks at: a picture of a size, of the first screen or of everything, and where controls are."""
+    """A picture that somebody looks at: its size, the first screen or everything, and the place of the controls."""
 
     size: tuple[int, int]  # (width, height) [px]
     more: bool = False  # True: everything; False: the first screen
@@ -140,7 +140,7 @@ class Plotted:
         self.plotter.close()
 
 
-def beside(picture: Box, share: float) -> tuple[Box, Box]:
+def halves(picture: Box, share: float) -> tuple[Box, Box]:
     """Two boxes in one, side by side in a wide one and one over the other in a tall one; see ``split``."""
     return split(picture, share, wide=picture.width >= picture.height)
 

@@ -17,8 +17,8 @@ from ..results.palette import PART_COLOURS
 from ..results.shading import SKIN_COLOUR
 from .arrows import Arrows
 from .overlay import Texture
-from .plotted import PANEL, Box, Look, Plotted, beside, controls_beside, split
-from .skin import Skin
+from .plotted import PANEL, Box, Look, Plotted, controls_beside, halves, split
+from .skin import ShownSkin
 from .state import DemoState
 from .style import ACCENT, INK, PAPER
 from .targets import BACKGROUND_COLOUR, Photo
@@ -63,7 +63,7 @@ class PlottedScene(Plotted):
         self.skeleton_only = False  # through a pale body
         self.outline_arrows = False  # pull along the silhouettes instead of that at the centres
         self.chosen: str | None = None  # the part that stands out
-        self.skin: Skin | None = None  # the detailed body, while it is shown
+        self.skin: ShownSkin | None = None  # the detailed body, while it is shown
         self.has_table = False  # whether there is something in the view of the table
         self._level: int | None = -1  # of the spheres that are shown
         self._photo: Photo | None = None  # that hangs on the wall
@@ -165,7 +165,7 @@ class PlottedScene(Plotted):
         picture, panel = controls_beside(look, _COLUMN, _STRIP)
         if not look.more:
             return {"solid": picture, PANEL: panel}
-        solid, rest = beside(picture, _SHARE)
+        solid, rest = halves(picture, _SHARE)
         side_by_side = rest.width > _SIDE_BY_SIDE * look.zoom
         wide, tall = rest.width // 2, round((_PICTURES if side_by_side else _FEWER) * rest.height)
         places = {"solid": solid, PANEL: panel}
@@ -273,7 +273,7 @@ class PlottedScene(Plotted):
         if truth is not None:
             self._target_skeleton.points = truth.joints[0].numpy() @ _FLIP
 
-    def _update_skin(self, skin: Skin) -> None:
+    def _update_skin(self, skin: ShownSkin) -> None:
         skin.follow(self.state.placed)
         shown, (vertices, normals) = self._skin.mapper.dataset, skin.surface()
         if shown.n_points != len(vertices):
@@ -301,7 +301,7 @@ class PlottedScene(Plotted):
         self.chart.y_range = [0, 1.05 * max(history) or 1.0]
 
     def said(self) -> list[str]:
-        """What is followed and drawn; iterations, their time, part F1 and the joints' distance."""
+        """Lines about the settings, and about iterations, their time, part F1 and the joints' distance."""
         state, settings = self.state, self.state.settings
         looks = "keypoints" if settings.supervision == "keypoints" else f"keypoints + {settings.supervision}"
         if settings.offers_depth:

@@ -25,7 +25,7 @@ _ITERATIONS = 30  # of a registration; more change nothing that can be seen
 _USUAL = 1.5  # [s] that a registration takes, until one was measured
 
 
-class Skin:
+class ShownSkin:
     """Detailed body of Anny around an EllipBody.
 
     Attributes:

@@ -51,8 +51,8 @@ class Photo:
 
     Attributes:
         pixels: The whole photo, RGB, shape (H, W, 3), uint8.
-        low: x and y of its upper left corner, shape (2,).
-        high: x and y of its lower right corner, shape (2,).
+        low: Position (x, y) of its upper left corner, shape (2,).
+        high: Position (x, y) of its lower right corner, shape (2,).
     """
 
     pixels: np.ndarray

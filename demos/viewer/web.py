@@ -23,7 +23,7 @@ from .buttons import Button, Entry, Slider
 from .controlled import ControlledWindow
 from .plotted import Look
 from .stream import PictureStream
-from .web_page import page
+from .web_page import demo_page
 
 _ALL_ADDRESSES = ("0.0.0.0", "::")  # hosts that mean each of this machine's addresses
 _LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
@@ -125,7 +125,7 @@ class _Pages:
         web = import_module("aiohttp.web")
         keys = {BROWSER_NAMES.get(key, key): key for key in self._window.keys}
         answer = web.Response(
-            text=page(keys, self._window.tall), content_type="text/html", headers={"Cache-Control": "no-cache"}
+            text=demo_page(keys, self._window.tall), content_type="text/html", headers={"Cache-Control": "no-cache"}
         )
         answer.enable_compression()
         return answer
@@ -242,7 +242,7 @@ def _described(entry: Entry) -> dict[str, Any]:
 
 
 def _look(told: dict[str, Any]) -> Look:
-    """What a page shows; a ValueError says that its size can't be drawn."""
+    """The picture that a page shows; a ValueError says that its size can't be drawn."""
     width, height = float(told["width"]), float(told["height"])
     if not (0 < width < 1e5 and 0 < height < 1e5):
         raise ValueError(f"size: {width:g} x {height:g}")

@@ -9,7 +9,7 @@ from .style import ACCENT, FAINT, IDLE, INK, ON_INK, OVER, PAPER
 _COLOURS = {"PAPER": PAPER, "ACCENT": ACCENT, "FAINT": FAINT, "IDLE": IDLE, "ON_INK": ON_INK, "OVER": OVER, "INK": INK}
 
 
-def page(keys: dict[str, str], tall: float) -> str:
+def demo_page(keys: dict[str, str], tall: float) -> str:
     """The page.
 
     Args:

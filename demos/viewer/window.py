@@ -65,7 +65,7 @@ class Window(ControlledWindow):
         self._update()
 
     def sentence(self) -> str:
-        """What one sees and can do, in one sentence, or what has just happened."""
+        """One sentence that says what one sees and can do, or what has just happened."""
         if self.scene.message:
             return self.scene.message
         return (

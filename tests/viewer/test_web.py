@@ -217,7 +217,7 @@ def test_pages_come_and_go_while_it_plays_without_a_word(window, caplog, monkeyp
 
 
 def test_requests_of_pages_are_answered_and_those_of_others_refused(window):
-    """What is malformed is told. Pictures are as rough as the line is slow."""
+    """Malformed requests are told. Pictures are as rough as the line is slow."""
 
     async def visitor(browser: Browser) -> None:
         import aiohttp

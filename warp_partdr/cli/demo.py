@@ -271,7 +271,7 @@ def _record(state: Any, path: Path, steps: int) -> None:
 
     scene = _viewer("scene").PlottedScene(state)
     if state.target.photo is not None:
-        scene.skin = _viewer("skin").Skin()
+        scene.skin = _viewer("skin").ShownSkin()
     try:
         pictures = []
         with FitProgress() as progress:
