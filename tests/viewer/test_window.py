@@ -547,3 +547,12 @@ def test_the_network_starts_near_the_target(window):
     state = make_state(start="t-pose")
     near = DemoState(network_body(state.target), state.target, SMALL)
     assert near.part_f1 > state.part_f1 + 0.2
+
+
+def test_the_picture_follows_the_size_of_the_window(window):
+    window.scene.plotter.render_window.SetSize(700, 500)
+    window.scene.plotter.iren.interactor.InvokeEvent("TimerEvent")
+    assert window.scene.look_now.size == (700, 500)
+    assert window.scene.screenshot().shape == (500, 700, 3)
+    click(window, "E2")
+    assert window.state.settings.renderer == "E2"
