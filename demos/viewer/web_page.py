@@ -6,7 +6,15 @@ import json
 
 from .style import ACCENT, FAINT, IDLE, INK, ON_INK, OVER, PAPER
 
-_COLOURS = {"PAPER": PAPER, "ACCENT": ACCENT, "FAINT": FAINT, "IDLE": IDLE, "ON_INK": ON_INK, "OVER": OVER, "INK": INK}
+_PAGE_COLOURS = {
+    "PAPER": PAPER,
+    "ACCENT": ACCENT,
+    "FAINT": FAINT,
+    "IDLE": IDLE,
+    "ON_INK": ON_INK,
+    "OVER": OVER,
+    "INK": INK,
+}
 
 
 def demo_page(keys: dict[str, str], tall: float) -> str:
@@ -17,7 +25,7 @@ def demo_page(keys: dict[str, str], tall: float) -> str:
         tall: Height of the picture with everything on a phone, in its widths.
     """
     text = _PAGE
-    for name, colour in _COLOURS.items():
+    for name, colour in _PAGE_COLOURS.items():
         text = text.replace(f"--{name}--", colour)
     return text.replace("--TALL--", f"{100 * tall:.0f}vw").replace("--KEYS--", json.dumps(keys))
 
