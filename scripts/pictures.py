@@ -31,6 +31,7 @@ from warp_partdr.solve.mesh.mesh_stage import MeshFit, refine_mesh
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs" / "images"
+EXAMPLE = ROOT / "warp_partdr" / "assets" / "example"
 
 # The pictures that a command makes, and its arguments, from the project's folder; OUT is where it is to write to.
 DRAWN: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
@@ -39,7 +40,7 @@ DRAWN: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("edits.png", "between.png"), ("demos/edit_body.py", "--out", "OUT")),
     (
         ("demo.gif",),
-        ("-m", "warp_partdr", "demo", "--record", "OUT/demo.gif", "--target", "crossed arms", "--set", "steps=60"),
+        ("-m", "warp_partdr", "demo", "--record", "OUT/demo.gif", "--set", "steps=100"),
     ),
 )
 
@@ -170,13 +171,15 @@ def draw_arm(vertices: torch.Tensor, level: int, height: int, width: int) -> np.
 
 
 def draw_demo_window() -> Image.Image:
-    """The demo while it plays: two settings from the same start, one after the other; the second is on its way."""
+    """The demo with all controls, while it plays: two settings from the same start; the second is on its way."""
+    from warp_partdr.cli.options import PersonFiles
     from warp_partdr.viewer.state import DemoState
-    from warp_partdr.viewer.targets import body_of, body_target
+    from warp_partdr.viewer.targets import body_of, person_target
     from warp_partdr.viewer.window import Window
 
-    state = DemoState(body_of("t-pose"), body_target(body_of("walking")))
-    window = Window(state, Path(), off_screen=True)
+    files = PersonFiles(EXAMPLE / "keypoints.json", parts=EXAMPLE / "parts.png", labels="cdcl14")
+    state = DemoState(body_of("t-pose"), person_target(files.read(EXAMPLE / "photo.png")))
+    window = Window(state, Path(), off_screen=True, more=True)
     window.scene.screenshot()  # off-screen, nothing is drawn before the first picture
     for quality in ("F7", "F9"):
         window.press(quality)

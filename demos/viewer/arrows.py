@@ -16,16 +16,22 @@ _CORNERS = 7
 class Arrows:
     """Arrows along x and y, coloured by z, in a picture that fills the square from -1 to 1 of the active view.
 
-    At most ``most`` are shown, the strongest. The longest always measures ``longest``, so that small forces at the end
-    are seen, too; it stands for the quantile ``strongest`` of the forces, and those beyond it are as long.
+    At most ``most`` are shown, the strongest. The length ``longest`` stands for the quantile ``strongest`` of the
+    forces that were measured last, and stronger ones are as long. So arrows shrink as a pull shrinks.
     """
 
     def __init__(self, plotter: Any, most: int, *, longest: float, half_width: float, strongest: float = 1.0) -> None:
         self._most, self._longest, self._half_width, self._strongest = most, longest, half_width, strongest
         faces = (_FACES + _CORNERS * np.arange(most)[:, None, None]).reshape(-1, 3)
+        self._units = 1.0, 1.0  # forces, in the picture and along z, that the longest arrow and full colours stand for
         self._mesh = import_module("pyvista").PolyData.from_regular_faces(np.zeros((_CORNERS * most, 3)), faces)
         self._mesh.cell_data["rgb"] = np.zeros((len(faces), 3), dtype=np.uint8)
         self.actor = plotter.add_mesh(self._mesh, scalars="rgb", rgb=True, lighting=False, render=False)
+
+    def measure(self, forces: np.ndarray) -> None:
+        """Take forces (N, 3) as the scale of those that are shown from now on."""
+        if len(forces):
+            self._units = self._unit(np.linalg.norm(forces[:, :2], axis=1)), self._unit(np.abs(forces[:, 2]))
 
     def show(self, places: np.ndarray, forces: np.ndarray) -> None:
         """Point the arrows from places (N, 2), y down, along forces (N, 3), y down and z away."""
@@ -35,11 +41,11 @@ class Arrows:
         points = np.full((self._most, _CORNERS, 3), -1.0)  # behind the picture: those that there is nothing for
         colours = np.zeros((self._most, 3))
         if count := len(forces):
-            length = self._longest * np.minimum(across / self._unit(across), 1.0)
+            length = self._longest * np.minimum(across / self._units[0], 1.0)
             direction = forces[:, :2] * [1, -1] / np.maximum(across, 1e-12)[:, None]
             points[:count, :, :2] = self._corners(places * [1, -1], direction, length)
             points[:count, :, 2] = 0.01
-            share = np.clip(forces[:, 2] / self._unit(np.abs(forces[:, 2])), -1, 1)
+            share = np.clip(forces[:, 2] / self._units[1], -1, 1)
             colours[:count] = np.stack([np.interp(share, (-1, 0, 1), channel) for channel in DEPTH_COLOURS.T], axis=1)
         self._mesh.points = points.reshape(-1, 3)
         np.asarray(self._mesh.cell_data["rgb"])[:] = np.repeat(colours, len(_FACES), axis=0)

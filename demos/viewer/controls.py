@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
@@ -14,18 +13,18 @@ from PIL import Image
 from ..body.parameters import BodyParameters
 from ..body.template import LOCKED_PARTS, PART_NAMES
 from ..errors import InputError
-from ..models.anny import anny
-from ..models.registration import Registered, RegistrationOptions, register
-from .buttons import Button, flip
+from ..models.registration import RegistrationOptions
+from ..solve.ellipsoids.stepper import SIZES
+from .buttons import Button, Entry, Slider, flip
 from .recording import Filming
 from .scene import PlottedScene
 from .settings import CHOICES, QUALITIES
+from .skin import ShownSkin
 from .sliders import PAGES
 from .state import DemoState
 from .targets import NETWORK, PRESETS, RANDOM, body_of, body_target, network_body, read_body
 
 _TURNING = tuple(name for k, name in enumerate(PART_NAMES) if k not in LOCKED_PARTS)
-_BESIDE, _FARTHER = (-0.1, -0.25), 1.1  # of the 3D view, half of it being 1: room for sliders and buttons
 _BODY, _MESHES, _PICTURE = "body.npz", "ellipbody.glb", "demo.png"
 _Do: TypeAlias = Callable[[str], None]
 _IsOn: TypeAlias = Callable[[str], bool]
@@ -34,7 +33,7 @@ _HINTS = {
     NETWORK: "start from what the label network says of the target, as partdr fit does",
     "z": "with or without PartDR's z gradient (of parts; partdr, E0 to E3); from the start",
     "outline": "the labels' pull along silhouettes, in x and y and, by colour, z",
-    "detailed": "the detailed body that fits these ellipsoids; takes seconds",
+    "detailed": "the detailed body around these ellipsoids, or the ellipsoids",
 }
 
 
@@ -53,7 +52,7 @@ class Controls:
         self.page = 0  # of ``PAGES``
         self.part = "left_upper_arm"  # that the rotation sliders turn
         self.registration: RegistrationOptions | None = None  # of the detailed body
-        self._mean: Registered | None = None  # the detailed mean adult, whom others are edits of
+        self._skin: ShownSkin | None = None
         self.filming = Filming(scene, folder, redraw)
         self._given = state.target
         self._presets = {name: body_of(name) for name in PRESETS}
@@ -62,22 +61,21 @@ class Controls:
         buttons = [entry for row in self.rows for entry in row if isinstance(entry, Button)]
         self.keys |= {button.key: button.do for button in buttons if button.key}
 
-    def _make_rows(self) -> list[list[Button | str]]:
+    def _make_rows(self) -> list[list[Entry]]:
         state, scene, folder = self._state, self._scene, self._folder
         bodies = (*PRESETS, RANDOM)
         targets = bodies if self._given.truth is not None else (_GIVEN, *bodies)
-        play, skeleton = partial(flip, self, "playing"), partial(flip, scene, "skeleton_only")
+        skeleton = partial(flip, scene, "skeleton_only")
+        self.play = Button("play", "space", "play or pause the refinement", self._play, lambda: self.playing)
         return [
             [
-                "",
-                Button("play", "space", "play or pause the refinement", play, lambda: self.playing),
+                self.play,
                 Button("step", "n", "one iteration", self._step),
                 Button("restart", "BackSpace", "back to the start", state.restart),
-                "   ",
                 Button("save", "d", f"save {_BODY}, {_MESHES} and {_PICTURE} in {folder}", self._save),
                 Button("load", "l", f"start from {folder / _BODY}", self._load),
                 self.filming.button(),
-                Button("view", "r", "turn the 3D view back to where it was", self.look),
+                Button("view", "r", "turn the 3D view back to where it was", scene.look),
             ],
             [
                 "start",
@@ -87,27 +85,23 @@ class Controls:
             self._cycle("target", "t", _each(targets, "target: ", self._set_target, self._has_target)),
             [
                 *self._setting("follow", "c", "supervision", "follow {}"),
-                "   ",
                 Button("z gradient", "z", _HINTS["z"], self._toggle_depth, lambda: state.settings.has_depth),
             ],
             ["quality", *self._settings("{} px", QUALITIES, first_key=6)],
+            self._setting("renderer", "m", "renderer", "draw with {}"),
+            self._setting("gradient", "g", "gradient", "gradient of exact ellipsoids: {}"),
+            self._setting("size", "x", "size", "pictures of {} pixels a side"),
             [
-                *self._setting("renderer", "m", "renderer", "draw with {}"),
-                *self._setting("   gradient", "g", "gradient", "gradient of exact ellipsoids: {}"),
-            ],
-            [
-                *self._setting("size", "x", "size", "pictures of {} pixels a side"),
-                "   show  ",
+                "show",
                 Button("skeleton", "o", "skeletons of body and target", skeleton, lambda: scene.skeleton_only),
                 Button("outline arrows", "i", _HINTS["outline"], self._toggle_outline, lambda: scene.outline_arrows),
-                Button("detailed", "a", _HINTS["detailed"], self._clothe, lambda: scene.detailed),
+                Button("detailed", "a", _HINTS["detailed"], self.clothe, lambda: scene.detailed),
             ],
             [
                 "sliders",
                 Button("<", "bracketleft", "previous page", partial(self._turn_page, -1)),
                 *_each(dict(PAGES), "sliders: ", self.open, self.is_open),
                 Button(">", "bracketright", "next page", partial(self._turn_page, 1)),
-                "   ",
                 Button("previous part", "comma", "turn the part before; or click on one", partial(self._next_part, -1)),
                 Button("next part", "period", "turn the next part; or click on one", partial(self._next_part, 1)),
             ],
@@ -126,11 +120,11 @@ class Controls:
             for key, (text, changes) in enumerate(choices.items(), start=first_key)
         ]
 
-    def _setting(self, label: str, key: str, name: str, hint: str) -> list[Button | str]:
+    def _setting(self, label: str, key: str, name: str, hint: str) -> list[Entry]:
         """A button for each value of a setting, and a key for the next."""
         return self._cycle(label, key, self._settings(hint, {str(value): {name: value} for value in CHOICES[name]}))
 
-    def _cycle(self, label: str, key: str, buttons: list[Button]) -> list[Button | str]:
+    def _cycle(self, label: str, key: str, buttons: list[Button]) -> list[Entry]:
         """Buttons of which one is lit, after a label with the key that goes on to the next."""
 
         def go_on() -> None:
@@ -138,7 +132,7 @@ class Controls:
             buttons[(now + 1) % len(buttons)].do()
 
         self.keys[key] = go_on
-        return [f"{label}  [{key}]", *buttons]
+        return [f"{label} [{key}]", *buttons]
 
     def _step(self) -> None:
         self.playing = False
@@ -183,27 +177,48 @@ class Controls:
         if self._scene.outline_arrows and self._has(supervision="keypoints"):
             self._scene.message = "keypoints pull on no outline; follow the silhouette or the parts"
 
-    def _clothe(self) -> None:
-        if self._scene.detailed:
-            self._scene.undress()
+    def clothe(self) -> None:
+        """Show the detailed body, or the ellipsoids again."""
+        if self._scene.skin is not None:
+            self._scene.skin = None
             return
-        self.playing = False
-        self._scene.message = "registering the detailed body ..."
-        self._redraw()
-        began, model, options = time.perf_counter(), anny(), self.registration
-        if self._mean is None:  # edits of it may grow beyond natural people
-            self._mean = register(BodyParameters.mean(1).posed(), model, options=options)
-        detailed = register(self._state.posed, model, start=self._mean, options=options).detailed
-        self._scene.wear(detailed.vertices[0].numpy(), model.faces.numpy(), model.face_parts.numpy())
-        took = time.perf_counter() - began
-        self._scene.message = f"{model.name}, registered in {took:.1f} s; gone when the body moves"
+        if self._skin is None:
+            self._skin = ShownSkin(self.registration)
+        self._scene.skin = self._skin
+        if not self._skin.rests:
+            self._scene.message = (
+                f"The detailed body has their pose; its shape takes about {self._skin.seconds:.0f} s ..."
+            )
 
-    def look(self) -> None:
-        """See the body as at first, above the buttons."""
-        self._scene.look()
-        camera = self._scene.plotter.camera
-        camera.SetWindowCenter(*_BESIDE)
-        camera.view_angle *= _FARTHER
+    def settle(self) -> bool:
+        """Register the detailed body, if it is shown and the ellipsoids rest; whether there was something to do."""
+        skin = self._scene.skin
+        if skin is None or skin.rests:
+            return False
+        skin.register(self._state.placed, fitted=self._state.target.truth is None)
+        if self._scene.message.endswith("..."):
+            self._scene.message = f"{skin.name}, registered in {skin.seconds:.1f} s"
+        return True
+
+    def first_sliders(self) -> list[Slider]:
+        """Three sliders that explain most: how tall and how broad the body is, and the side that it is seen from."""
+        scene = self._scene
+        sizes = [self._size("how tall [%]", "lengths"), self._size("how broad [%]", "thicknesses")]
+        return [*sizes, Slider("look from the side [°]", -180.0, 180.0, scene.turned, scene.turn)]
+
+    def _size(self, title: str, field: str) -> Slider:
+        """Slider of all lengths or thicknesses [% of the mean adult's]."""
+        low, high = SIZES[field]
+        return Slider(title, 100 * low, 100 * high, 100 * self._state.share(field), partial(self._resize, field))
+
+    def _resize(self, field: str, percent: float) -> None:
+        self.playing = False
+        self._state.set_share(field, percent / 100)
+
+    def _play(self) -> None:
+        if not self.playing and self._state.converged:
+            self._state.restart()
+        flip(self, "playing")
 
     def pick(self, part: str) -> None:
         """Turn to the sliders of a part."""

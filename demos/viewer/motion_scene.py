@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,41 +11,35 @@ from ..models.normals import vertex_normals
 from .motion_state import MotionState
 from .motion_views import ViewPictures
 from .overlay import Overlay
-from .plotted import Plotted
+from .plotted import PANEL, Box, Look, Plotted, controls_beside, halves
 
-VIEW = (768, 800)  # [px], the 3D view's (width, height) in the window
-_PICTURES = (512, 800)  # likewise the pictures'
-_MARGIN, _LETTER = 8, 12  # [px]
-_SKIN = {"interpolation": "Gouraud", "ambient": 0.25, "specular": 0.1, "specular_power": 12}
+_COLUMN, _STRIP = 360, 110  # [px] of the controls
+_SHARE, _LESS = 0.6, 0.45  # of the space that the people in 3D have, and on the first screen
+_LETTER = 12  # [px]
+_SKIN = {"interpolation": "Gouraud", "ambient": 0.3, "diffuse": 0.75, "specular": 0.0}
 _GRID, _CAMERAS = "#b9bec6", "#70767e"
 _MOST_LINES = 40  # of the ground, each way
 _AROUND = 0.5  # [m] of ground beside the people
 _CAMERA_DEPTH = 0.4  # [m] of a camera's pyramid
 _FROM, _ANGLE = (0.45, 0.3, 1.0), 30.0  # direction from which all is seen at first, and the angle of view [degrees]
 _FILLED = 0.6  # of the half diagonal of the people's space
-_WIDEST = 84  # letters of a message's line
 
 
 class PlottedMotion(Plotted):
-    """A plotter with people, the ground, cameras, and the views' pictures.
-
-    ``films``: of each view; ``controls``: height that they take at the bottom of the 3D view [px].
-    """
+    """A plotter with people, the ground, cameras, and the views' pictures; ``films``: of each view."""
 
     def __init__(
         self,
         state: MotionState,
         films: Sequence[Path | None],
         *,
-        controls: int = 0,
         off_screen: bool = True,
         smooth: bool = True,
     ) -> None:
-        groups = [(0, slice(0, 3)), (0, slice(3, 5))]
-        super().__init__(off_screen=off_screen, smooth=smooth, shape=(1, 5), groups=groups)
-        self.state, self._controls = state, controls
+        super().__init__(["solid", "pictures"], off_screen=off_screen, smooth=smooth)
+        self.state = state
         self.ground, self.cameras = True, True  # whether they are shown
-        self.plotter.subplot(0, 0)
+        self._open("solid")
         self.people = {
             person: self._add(self._skin(person), color=state.colour(person).tolist(), name=f"person{person}", **_SKIN)
             for person in state.people
@@ -54,13 +47,26 @@ class PlottedMotion(Plotted):
         self._grid = self._add(self._lines(_ground(state.room.low, state.room.high)), color=_GRID, line_width=1)
         pyramids = np.concatenate([self._pyramid(index) for index in range(len(state.saved.views))])
         self._pyramids = self._add(self._lines(pyramids), color=_CAMERAS, line_width=1.5)
-        self._status = self._add_status()
+        self._painted = Overlay(self.view("pictures"))
+        self.pictures = ViewPictures(state, self._painted, films)
+        self.arrange(self.look_now)
         self.look()
-        self.plotter.subplot(0, 3)
-        size = (_PICTURES[0] - 2 * _MARGIN, _PICTURES[1] - 2 * _MARGIN)
-        painted = Overlay(self.plotter.renderer, _PICTURES, (_MARGIN, _MARGIN), size, _LETTER)
-        self.pictures = ViewPictures(state, painted, size, films)
         self.update()
+
+    def _places(self, look: Look) -> Mapping[str, Box]:
+        picture, panel = controls_beside(look, _COLUMN, _STRIP)
+        solid, pictures = halves(picture, _SHARE if look.more else _LESS)
+        return {"solid": solid, "pictures": pictures, PANEL: panel}
+
+    def _arranged(self, boxes: Mapping[str, Box]) -> None:
+        width, height = self.body_view.GetSize()
+        half = np.tan(np.deg2rad(_ANGLE / 2)) / min(1.0, width / max(height, 1))  # in a narrow view, too, all is seen
+        self.body_view.camera.view_angle = 2 * np.rad2deg(np.arctan(half))
+        box = boxes["pictures"]
+        if (box.width, box.height) != self._painted.size:
+            self._painted.begin((box.width, box.height), _LETTER * self.look_now.zoom)
+            self.pictures.arrange((box.width, box.height))
+            self.pictures.update()
 
     def _skin(self, person: int) -> object:
         model = self.state.saved.motions[person].model
@@ -85,16 +91,13 @@ class PlottedMotion(Plotted):
         return np.concatenate([[(eye, end) for end in ends], np.stack([ends, np.roll(ends, -1, axis=0)], axis=1)])
 
     def look(self) -> None:
-        """See all in 3D as at first: from the first camera's side, above the controls."""
-        self.plotter.subplot(0, 0)
+        """See all in 3D as at first: from the first camera's side."""
         low, high = self.state.room.low, self.state.room.high
-        middle, camera = (low + high) / 2, self.plotter.camera
-        free = 1 - self._controls / VIEW[1]
-        away = _FILLED * np.linalg.norm(high - low) / np.sin(np.deg2rad(_ANGLE / 2)) / min(free, VIEW[0] / VIEW[1])
-        self.plotter.camera_position = (middle + away * np.array(_FROM) / np.linalg.norm(_FROM), middle, (0, 1, 0))
-        camera.view_angle = _ANGLE
-        camera.SetWindowCenter(0.0, -self._controls / VIEW[1])
-        self.plotter.reset_camera_clipping_range()
+        middle, camera = (low + high) / 2, self.body_view.camera
+        away = _FILLED * np.linalg.norm(high - low) / np.sin(np.deg2rad(_ANGLE / 2))
+        camera.position = tuple(middle + away * np.array(_FROM) / np.linalg.norm(_FROM))
+        camera.focal_point, camera.up = tuple(middle), (0.0, 1.0, 0.0)
+        self.body_view.ResetCameraClippingRange()
 
     def update(self) -> None:
         """Bring everything to what the state is now; nothing is drawn yet."""
@@ -107,14 +110,14 @@ class PlottedMotion(Plotted):
                 skin.point_data.active_normals = vertex_normals(skin.points, faces.cpu().numpy())
         self._grid.visibility, self._pyramids.visibility = self.ground, self.cameras
         self.pictures.update()
-        self._status.input = self._said()
+        self.body_view.ResetCameraClippingRange()
 
-    def _said(self) -> str:
-        """Description of the state."""
+    def said(self) -> list[str]:
+        """Frame and time that are shown, and how many people are there; a film that can't be read."""
         state = self.state
         there = f"{len(state.bodies())} of {len(state.people)} people"
-        title = f"frame {state.frame} of {state.count}   ·   {state.saved.times[state.frame]:.2f} s   ·   {there}"
-        return "\n".join([title, textwrap.fill(self.message or self.pictures.fault, _WIDEST)])
+        lines = [f"frame {state.frame} of {state.count} · {state.saved.times[state.frame]:.2f} s · {there}"]
+        return [*lines, self.pictures.fault] if self.pictures.fault else lines
 
 
 def _ground(low: np.ndarray, high: np.ndarray) -> np.ndarray:

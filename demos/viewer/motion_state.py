@@ -54,6 +54,15 @@ class MotionState:
         """Show a frame, or the first or last one."""
         self._time = float(self.saved.times[min(max(frame, 0), self.count - 1)])
 
+    @property
+    def seconds(self) -> float:
+        """Time of the frame that is shown [s], since the first one."""
+        return float(self.saved.times[self.frame])
+
+    def go_to(self, seconds: float) -> None:
+        """Show the frame that is nearest to a time [s]."""
+        self.go(int(np.abs(np.asarray(self.saved.times) - seconds).argmin()))
+
     def step(self, by: int) -> None:
         """Stop, and show a frame before or after this one."""
         self.playing = False

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,8 @@ from .overlay import Overlay
 from .style import INK, PAPER
 
 _PLAIN = 232  # gray of a view without its film
-_TITLE, _GAP = 20, 6  # [px]
+_TITLE, _GAP, _MARGIN = 20, 6, 8  # [px]
+_KEPT = 3  # sizes whose pictures of films are kept, for several pages may show them
 
 
 @dataclass(frozen=True)
@@ -33,21 +35,36 @@ class _Box:
 class ViewPictures:
     """All views side by side in a painted box."""
 
-    def __init__(
-        self, state: MotionState, overlay: Overlay, size: tuple[int, int], films: Sequence[Path | None]
-    ) -> None:
-        """``size``: (width, height) of the box [px]; ``films``: of each view."""
-        self.state, self._overlay = state, overlay
+    def __init__(self, state: MotionState, overlay: Overlay, films: Sequence[Path | None]) -> None:
+        """``films``: of each view."""
+        self.state, self._overlay, self._films = state, overlay, films
         self.over_film = True
-        self.boxes = arrange([view.size for view in state.saved.views], size)
+        self.boxes: list[_Box] = []
         self._readers: list[FilmReader | None] = []
-        self.titles: list[str] = []
-        for number, (view, box, film) in enumerate(zip(state.saved.views, self.boxes, films, strict=True), start=1):
-            shrink = partial(_shrunk, view=view, size=box.size)
-            self._readers.append(None if film is None else FilmReader(film, shrink))
-            self.titles.append(f"camera {number}" + (f"   {Path(view.film).name}" if view.film else ""))
+        self._known: dict[tuple[int, int], tuple[list[_Box], list[FilmReader | None]]] = {}  # of the last sizes
+        self.titles = [
+            f"camera {number}" + (f"   {Path(view.film).name}" if view.film else "")
+            for number, view in enumerate(state.saved.views, start=1)
+        ]
         self.fault = ""  # a film that can't be read
         self._shown: tuple[object, ...] = ()
+
+    def arrange(self, size: tuple[int, int]) -> None:
+        """Place the pictures in a box of (width, height) pixels."""
+        if size not in self._known:
+            room = max(size[0] - 2 * _MARGIN, 1), max(size[1] - 2 * _MARGIN, 1)
+            boxes = arrange([view.size for view in self.state.saved.views], room)
+            free = room[1] - max(box.top + box.size[0] for box in boxes)
+            boxes = [replace(box, top=box.top + max(free, 0) // 2) for box in boxes]
+            readers: list[FilmReader | None] = []
+            for view, box, film in zip(self.state.saved.views, boxes, self._films, strict=True):
+                shrink = partial(_shrunk, view=view, size=box.size)
+                readers.append(None if film is None or self.fault else FilmReader(film, shrink))
+            if len(self._known) == _KEPT:
+                del self._known[next(iter(self._known))]
+            self._known[size] = boxes, readers
+        self.boxes, self._readers = self._known[size]
+        self._shown = ()
 
     def update(self) -> None:
         """Paint all views, if something is new."""
@@ -58,9 +75,10 @@ class ViewPictures:
         for index, box in enumerate(self.boxes):
             picture = self.picture(index)  # first: it finds that a film can't be read
             title = self.titles[index] + ("" if self._readers[index] else "   without its film")
-            draw.rectangle((box.left, box.top - _TITLE, box.left + box.size[1], box.top - 1), fill=PAPER)
-            draw.text((box.left, box.top - 6), title, INK, self._overlay.font, anchor="ls")
-            self._overlay.paste(picture, (box.left, box.top))
+            left, top = box.left + _MARGIN, box.top + _MARGIN
+            draw.rectangle((left, top - _TITLE, left + box.size[1], top - 1), fill=PAPER)
+            draw.text((left, top - 6), _short(title, box.size[1], self._overlay.font), INK, self._overlay.font, "ls")
+            self._overlay.paste(picture, (left, top))
         self._overlay.show()
 
     def picture(self, index: int) -> np.ndarray:
@@ -92,6 +110,14 @@ def arrange(sizes: Sequence[tuple[int, int]], room: tuple[int, int]) -> list[_Bo
         left, top = column * (widest + _GAP), _TITLE + row * (round(widest * tallest) + _TITLE + _GAP)
         found.append(_Box(left, top, (max(round(widest * height / width), 1), widest)))
     return found
+
+
+def _short(title: str, width: float, font: Any) -> str:
+    """The first words of a title, that are no wider than a picture [px]."""
+    words = title.split()
+    while len(words) > 1 and font.getlength(" ".join(words)) > width:
+        words.pop()
+    return " ".join(words)
 
 
 def _width(count: int, columns: int, tallest: float, room: tuple[int, int]) -> int:

@@ -7,16 +7,14 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from .buttons import Button, Panel, flip
+from .buttons import Button, Entry, Slider, flip
 from .controlled import ControlledWindow, median_time
-from .motion_scene import VIEW, PlottedMotion
+from .motion_scene import PlottedMotion
 from .motion_state import SPEEDS, MotionState
+from .plotted import WINDOW, Look
 from .recording import Filming
-from .sliders import add_slider
 
-_HINT = "Drag to turn the scene, wheel to zoom, shift and drag to move it; q closes. Point at a button for more."
-_ROWS_OF_PEOPLE, _IN_A_ROW = 2, 8  # people with a button of their own
-_SLIDER = 44  # [px] above the buttons
+_MOST_BUTTONS = 16  # people with a button of their own
 _LONGEST = 0.25  # [s] that may pass between two pictures; what takes longer, such as a menu, is no part of the film
 
 
@@ -24,44 +22,61 @@ class MotionWindow(ControlledWindow):
     """Buttons, keys and a slider around people who move; ``off_screen`` for a browser, tests and ``profile``."""
 
     scene: PlottedMotion
+    tall = 1.5
 
     def __init__(
-        self, state: MotionState, films: Sequence[Path | None], folder: Path, *, off_screen: bool = False
+        self,
+        state: MotionState,
+        films: Sequence[Path | None],
+        folder: Path,
+        *,
+        off_screen: bool = False,
+        more: bool = False,
     ) -> None:
         self.state, self.folder = state, folder
-        people = -(-min(len(state.people), _ROWS_OF_PEOPLE * _IN_A_ROW) // _IN_A_ROW)
-        controls = Panel.height_of(3 + people) + _SLIDER
-        scene = PlottedMotion(state, films, controls=controls, off_screen=off_screen, smooth=False)
+        scene = PlottedMotion(state, films, off_screen=off_screen, smooth=False)
         filming = Filming(scene, folder, self.refresh)
         self._clock = time.perf_counter()
-        rows, keys = self._rows(scene, filming)
-        scene.plotter.subplot(0, 0)
-        height = (Panel.height_of(len(rows)) + _SLIDER / 2) / VIEW[1]
-        self._slider = add_slider(scene.plotter, lambda value: None, (0.03, 0.97), height, "%.0f")
-        shown = self._slider.GetRepresentation()
-        shown.SetSliderLength(0.012)
-        shown.SetMinimumValue(0)
-        shown.SetMaximumValue(max(state.count - 1, 1))
-        self._slider.AddObserver("InteractionEvent", lambda *_: self.slide(shown.GetValue()))
-        panel = Panel(scene.plotter.renderer, rows, _HINT, VIEW)
-        keys |= {entry.key: entry.do for row in rows for entry in row if isinstance(entry, Button) and entry.key}
-        super().__init__(scene, filming, panel, keys, state)
+        self._play_button = Button("play", "space", "play or pause", self._play, lambda: state.playing)
+        self._rows = self._make_rows(scene, filming)
+        keys: dict[str, Callable[[], None]] = {"Home": partial(state.go, 0), "End": partial(state.go, state.count - 1)}
+        keys |= {entry.key: entry.do for row in self._rows for entry in row if isinstance(entry, Button) and entry.key}
+        super().__init__(scene, filming, keys, state, more=more)
+        scene.arrange(Look(WINDOW, more, controls=True))
+        scene.look()
         self._update()
 
-    def _rows(
-        self, scene: PlottedMotion, filming: Filming
-    ) -> tuple[list[list[Button | str]], dict[str, Callable[[], None]]]:
+    def sentence(self) -> str:
+        """One sentence that says what one sees and can do, or what has just happened."""
+        if self.scene.message or self.scene.pictures.fault:
+            return self.scene.message or self.scene.pictures.fault
+        count = len(self.state.people)
+        who = "one person" if count == 1 else f"{count} people"
+        return f"Press play: you see {who} of a film in 3D, and the film with their bodies drawn over it."
+
+    def first_row(self) -> list[Entry]:
+        """Play and the slider through time."""
+        return [self._play_button, self._time()]
+
+    def all_rows(self) -> list[list[Entry]]:
+        """The slider through time, then all buttons."""
+        return [self._rows[0], [self._time()], *self._rows[1:]]
+
+    def _time(self) -> Slider:
+        return Slider("time [s]", 0.0, float(self.state.saved.times[-1]), self.state.seconds, self._go_to)
+
+    def _go_to(self, seconds: float) -> None:
+        self.state.playing = False
+        self.state.go_to(seconds)
+
+    def _make_rows(self, scene: PlottedMotion, filming: Filming) -> list[list[Entry]]:
         state = self.state
-        buttons: list[Button | str] = [self._person(person) for person in state.people]
-        shown = [buttons[start : start + _IN_A_ROW] for start in range(0, len(buttons), _IN_A_ROW)][:_ROWS_OF_PEOPLE]
-        rows: list[list[Button | str]] = [
+        return [
             [
-                "",
-                Button("play", "space", "play or pause", self._play, lambda: state.playing),
+                self._play_button,
                 Button("<", "Left", "the frame before", partial(state.step, -1)),
                 Button(">", "Right", "the next frame", partial(state.step, 1)),
                 Button("start", "BackSpace", "the first frame", partial(state.go, 0)),
-                "   ",
                 filming.button(),
                 Button("view", "r", "turn the 3D view back to where it was", scene.look),
             ],
@@ -71,7 +86,9 @@ class MotionWindow(ControlledWindow):
                     Button(f"{speed:g}", f"F{index}", f"times the film's speed: {speed:g}", *self._speed(speed))
                     for index, speed in enumerate(SPEEDS, start=1)
                 ),
-                "   show  ",
+            ],
+            [
+                "show",
                 Button("background", "b", "the films behind the people", *_switch(scene.pictures, "over_film")),
                 Button("ground", "g", "a grid at the lowest point, 1 m apart", *_switch(scene, "ground")),
                 Button("cameras", "c", "where the cameras stand", *_switch(scene, "cameras")),
@@ -80,10 +97,9 @@ class MotionWindow(ControlledWindow):
                 "people",
                 Button("everyone", "e", "show everyone", state.show_all, lambda: not state.hidden),
                 Button("one", "o", "show one person alone; again: the next one", state.show_next),
+                *(self._person(person) for person in state.people[:_MOST_BUTTONS]),
             ],
-            *(["", *row] for row in shown),
         ]
-        return rows, {"Home": partial(state.go, 0), "End": partial(state.go, state.count - 1)}
 
     def _person(self, person: int) -> Button:
         state, index = self.state, self.state.people.index(person)
@@ -121,10 +137,6 @@ class MotionWindow(ControlledWindow):
         self._clock = now
         if self.state.frame != before:
             self._try(lambda: None, clear=False)
-
-    def _update(self) -> None:
-        self._slider.GetRepresentation().SetValue(self.state.frame)
-        super()._update()
 
     def profile(self, count: int = 30) -> dict[str, float]:
         """Median time from a change to its drawn picture, by what is changed [ms]."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import Image, ImageColor, ImageOps
 
 from ..errors import InputError
 from ..files.html_pages import data_address
@@ -33,11 +33,17 @@ _WIDEST = 640  # [px] of a film
 
 
 def frames(scene: PlottedScene, steps: int) -> Iterator[np.ndarray]:
-    """The start, then a picture after each two steps, and the last: RGB, (height, width, 3), uint8."""
+    """The start, then a picture after each two steps, and the last: RGB, (height, width, 3), uint8.
+
+    In the last one, a detailed body that is shown is registered.
+    """
+    scene.update()
     yield scene.screenshot()
     for done in range(1, steps + 1):
         scene.state.step()
         if done % 2 == 0 or done == steps:
+            if done == steps and scene.skin is not None:
+                scene.skin.register(scene.state.placed, fitted=scene.state.target.truth is None)
             scene.update()
             yield scene.screenshot()
 
@@ -99,7 +105,8 @@ def _write_gif(pictures: Sequence[np.ndarray], path: Path, rate: float) -> None:
     some = np.concatenate([pictures[0], pictures[len(pictures) // 2], pictures[-1]]).reshape(-1, 3)
     coloured = some[np.ptp(some, axis=1) > _GRAY]
     shown = np.concatenate([coloured, some[:: max(len(some) // _PLAIN, 1)]])
-    palette = Image.fromarray(shown[None]).quantize(256)
+    palette = Image.fromarray(shown[None]).quantize(255, kmeans=1)
+    palette.putpalette([*(palette.getpalette() or [])[: 3 * 255], *ImageColor.getrgb(PAPER)])
     images = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
     durations = [round(1000 / rate)] * (len(pictures) - 1) + [round(1000 / rate * _PAUSE)]
     next(images).save(path, save_all=True, append_images=images, duration=durations, loop=0, optimize=False)

@@ -28,6 +28,8 @@ from .targets import Target, difference_picture, group_picture, target_labels, t
 from .view import VIEW, seen_as, view_of
 
 _TIMED = 15  # the last so many iterations tell the time of one
+_COMPARED = 20  # iterations whose mean energy is compared with that of as many before them
+_STILL_FALLING = 0.01  # least share of the energy by which it then falls in a refinement that goes on
 _OUTLINE_LEVEL = 2  # of the mesh whose vertices stand for the outline of exact ellipsoids
 
 
@@ -91,9 +93,18 @@ class DemoState:
         self._times.append(time.perf_counter() - began)
         self.history.append(float(self._refinement.history[-1]))
 
+    @property
+    def converged(self) -> bool:
+        """True if the mean energy of the last 20 iterations is less than 1 % below that of the 20 before them."""
+        if len(self.history) < 2 * _COMPARED:
+            return False
+        last = float(np.mean(self.history[-_COMPARED:]))
+        before = float(np.mean(self.history[-2 * _COMPARED : -_COMPARED]))
+        return last > (1 - _STILL_FALLING) * before
+
     def _moved(self) -> None:
         """Forget what was computed of the body where it was."""
-        for name in ("posed", "drawn", "part_f1"):
+        for name in ("posed", "placed", "drawn", "part_f1"):
             vars(self).pop(name, None)
 
     def bounds(self, field: str) -> tuple[torch.Tensor, torch.Tensor]:
@@ -110,6 +121,19 @@ class DemoState:
         values[0][index] = min(max(value, float(low[index])), float(high[index]))
         self.reset(replace(self.body.detach(), **{field: values}))
 
+    def share(self, field: str) -> float:
+        """Mean ratio of the body's "lengths" or "thicknesses" to the mean adult's."""
+        return float((self.body.tensors()[field].detach() / BodyParameters.mean(1).tensors()[field]).mean())
+
+    def set_share(self, field: str, share: float) -> None:
+        """Change all "lengths" or "thicknesses" by one factor, so that their mean ratio is ``share``.
+
+        Each stays within its ``bounds``. The edited body is the new start.
+        """
+        low, high = size_bounds(field, "cpu")
+        values = self.body.tensors()[field].detach() * (share / self.share(field))
+        self.reset(replace(self.body.detach(), **{field: values.clamp(low, high)}))
+
     def set_view(self, name: str, value: float) -> None:
         """Change one of the numbers of ``VIEW``, within its bounds; the edited body is the new start."""
         _, low, high = VIEW[name]
@@ -118,16 +142,36 @@ class DemoState:
     @cached_property
     @torch.no_grad()
     def posed(self) -> Posed:
-        """The posed body, in the camera frame [m], without gradient."""
+        """The posed body, in the camera frame [m] with the pelvis at the origin, without gradient."""
         return self.body.posed()
+
+    @cached_property
+    @torch.no_grad()
+    def placed(self) -> Posed:
+        """The posed body before the target's camera [m]; as ``posed`` where the target has no lens."""
+        return self.energy.place(self.body.detach(), self.posed, self.settings.size)[0]
+
+    @property
+    def lens(self) -> tuple[float, float, float] | None:
+        """Focal length and principal point (x, y) of the target's camera in the crop's coordinates; None without."""
+        lens = self.target.observation.lens
+        return None if lens is None else (float(lens[0]), float(lens[1]), float(lens[2]))
+
+    @torch.no_grad()
+    def in_crop(self, points: np.ndarray) -> np.ndarray:
+        """Places in the crop, (N, 2), -1 to 1 and y down, of points in the frame of ``posed``, (N, 3) [m]."""
+        moved = torch.from_numpy(points).to(self.posed.joints) + (self.placed.joints - self.posed.joints)[0, :1]
+        camera = self.energy.place(self.body.detach(), self.posed, 2)[1]
+        return (camera.project(moved[None])[0, :, :2] - 1).numpy()
 
     @cached_property
     @torch.no_grad()
     def drawn(self) -> np.ndarray:
         """Group ids of the body as the renderer of the settings draws it, shape (size, size), uint8."""
         size, groups = self.settings.size, self.target.label_set.part_groups[1:].tolist()
-        renderer, camera = self.settings.drawn_by, self.body.camera(size)
-        return renderer.draw(self.posed, camera, (size, size), part_labels=groups, validate=False).labels[0].numpy()
+        placed, camera = self.energy.place(self.body.detach(), self.posed, size)
+        renderer = self.settings.drawn_by
+        return renderer.draw(placed, camera, (size, size), part_labels=groups, validate=False).labels[0].numpy()
 
     def pictures(self) -> dict[str, np.ndarray]:
         """Body, target and difference by these names, in the parts' colours, RGB, shape (size, size, 3), uint8."""
@@ -154,12 +198,14 @@ class DemoState:
             return np.zeros((0, 3)), np.zeros((0, 3))
         level = _OUTLINE_LEVEL if level is None else level
         groups = tuple(energy.observation.label_set.part_groups[1:].tolist())
-        vertices, camera = self.posed.vertices(level).requires_grad_(), self.body.detach().camera(energy.size)
+        placed, camera = energy.place(self.body.detach(), self.posed, energy.size)
+        vertices = placed.vertices(level).requires_grad_()
         mesh, weight = labelled_mesh(level, groups, vertices.device), energy.renderer.depth_weight
         loss, _ = mesh_label_loss(vertices, mesh, camera, energy.target, depth_weight=weight, validate=False)
         (slope,) = torch.autograd.grad(energy.weights.seg * loss.sum(), vertices)
         pulled = (slope[0] != 0).any(1)
-        return vertices.detach()[0, pulled].numpy(), -slope[0, pulled].numpy()
+        moved = (placed.joints - self.posed.joints)[0, :1]
+        return (vertices.detach()[0, pulled] - moved).numpy(), -slope[0, pulled].numpy()
 
     def milliseconds(self) -> float | None:
         """Median time of the last iterations; None before the first."""

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet, label_set
 from ..body.parameters import BodyParameters
@@ -26,7 +25,6 @@ from ..render.ellipsoids import draw_ellipsoids
 from ..results.body_file import load_body
 from ..results.palette import IGNORE_COLOUR, group_colours
 from ..solve.ellipsoids.stepper import SIZES
-from .style import PAPER
 
 # Preset: the kind of PartBench pose (None: at rest), the seed that draws it, how far the person turns [degrees].
 _PRESETS: dict[str, tuple[str | None, int, float]] = {
@@ -48,12 +46,27 @@ _UNKNOWN_COLOUR = 238  # of a pixel
 
 
 @dataclass(frozen=True, eq=False)
+class Photo:
+    """Photo of the person, at its own resolution, and its place in the crop's coordinates, which are -1 to 1, y down.
+
+    Attributes:
+        pixels: The whole photo, RGB, shape (H, W, 3), uint8.
+        low: Position (x, y) of its upper left corner, shape (2,).
+        high: Position (x, y) of its lower right corner, shape (2,).
+    """
+
+    pixels: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Target:
     """Target of the refinement; pictures of it are kept while it is in use."""
 
     observation: Observation  # no labels where the user has none
     truth: BodyParameters | None = None  # the body it was drawn from
-    photo: np.ndarray | None = None  # the crop of the user's, RGB, shape (N, N, 3), uint8
+    photo: Photo | None = None  # the user's
 
     @property
     def label_set(self) -> LabelSet:
@@ -113,10 +126,9 @@ def person_target(person: PersonInputs) -> Target:
     observation, crop = observe(person.keypoints, person.parts, others=person.others)
     shown = None
     if person.photo is not None:
-        height, width = crop.size
-        box = (crop.left, crop.top, crop.left + width / crop.zoom, crop.top + height / crop.zoom)
-        photo, method = Image.fromarray(person.photo), Image.Transform.EXTENT
-        shown = np.asarray(photo.transform((width, height), method, box, Image.Resampling.BILINEAR, fillcolor=PAPER))
+        corners = np.array([(0, 0), person.photo.shape[1::-1]]) - (crop.left, crop.top)
+        low, high = corners * crop.zoom * 2 / crop.size[1] - 1
+        shown = Photo(person.photo, low, high)
     return Target(replace(observation, maps=None, known=None), photo=shown)
 
 

@@ -21,8 +21,7 @@ from .state import DemoState
 from .style import ACCENT, FAINT, INK, PAPER
 
 _MOST = 8  # rows that are kept
-_VIEW, _CORNER, _SIZE = (640, 189), (270, 4), (364, 181)  # of the view, and of the table in it [px]
-_LETTER, _LINE = 11, 15  # [px]
+_WIDE, _TALL, _LETTER, _LINE = 372, 186, 11, 16  # [px] of the table where its letters have this size
 _WORDS = 2  # columns of words, which begin at x; the others end there
 
 # Of each column: two lines of its head, x [px], the row's attribute and how it is written.
@@ -113,15 +112,21 @@ class Tradeoff:
 
 
 class TradeoffTable:
-    """The rows of a tradeoff, painted over the lower right of a view."""
+    """The rows of a tradeoff, painted in a view as large as they fit in."""
 
     def __init__(self, renderer: Any, tradeoff: Tradeoff) -> None:
-        self._overlay = Overlay(renderer, _VIEW, _CORNER, _SIZE, _LETTER)
-        self._tradeoff = tradeoff
+        self._overlay, self._renderer, self._tradeoff = Overlay(renderer), renderer, tradeoff
         self._shown: list[tuple[list[str], str]] = []  # lines and their colours
 
     def update(self) -> None:
         """Paint the lines that have changed."""
+        size = tuple(self._renderer.GetSize())
+        if not self._renderer.GetDraw() or min(size) < 1:
+            return
+        if size != self._overlay.size:
+            self._scale = min(size[0] / _WIDE, size[1] / _TALL)
+            self._overlay.begin((size[0], size[1]), max(_LETTER * self._scale, 1))
+            self._shown = []
         lines = [(["Tried from this start to this target:"], INK)]
         lines += [([first for first, *_ in _COLUMNS], FAINT), ([second for _, second, *_ in _COLUMNS], FAINT)]
         for key, row in self._tradeoff.rows.items():
@@ -137,10 +142,11 @@ class TradeoffTable:
             self._overlay.show()
 
     def _paint(self, index: int, texts: list[str], colour: str) -> None:
-        draw, top = self._overlay.draw, _LINE * index + (4 if index > 2 else 0)
-        draw.rectangle((0, top, _SIZE[0], top + _LINE - 1), fill=PAPER)
+        draw, scale, top = self._overlay.draw, self._scale, _LINE * index + (4 if index > 2 else 0)
+        draw.rectangle((0, scale * top, scale * _WIDE, scale * (top + _LINE) - 1), fill=PAPER)
         for k, (text, column) in enumerate(zip(texts, _COLUMNS, strict=False)):
-            draw.text((column[2], top + 2), text, colour, self._overlay.font, anchor="la" if k < _WORDS else "ra")
+            place = scale * (column[2] + 4), scale * (top + 1)
+            draw.text(place, text, colour, self._overlay.font, anchor="la" if k < _WORDS else "ra")
 
 
 def _key(settings: Settings) -> tuple[str, int, str]:

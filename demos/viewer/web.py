@@ -1,33 +1,37 @@
-"""The demo in a browser: pictures are drawn here and sent there; mouse and keys come back to the same window."""
+"""The demo in a browser: pictures are drawn here and sent there; mouse, keys and controls come back to the window."""
 
 from __future__ import annotations
 
 import asyncio
+import io
 import json
 import logging
 import os
 import socket
 import sys
 from collections.abc import Callable
-from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
+from PIL import Image
+
 from ..errors import InputError
+from .buttons import Button, Entry, Slider
 from .controlled import ControlledWindow
+from .plotted import Look
 from .stream import PictureStream
-from .style import ACCENT, PAPER
+from .web_page import demo_page
 
 _ALL_ADDRESSES = ("0.0.0.0", "::")  # hosts that mean each of this machine's addresses
 _LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
-AREA = "demo"  # what messages about the picture are addressed to
 _REST = 0.015  # [s] between a picture and the next step, in which messages come and go
-_PIXELS = 1_500_000  # of a picture, at most; screens have more
-_LOGS = ("asyncio", "aiohttp.server", "wslink.protocol")  # that say at length that a page is gone
-_CONDITIONS = ("If-Match", "If-None-Match", "If-Modified-Since", "If-Unmodified-Since", "Range")
-_MOVES = 50  # [ms] between places of the mouse
+_PIXELS, _SIDE = 1_500_000, (160, 4096)  # of a picture, at most; and the shortest and longest side
+_LOGS = ("asyncio", "aiohttp.server")  # that say at length that a page is gone
+_BEAT = 20.0  # [s] after which a page that says nothing is asked if it is there
+_SOON = 0.05  # [s] between two descriptions of the controls
 BROWSER_NAMES = {  # of keys, where browsers call them otherwise than VTK does
     "space": " ",
     "BackSpace": "Backspace",
@@ -35,47 +39,21 @@ BROWSER_NAMES = {  # of keys, where browsers call them otherwise than VTK does
     "bracketright": "]",
     "comma": ",",
     "period": ".",
+    "Left": "ArrowLeft",
+    "Right": "ArrowRight",
 }
-_STYLE = """
-html, body { margin: 0; background: PAPER; }
-.picture { position: absolute; inset: 0; width: 100%; height: 100%; pointer-events: none; }
-.busy, .idle { position: fixed; top: 45%; left: 20%; padding: 0.5em 1em; pointer-events: none; }
-.busy, .idle { font: 16px sans-serif; color: white; background: ACCENT; border-radius: 6px; }
-.busy { opacity: 1; transition: opacity 0.1s 0.5s; }  /* what takes less shows by itself */
-.idle { opacity: 0; }
-"""
-_PLACE = "position: absolute; inset: 0; min-width: 1200px; min-height: 750px"  # what words and buttons take
-_SCRIPT = """
-const keys = KEYS;
-document.addEventListener("keydown", event => {
-  if (event.ctrlKey || event.altKey || event.metaKey || !(event.key in keys)) return;
-  event.preventDefault();  // F5 loads no page anew
-  if (!event.repeat) window.trame.trigger("press", [keys[event.key]]);
-});
-document.addEventListener("pointerdown", () => setTimeout(() => window.trame.trigger("answer"), 100), true);
-const watch = async () => {
-  let shown = {number: 0, quality: 0, rate: 0};
-  for (;;) try {
-    await new Promise(requestAnimationFrame);  // the last one is on the screen; a hidden page asks for none
-    const asked = performance.now();
-    const answer = await fetch("picture", {method: "POST", body: JSON.stringify(shown)}), file = await answer.blob();
-    const seconds = (performance.now() - asked) / 1000, told = JSON.parse(answer.headers.get("X-Picture"));
-    const picture = document.querySelector(".picture"), address = URL.createObjectURL(file);
-    picture.src = address;
-    await picture.decode().finally(() => URL.revokeObjectURL(address));
-    shown = {number: told.number, quality: told.quality, rate: file.size / Math.max(seconds - told.waited, 0.001)};
-  } catch { await new Promise(done => setTimeout(done, 1000)); }
-};
-watch();
-"""
+_MOUSE = {
+    name: f"{name}Event"
+    for name in ("LeftButtonPress", "LeftButtonRelease", "MouseMove", "MouseWheelForward", "MouseWheelBackward")
+}
 
 
 def check_backend() -> None:
-    """Raise InputError where PyVista's web backend isn't installed."""
-    if find_spec("trame_pyvista") is None:
+    """Raise InputError where the web server isn't installed."""
+    if find_spec("aiohttp") is None:
         raise InputError(
-            "--web: without trame-pyvista; expected it (pip install trame-pyvista), or --record out.html, a page that "
-            "needs nothing more"
+            "--web: without aiohttp; expected it (pip install aiohttp), or --record out.html, a page that needs "
+            "nothing more"
         )
 
 
@@ -85,88 +63,198 @@ async def serve(window: ControlledWindow, host: str, port: int, ready: Callable[
     ``ready`` is called with the port when the page can be opened; port 0 takes a free one. An InputError says why it
     can't listen there.
     """
+    web = import_module("aiohttp.web")
     for name in _LOGS:
         logging.getLogger(name).addFilter(_is_of_open_page)
-    server, pictures = _make_page(window)
-
-    def bind(wslink: Any) -> None:
-        wslink.app.middlewares.append(_make_guard(host))
-        wslink.app.router.add_post("/picture", partial(_answer, pictures))
-
-    server.controller.on_server_bind.add(bind)
-    server.controller.on_server_ready.add(lambda **_: ready(server.port))
-    # thread: signals are asyncio's matter; timeout: the server stays when nobody looks
-    started = server.start(
-        port=port,
-        host=host,
-        exec_mode="coroutine",
-        thread=True,
-        timeout=0,
-        open_browser=False,
-        show_connection_info=False,
-    )
-    serving = asyncio.ensure_future(started)
-    playing = asyncio.ensure_future(_play(window))
+    pages = _Pages(window)
+    app = web.Application(middlewares=[_make_guard(host)])
+    app.router.add_get("/", pages.show)
+    app.router.add_post("/picture", pages.picture)
+    app.router.add_get("/messages", pages.talk)
+    runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
+    await runner.setup()
     try:
-        done, _ = await asyncio.wait({serving, playing}, return_when=asyncio.FIRST_COMPLETED)
-        for task in done:
-            task.result()
-    except OSError as error:
-        reason = error.strerror if isinstance(error, socket.gaierror) else os.strerror(error.errno or 0)
-        raise InputError(
-            f"--web: {host}:{port}: {reason}; expected this machine's address and a free port (--set port=0 takes any)"
-        ) from error
+        site = web.TCPSite(runner, host, port)
+        try:
+            await site.start()
+        except OSError as error:
+            reason = error.strerror if isinstance(error, socket.gaierror) else os.strerror(error.errno or 0)
+            raise InputError(
+                f"--web: {host}:{port}: {reason}; expected this machine's address and a free port (--set port=0 takes "
+                "any)"
+            ) from error
+        ready(runner.addresses[0][1])
+        await _play(window)
     finally:
-        playing.cancel()
-        await pictures.close()
-        if not serving.done():
-            await server.stop()
+        await pages.close()
+        await runner.cleanup()
 
 
-def _make_page(window: ControlledWindow) -> tuple[Any, PictureStream]:
-    names = ("app", "ui.html", "widgets.html", "widgets.client", "widgets.rca")
-    trame, layouts, html, client, areas = (import_module(f"trame.{name}") for name in names)
-    rca, encoders = import_module("trame_rca.utils"), import_module("trame_rca.encoders")
-    server = trame.get_server(f"partdr {id(window)}", client_type="vue3")
-    server.state.trame__title = "partdr demo"
-    server.trigger("answer")(lambda: None)  # until it comes, the page says that it waits
-    server.trigger("press")(lambda key: window.press(key) if key in window.keys else None)
-    plotter = window.scene.plotter
-    plotter.iren.initialize()  # else VTK's widgets are deaf
-    window.scene.screenshot()  # else PyVista takes none later
-    plotter.suppress_rendering = True  # drawn when it is sent, and once is enough
-    pictures = PictureStream(rca.VtkWindow(plotter.render_window), encoders.RcaImageEncoder.JPEG.encode)
-    # Not for each event: VTK and PyVista say when there is something to draw.
-    area = rca.RcaViewAdapter(pictures.rca, AREA, scheduler=pictures, do_schedule_render_on_interaction=False)
-    area.max_pixel_count = _PIXELS
-    plotter.iren.interactor.AddObserver("RenderEvent", lambda *_: pictures.schedule_render())
-    plotter.add_on_render_callback(lambda _: pictures.schedule_render())
-    keys = {BROWSER_NAMES.get(key, key): key for key in window.keys}
-    with layouts.DivLayout(server, style=_PLACE):
-        client.Style(_STYLE.replace("PAPER", PAPER).replace("ACCENT", ACCENT))
-        client.Script(_SCRIPT.replace("KEYS", json.dumps(keys)))
-        with areas.RemoteControlledArea(name=AREA, send_mouse_move=True, event_throttle_ms=_MOVES) as view:
-            html.Img(classes="picture")
-        view.add_view_handler(area)
-        html.Div("working ...", classes=("trame__busy ? 'busy' : 'idle'",))  # for no picture comes meanwhile
-    return server, pictures
+class _Page:
+    """A page that is open: whether somebody sees it, and whether it shows everything."""
+
+    def __init__(self, connection: Any) -> None:
+        self.connection = connection
+        self.visible, self.more = True, False
 
 
-async def _answer(pictures: PictureStream, request: Any) -> Any:
-    """Answer a page that shows a picture and asks for the next."""
-    web, clock = import_module("aiohttp.web"), asyncio.get_running_loop().time
-    if pictures.closed:
-        raise web.HTTPServiceUnavailable
-    asked = clock()
-    try:
-        shown = await request.json()
-        number, quality, rate = int(shown["number"]), int(shown["quality"]), float(shown["rate"])
-    except (ValueError, TypeError, KeyError, OverflowError) as error:
-        raise web.HTTPBadRequest(text=f"{error}; expected number, quality and rate") from error
-    picture = await pictures.after(number, quality, rate)
-    told = {"number": picture.number, "quality": picture.quality, "waited": clock() - asked}
-    headers = {"X-Picture": json.dumps(told), "Cache-Control": "no-store"}
-    return web.Response(body=picture.content, content_type="image/jpeg", headers=headers)
+class _Pages:
+    """All pages that are open."""
+
+    def __init__(self, window: ControlledWindow) -> None:
+        self._window, self._open = window, set[_Page]()
+        plotter = window.scene.plotter
+        plotter.iren.initialize()
+        window.scene.screenshot()  # else PyVista takes none later
+        plotter.suppress_rendering = True  # drawn when it is sent, and once is enough
+        self._pictures = PictureStream(self._draw, _encode)
+        window.changed = self._pictures.change
+
+    async def close(self) -> None:
+        """Let all pages go."""
+        self._pictures.close()
+        for each in list(self._open):
+            await each.connection.close()
+
+    def _draw(self, look: Look) -> np.ndarray:
+        self._window.arrange(look)
+        return self._window.scene.screenshot()
+
+    async def show(self, request: Any) -> Any:
+        """Answer with the page itself."""
+        web = import_module("aiohttp.web")
+        keys = {BROWSER_NAMES.get(key, key): key for key in self._window.keys}
+        answer = web.Response(
+            text=demo_page(keys, self._window.tall), content_type="text/html", headers={"Cache-Control": "no-cache"}
+        )
+        answer.enable_compression()
+        return answer
+
+    async def picture(self, request: Any) -> Any:
+        """Answer a page that shows a picture and asks for the next."""
+        web, clock = import_module("aiohttp.web"), asyncio.get_running_loop().time
+        if self._pictures.closed:
+            raise web.HTTPServiceUnavailable
+        asked = clock()
+        try:
+            shown = await request.json()
+            number, quality, rate = int(shown["number"]), int(shown["quality"]), float(shown["rate"])
+            look = _look(shown)
+        except (ValueError, TypeError, KeyError, OverflowError) as error:
+            raise web.HTTPBadRequest(
+                text=f"{error}; expected number, quality, rate, width, height, zoom and more"
+            ) from error
+        picture = await self._pictures.after(look, number, quality, rate)
+        told = {"number": picture.number, "quality": picture.quality, "waited": clock() - asked}
+        headers = {"X-Picture": json.dumps(told), "Cache-Control": "no-store"}
+        return web.Response(body=picture.content, content_type="image/jpeg", headers=headers)
+
+    async def talk(self, request: Any) -> Any:
+        """Take a page's messages, and tell it of its controls, until it is closed."""
+        web = import_module("aiohttp.web")
+        connection = web.WebSocketResponse(heartbeat=_BEAT, max_msg_size=2**16)
+        await connection.prepare(request)
+        opened = _Page(connection)
+        self._open.add(opened)
+        telling = asyncio.ensure_future(self._tell(opened))
+        try:
+            async for message in connection:
+                try:
+                    told = json.loads(message.data)
+                    self._take(opened, told)
+                    answer = {"done": told.get("id")}
+                except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError) as error:
+                    answer = {"fault": f"{type(error).__name__}: {error}"}
+                await connection.send_json(answer)
+        except ConnectionError:
+            pass
+        finally:
+            telling.cancel()
+            self._open.discard(opened)
+            self._watch()
+        return connection
+
+    async def _tell(self, opened: _Page) -> None:
+        """Tell a page of its controls, each time that they have changed."""
+        last = ""
+        try:
+            while not opened.connection.closed:
+                now = json.dumps(self._described(opened.more))
+                if now != last:
+                    last = now
+                    await opened.connection.send_str(now)
+                    await asyncio.sleep(_SOON)
+                    continue
+                await self._pictures.changed()
+        except ConnectionError:
+            pass
+
+    def _take(self, opened: _Page, told: dict[str, Any]) -> None:
+        """Do what a page says."""
+        window, kind = self._window, told["do"]
+        if kind == "look":
+            opened.visible, opened.more = bool(told["visible"]), bool(told["more"])
+            self._watch()
+            self._pictures.change()
+        elif kind == "press":
+            if told["key"] in window.keys:
+                window.press(told["key"])
+        elif kind in ("click", "slide"):
+            above, below = window.rows(bool(told["more"]))
+            entry = [*above, *below][int(told["row"])][int(told["at"])]
+            if kind == "click" and isinstance(entry, Button) and entry.text == told["text"]:
+                window.click(entry)
+            elif kind == "slide" and isinstance(entry, Slider) and entry.title == told["text"]:
+                window.pull(entry, float(told["value"]))
+        elif kind == "mouse":
+            self._point(told)
+
+    def _point(self, told: dict[str, Any]) -> None:
+        """Do what the mouse or a finger does at a place, shares of the picture's width and height."""
+        look = _look(told)
+        x, y = float(told["x"]) * look.size[0], (1 - float(told["y"])) * look.size[1]
+        self._window.arrange(look)
+        interactor = self._window.scene.plotter.iren.interactor
+        interactor.SetEventInformation(round(x), round(y), 0, int(bool(told["shift"])), "\0", 0, None)
+        interactor.InvokeEvent(_MOUSE[told["kind"]])
+        self._pictures.change()
+
+    def _watch(self) -> None:
+        """Pause where nobody looks: no page is open, or none is to be seen."""
+        if not any(each.visible for each in self._open):
+            self._window.pause()
+
+    def _described(self, more: bool) -> dict[str, Any]:
+        """The controls above and below the picture."""
+        above, below = ([[_described(entry) for entry in row] for row in rows] for rows in self._window.rows(more))
+        return {"more": more, "above": above, "below": below}
+
+
+def _described(entry: Entry) -> dict[str, Any]:
+    if isinstance(entry, str):
+        return {"kind": "text", "text": entry}
+    if isinstance(entry, Slider):
+        told = {"text": entry.title, "low": entry.low, "high": entry.high, "value": entry.value, "shown": entry.shown}
+        return {"kind": "slider"} | told
+    return {"kind": "button", "text": entry.text, "hint": entry.hint, "key": entry.key} | {
+        "colour": entry.colour if entry.is_on() else ""
+    }
+
+
+def _look(told: dict[str, Any]) -> Look:
+    """The picture that a page shows; a ValueError says that its size can't be drawn."""
+    width, height = float(told["width"]), float(told["height"])
+    if not (0 < width < 1e5 and 0 < height < 1e5):
+        raise ValueError(f"size: {width:g} x {height:g}")
+    shrink = min(1.0, (_PIXELS / (width * height)) ** 0.5)
+    size = (int(min(max(side * shrink, _SIDE[0]), _SIDE[1])) for side in (width, height))
+    zoom = min(max(float(told["zoom"]), 0.5), 4.0) * shrink
+    return Look((next(size), next(size)), bool(told["more"]), zoom=zoom)
+
+
+def _encode(image: np.ndarray, quality: int) -> bytes:
+    Image.fromarray(image).save(file := io.BytesIO(), "JPEG", quality=quality)
+    return file.getvalue()
 
 
 def _make_guard(host: str) -> Any:
@@ -184,9 +272,8 @@ def _make_guard(host: str) -> Any:
         if origin is not None and urlsplit(origin).netloc != request.host:
             raise web.HTTPForbidden(text="the demo takes messages from its own page only")
         response = await handler(request)
-        if isinstance(response, web.FileResponse) and not any(name in request.headers for name in _CONDITIONS):
-            response.enable_compression()  # to half; aiohttp would also put bytes behind a "304 Not Modified"
-        response.headers["X-Frame-Options"] = "DENY"
+        if not response.prepared:
+            response.headers["X-Frame-Options"] = "DENY"
         return response
 
     return web.middleware(guard)

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from helpers import viewer
 from helpers.motions import COUNT, LATE, RATE, SIZE, made_fit, shade, write_fitted
-from helpers.viewer import click
+from helpers.viewer import box as box_of
+from helpers.viewer import buttons, click
+from helpers.viewer import said as said_by
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -20,9 +22,11 @@ from warp_partdr.errors import InputError
 from warp_partdr.inputs.films import film_facts, read_frames
 from warp_partdr.results.film_overlays import PosedMotions
 from warp_partdr.results.save_film import draw_film
+from warp_partdr.viewer.buttons import Slider
 from warp_partdr.viewer.motion_state import MotionSettings, open_motion
 from warp_partdr.viewer.motion_views import ViewPictures, arrange
 from warp_partdr.viewer.motion_window import MotionWindow
+from warp_partdr.viewer.plotted import Look
 
 one_thread = viewer.one_thread  # a fixture
 ASIDE = {  # from the people's left, where the first camera sees their fronts; y is down in the world
@@ -51,7 +55,7 @@ def change(folder: Path, **values: Any) -> None:
 def window(folder: Path, can_draw: None) -> Iterator[MotionWindow]:
     change(folder, views=[FRONT, ASIDE])
     state, films = open_motion(folder, MotionSettings())
-    made = MotionWindow(state, films, folder.parent / "saved", off_screen=True)
+    made = MotionWindow(state, films, folder.parent / "saved", off_screen=True, more=True)
     made.scene.screenshot()
     yield made
     made.scene.close()
@@ -70,7 +74,8 @@ def test_a_lens_s_distortion_is_taken_away(folder: Path, tmp_path: Path) -> None
     (view,) = state.saved.views
     assert view.lens is not None
     assert (list(view.lens.focal), list(view.lens.distortion)) == (lens["focal"], lens["distortion"])
-    pictures = ViewPictures(state, None, (SIZE[1], SIZE[0] + 20), films)  # type: ignore[arg-type]
+    pictures = ViewPictures(state, None, films)  # type: ignore[arg-type]
+    pictures.arrange((SIZE[1] + 16, SIZE[0] + 20 + 16))
     state.hidden = set(state.people)
     drawn = pictures.picture(0).astype(int)
     expected = view.lens.undistort_picture(grid).astype(int)
@@ -136,17 +141,17 @@ def test_the_slider_moves_bodies(window: MotionWindow) -> None:
     scene = window.scene
     first, before = scene.people[0].mapper.dataset.points.copy(), scene.screenshot()
     assert not scene.people[1].visibility  # who comes later
-    slider = window._slider
-    slider.GetRepresentation().SetValue(10)
-    slider.InvokeEvent("InteractionEvent")
+    (slider,) = (placed.entry for placed in window.panel.entries if isinstance(placed.entry, Slider))
+    window.pull(slider, 1.03)  # [s]
     assert window.state.frame == 10
     np.testing.assert_allclose(scene.people[0].mapper.dataset.points, first + np.array([1, 0, 0]), atol=1e-4)
     assert scene.people[1].visibility
-    assert "frame 10 of 20   ·   1.00 s   ·   2 of 2 people" in scene._said()
+    assert "frame 10 of 20 · 1.00 s · 2 of 2 people" in said_by(window)
     after = scene.screenshot()
-    places = [whose(each[:, :768], window.state.colour(0))[:, 1].mean() for each in (before, after)]
-    assert places[1] > places[0] + 20
-    assert (before[:, 768:] != after[:, 768:]).any()
+    solid = box_of(window, "solid")
+    places = [whose(each[solid], window.state.colour(0))[:, 1].mean() for each in (before, after)]
+    assert places[1] > places[0] + 10
+    assert (before != after)[box_of(window, "pictures")].any()
 
 
 def test_buttons_and_keys_change_what_is_shown(window: MotionWindow) -> None:
@@ -176,6 +181,28 @@ def test_buttons_and_keys_change_what_is_shown(window: MotionWindow) -> None:
     for key in window.keys:
         window.press(key)
         assert "expected" not in scene.message, key
+
+
+def test_the_first_screen_has_a_sentence_play_and_time(window: MotionWindow) -> None:
+    click(window, "less")
+    assert [button.text for button in buttons(window)] == ["play", "more"]
+    assert said_by(window).startswith("Press play: you see 2 people of a film in 3D")
+    (slider,) = (placed.entry for placed in window.panel.entries if isinstance(placed.entry, Slider))
+    assert (slider.title, slider.high) == ("time [s]", pytest.approx((COUNT - 1) / RATE))
+    window.pull(slider, 99.0)
+    assert window.state.frame == COUNT - 1
+
+
+@pytest.mark.parametrize("size", [(390, 500), (1280, 800), (640, 480)])
+def test_pictures_have_the_size_of_their_view(window: MotionWindow, size: tuple[int, int]) -> None:
+    window.arrange(Look(size))
+    window.refresh()
+    rows, columns = box_of(window, "pictures")
+    for placed in window.scene.pictures.boxes:
+        assert placed.left + placed.size[1] + 16 <= columns.stop - columns.start
+        assert placed.top + placed.size[0] + 16 <= rows.stop - rows.start
+    seen = window.scene.screenshot()[rows, columns]
+    assert (seen != 250).any(-1).mean() > 0.1
 
 
 def test_it_plays_as_fast_as_the_film_and_begins_anew(window: MotionWindow, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -243,7 +270,7 @@ def test_a_motion_is_recorded_from_first_to_last_frame(can_draw: None, folder: P
         pictures = [frame.picture for frame in read_frames(path)]
         first, last = pictures[0], pictures[COUNT - 1]
     colour = open_motion(folder, MotionSettings())[0].colour(0)
-    before, after = (whose(each[:, 768:], colour)[:, 1].mean() for each in (first, last))
+    before, after = (whose(each[:, 780:], colour)[:, 1].mean() for each in (first, last))
     assert after > before + 60
 
 
@@ -297,6 +324,6 @@ def test_another_film_is_told_and_left_out(window: MotionWindow, folder: Path) -
     write_film(folder.parent / "walk.mp4", [np.full((96, 160, 3), 90, np.uint8)] * COUNT, rate=RATE)
     state, films = open_motion(folder, MotionSettings())
     other = MotionWindow(state, films, folder.parent / "saved", off_screen=True)
-    assert "pictures of 160x96; expected 320x200" in other.scene._said()
+    assert "pictures of 160x96; expected 320x200" in said_by(other)
     assert np.median(other.scene.pictures.picture(0)) == 232
     other.scene.close()

@@ -10,7 +10,7 @@ import torch
 from helpers import viewer
 from helpers.example import example_mask
 from helpers.files import EXAMPLE
-from helpers.viewer import SMALL, make_state, play, read_target
+from helpers.viewer import SMALL, cropped, make_state, play, read_target
 from PIL import Image
 
 from warp_partdr import PART_NAMES, InputError, load_body
@@ -155,7 +155,7 @@ def test_a_saved_body_is_loaded_as_it_was(tmp_path):
 def test_a_photo_with_labels_is_a_target():
     target = read_target(EXAMPLE / "photo.png", parts=EXAMPLE / "parts.png", labels="cdcl14")
     state = DemoState(body_of("t-pose"), target, SMALL)
-    assert target.photo.shape == (256, 256, 3)
+    assert target.photo.pixels.shape == (512, 384, 3)
     before = state.part_f1
     play(state, 30)
     assert state.part_f1 > before
@@ -169,10 +169,11 @@ def test_the_photo_is_cut_as_its_labels_are(tmp_path):
     person = example_mask()
     Image.fromarray(np.repeat(person[..., None] * np.uint8(255), 3, axis=-1)).save(tmp_path / "white.png")
     target = read_target(tmp_path / "white.png", parts=EXAMPLE / "parts.png", labels="cdcl14")
-    labels = resize_nearest(target.observation.labels, len(target.photo)).numpy()
+    photo = cropped(target.photo, 256)
+    labels = resize_nearest(target.observation.labels, len(photo)).numpy()
     seen = labels != 255
     assert 0.5 < seen.mean() < 1
-    assert ((target.photo[..., 0] > 127) == (labels > 0))[seen].mean() > 0.99
+    assert ((photo[..., 0] > 127) == (labels > 0))[seen].mean() > 0.99
 
 
 def test_a_photo_without_labels_says_what_works():
@@ -273,3 +274,41 @@ def test_the_gradient_is_compared_only_where_all_of_it_is_followed():
         tradeoff.update(measure=True)
         row = tradeoff.rows[tradeoff.current]
         assert (row.followed, row.angle is not None) == (followed, is_compared)
+
+
+def test_it_has_converged_when_the_mean_energy_stands_still():
+    """The mean of the last 20 iterations is less than 1 % below that of the 20 before."""
+    state = make_state()
+    for history, converged in (
+        ([100.0] * 39, False),
+        ([100.0] * 40, True),
+        ([100.0] * 20 + [99.2] * 20, True),
+        ([100.0] * 20 + [98.8] * 20, False),
+        ([900.0] * 50 + [100.0] * 20 + [99.5] * 20, True),
+        ([100.0, 90.0] * 20, True),  # it swings
+        (list(np.linspace(100, 60, 40)), False),
+    ):
+        state.history = history
+        assert state.converged == converged, history
+
+
+def test_shares_are_of_the_mean_adult_and_within_bounds():
+    state = make_state()
+    assert state.share("lengths") == pytest.approx(1.0)
+    state.set_share("lengths", 1.05)
+    assert state.share("lengths") == pytest.approx(1.05)
+    state.set_share("lengths", 9.0)
+    assert (state.body.lengths[0] <= state.bounds("lengths")[1] + 1e-6).all()
+    assert state.history == []
+
+
+def test_a_photo_s_body_is_drawn_through_the_lens_of_its_energy():
+    """Else the labels that are compared would not be those that are seen: it would be drawn 5 % too small."""
+    target = read_target(EXAMPLE / "photo.png", parts=EXAMPLE / "parts.png", labels="cdcl14")
+    state = DemoState(body_of("t-pose"), target, replace(SMALL, size=128, steps=100))
+    assert state.lens is not None
+    play(state, 120)
+    assert state.part_f1 > 0.8
+    joints = state.posed.joints[0].numpy()
+    placed, camera = state.energy.place(state.body.detach(), state.posed, 2)
+    np.testing.assert_allclose(state.in_crop(joints), camera.project(placed.joints)[0, :, :2] - 1, atol=1e-5)

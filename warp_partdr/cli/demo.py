@@ -19,14 +19,15 @@ from ..inputs.films import is_film
 from ..inputs.part_labels import read_photo
 from .options import OutOption, PersonFiles, SettingOptions, take_whole
 
-_START, _TARGET = "t-pose", "walking"
-DEMO_HELP = """Play with a body in a window: change it, and watch how it is refined toward a target, step by step.
+_START, _EXAMPLE = "t-pose", "photo"  # the first body, and the target: the packaged photo
+DEMO_HELP = """Watch how a body is fitted to the person in a photo, step by step, in a window or a browser.
 
-Examples: `partdr demo`, then press the space bar; `partdr demo --web` for a browser; `partdr demo --record out.gif
---target "crossed arms"` for a file
+Examples: `partdr demo`, then press play; `partdr demo --web` for a browser; `partdr demo --record out.gif` for a file
 
-On the left you see the body in 3D. On the right you see its labels, the target's labels, the difference, the pull of
-the loss on each part, and the loss. Point at a button to see what it does and its key. Bodies have these names: t-pose,
+The first screen shows a photo of a person, and a body before it. Press play, and the body moves until it stands on the
+person; it stops by itself. Three sliders change the body and the side that you see it from. The button "more" opens all
+other controls: starts and targets, renderers, gradients, sizes, the labels that are compared, the pull on each part,
+and the energy. Point at a button to see what it does and its key. `--target NAME` takes a body as the target: t-pose,
 walking, crossed arms, sitting, random.
 
 **A person of your own**: `partdr demo photo.jpg` takes the largest person, or the one of --person N. Or give
@@ -76,7 +77,9 @@ class DemoRequest:
             metavar="NAME",
         ),
     ] = _START
-    target: Annotated[str, Option(help="Name of the body that is the target.", metavar="NAME")] = _TARGET
+    target: Annotated[
+        str, Option(help="Target: the name of a body, or photo, the packaged photo of a person.", metavar="NAME")
+    ] = _EXAMPLE
     record: Annotated[
         Path | None, Option(help="Write the demo to a file, without a window: .gif, .mp4 or .html.", metavar="FILE")
     ] = None
@@ -152,7 +155,10 @@ def _show_body(request: DemoRequest) -> None:
     if request.record is not None:
         _record(state, request.record, chosen.steps)
         return
-    window = _viewer("window").Window(state, request.out, off_screen=request.off_screen, seed=seed + 1)
+    detailed = goal.photo is not None and not request.profile
+    window = _viewer("window").Window(
+        state, request.out, off_screen=request.off_screen, seed=seed + 1, detailed=detailed
+    )
     _show(window, request, f", at {chosen.size}x{chosen.size}")
 
 
@@ -203,7 +209,7 @@ def _check_folder(request: DemoRequest, folder: Path) -> None:
     """Raise an InputError if an option was given that does not go with a fitted film."""
     given = {name: value for name, value in vars(request.files).items() if value is not None}
     given |= {"start": request.start} if request.start != _START else {}
-    given |= {"target": request.target} if request.target != _TARGET else {}
+    given |= {"target": request.target} if request.target != _EXAMPLE else {}
     for name, value in given.items():
         option = "format" if name == "keypoint_format" else name
         raise InputError(f"--{option}: {value}, with {folder}, a folder of a fitted film; expected the folder alone")
@@ -225,6 +231,13 @@ def _bodies(request: DemoRequest, seed: int) -> tuple[Any, Any]:
             goal = targets.person_target(person_in_photo(read_photo(photo), files.person or 0))
     elif files.person is not None:
         raise InputError(f"--person: {files.person}, without a photo or keypoints; expected one of them")
+    elif request.target == _EXAMPLE:
+        example = Path(__file__).resolve().parents[1] / "assets" / "example"
+        goal = targets.person_target(
+            PersonFiles(example / "keypoints.json", parts=example / "parts.png", labels="cdcl14").read(
+                example / "photo.png"
+            )
+        )
     else:
         goal = targets.body_target(targets.body_of(request.target, seed + 1))  # unlike a random first body
     if start.endswith(".npz"):
@@ -257,6 +270,8 @@ def _record(state: Any, path: Path, steps: int) -> None:
     from .progress import FitProgress
 
     scene = _viewer("scene").PlottedScene(state)
+    if state.target.photo is not None:
+        scene.skin = _viewer("skin").ShownSkin()
     try:
         pictures = []
         with FitProgress() as progress:
