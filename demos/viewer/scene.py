@@ -127,6 +127,10 @@ class PlottedScene(Plotted):
         beside, below = (low + high) / 2 - principal
         camera.SetWindowCenter(beside / (tall * aspect), -below / tall)
 
+    def smooth_edges(self, smooth: bool) -> None:
+        """Smooth the body's edges in the picture (FXAA), which takes about as long as drawing it."""
+        self.body_view.SetUseFXAA(smooth)
+
     @property
     def turned(self) -> float:
         """Angle about the vertical from which the body is seen: 0 from the front, 90 from its left [degrees]."""

@@ -21,7 +21,7 @@ from .state import DemoState
 from .style import ACCENT, FAINT, INK, PAPER
 
 _MOST = 8  # rows that are kept
-_WIDE, _TALL, _LETTER, _LINE = 372, 186, 11, 15  # [px] of the table where its letters have this size
+_WIDE, _TALL, _LETTER, _LINE = 372, 186, 11, 16  # [px] of the table where its letters have this size
 _WORDS = 2  # columns of words, which begin at x; the others end there
 
 # Of each column: two lines of its head, x [px], the row's attribute and how it is written.
@@ -145,7 +145,7 @@ class TradeoffTable:
         draw, scale, top = self._overlay.draw, self._scale, _LINE * index + (4 if index > 2 else 0)
         draw.rectangle((0, scale * top, scale * _WIDE, scale * (top + _LINE) - 1), fill=PAPER)
         for k, (text, column) in enumerate(zip(texts, _COLUMNS, strict=False)):
-            place = scale * (column[2] + 4), scale * (top + 2)
+            place = scale * (column[2] + 4), scale * (top + 1)
             draw.text(place, text, colour, self._overlay.font, anchor="la" if k < _WORDS else "ra")
 
 

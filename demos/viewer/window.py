@@ -52,7 +52,8 @@ class Window(ControlledWindow):
         self.controls = Controls(state, scene, folder, self.refresh, seed)
         scene.has_table = True
         self._table = TradeoffTable(scene.view("table"), self.tradeoff)
-        self._moved = 0.0  # when the body moved last
+        self._moved, self._rests = 0.0, True  # when the body moved last, and whether it is drawn as well as it can be
+        scene.smooth_edges(True)
         super().__init__(scene, self.controls.filming, self.controls.keys, self.controls, more=more)
         plotter = scene.plotter
         plotter.enable_mesh_picking(self._picked, use_actor=True, left_clicking=True, show=False, show_message=False)
@@ -93,8 +94,20 @@ class Window(ControlledWindow):
         """
         if self.controls.playing:
             self._try(self._go_on, clear=False)
-        elif time.perf_counter() - self._moved > _RESTS and self.controls.settle():
+        elif not self._rests and time.perf_counter() - self._moved > _RESTS:
+            self._rests = True
+            self.scene.smooth_edges(True)
+            self.controls.settle()
             self.refresh()
+
+    def _stir(self) -> None:
+        """Draw fast, until there is rest again."""
+        self._moved, self._rests = time.perf_counter(), False
+        self.scene.smooth_edges(False)
+
+    def _clicked(self) -> bool:
+        self._stir()
+        return super()._clicked()
 
     def _go_on(self) -> None:
         hurry = self.scene.detailed and len(self.state.history) < _FAR_FROM_END
@@ -120,6 +133,7 @@ class Window(ControlledWindow):
 
     def _try(self, action: Callable[[], None], *, clear: bool = True, measure: bool = True) -> None:
         def measured() -> None:
+            self._stir()
             action()
             self._moved = time.perf_counter()
             self.tradeoff.update(measure=measure)

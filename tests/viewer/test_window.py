@@ -556,3 +556,13 @@ def test_the_picture_follows_the_size_of_the_window(window):
     assert window.scene.screenshot().shape == (500, 700, 3)
     click(window, "E2")
     assert window.state.settings.renderer == "E2"
+
+
+def test_edges_are_smooth_at_rest_and_fast_to_draw_while_it_moves(window):
+    view = window.scene.body_view
+    assert view.GetUseFXAA()
+    window.press("n")
+    assert not view.GetUseFXAA()
+    window._moved -= 1  # [s]
+    window.tick()
+    assert view.GetUseFXAA()
