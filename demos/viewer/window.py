@@ -135,7 +135,6 @@ class Window(ControlledWindow):
         def measured() -> None:
             self._stir()
             action()
-            self._moved = time.perf_counter()
             self.tradeoff.update(measure=measure)
 
         super()._try(measured, clear=clear)

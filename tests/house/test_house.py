@@ -386,9 +386,9 @@ def test_functions_of_autograd_are_found(code: str, found: list[str]):
     assert list(autograd_functions(ast.parse(code))) == found
 
 
-def test_the_readme_says_where_each_wing_is():
+def test_contributing_says_where_each_wing_is():
     """All levels are there, from the highest to the lowest; ``reference`` is told of below the list."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     section = text.partition("## Where things are\n")[2].partition("\n## ")[0]
     lines = re.findall(r"(?m)^ {4}([a-z_]+(?: · [a-z_]+)*)(?: {2,}| \()", section)
     shown = [[LEVELS.index(name) for name in line.split(" · ")] for line in lines]
