@@ -26,6 +26,7 @@ _WAIST = 0.16  # height of the T-shirt's end above the hips, as a share of the t
 _THIGH = 0.3  # share of the thigh below the hip joint that is smoothed, too
 _FADE = 0.03  # [m], distance from an edge of the suit within which the smoothing fades
 _FINE, _COARSE = 0.022, 0.07  # [m], widths of the smoothing: of the trunk, and of its front
+_FARTHEST = 20.0  # square of the distance, in widths, beyond which a vertex does not count
 _EVEN = 0.05  # [m], width over which the smoothing itself changes
 
 
@@ -40,7 +41,7 @@ class Suit:
     cloth: np.ndarray
     _trunk: torch.Tensor  # indices of the vertices that are smoothed, shape (N,)
     _shares: torch.Tensor  # how much each of them is, shape (N, 1)
-    _means: torch.Tensor  # weights of the means over their surroundings, shape (N, N)
+    _smoothing: torch.Tensor  # weights that make a smooth surface of their surroundings, shape (N, N)
 
     def put_on(self, vertices: torch.Tensor) -> torch.Tensor:
         """Return the vertices of one body in its suit.
@@ -53,9 +54,7 @@ class Suit:
         """
         worn = vertices.detach().to("cpu", torch.float32, copy=True)
         trunk = worn[self._trunk]
-        # The mean of a curved surface lies inside of it. Twice the mean less the mean's mean lies on it.
-        smooth = self._means @ (2 * trunk - self._means @ trunk)
-        worn[self._trunk] = torch.lerp(trunk, smooth, self._shares)
+        worn[self._trunk] = torch.lerp(trunk, self._smoothing @ trunk, self._shares)
         return worn
 
 
@@ -103,11 +102,13 @@ def suit_of(model: DetailedModel) -> Suit:
         cloth = np.stack([np.minimum(whole, above), np.minimum(whole, -above)], axis=1).clip(-_FAR, _FAR)
         smoothed = _smoothed_share(rest, whole)
         trunk = np.flatnonzero(smoothed)
+        means = torch.from_numpy(_trunk_means(rest, trunk).astype(np.float32))
         return Suit(
             cloth.astype(np.float32),
             torch.from_numpy(trunk),
             torch.from_numpy(smoothed[trunk, None].astype(np.float32)),
-            torch.from_numpy(_trunk_means(rest, trunk).astype(np.float32)),
+            # The mean of a curved surface lies inside of it. Twice the mean less the mean's mean lies on it.
+            2 * means - means @ means,
         )
 
 
@@ -155,6 +156,7 @@ def _means(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, widths: n
     """Weights of the mean around each of N points, over those that face the same way, shape (N, N)."""
     squares = (points**2).sum(1)
     distances = (squares[:, None] + squares - 2 * points @ points.T) / widths[:, None] ** 2
-    weights = np.exp(-distances / 2) * (normals @ normals.T).clip(0) * areas
+    # Without a limit, most weights would be too small for float32 to multiply quickly.
+    weights = np.where(distances < _FARTHEST, np.exp(-distances / 2), 0.0) * (normals @ normals.T).clip(0) * areas
     means: np.ndarray = weights / weights.sum(1, keepdims=True)
     return means

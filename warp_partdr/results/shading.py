@@ -31,7 +31,7 @@ _REACH, _CREVICE = 0.06, 0.22  # [m], surroundings that take light away, and how
 _THIN = 1e-3  # [px²], twice the area below which a face is seen from its edge
 _STEP = 0.03  # [m], difference of depths within a pixel that makes it an edge
 _FEW_SAMPLES, _MANY_SAMPLES = 2, 3  # samples of a pixel in each direction, for smooth outlines
-_SMALL = 400_000  # [px], area of a picture up to which a pixel has many samples
+_SMALL = 15_000  # [px], area of a picture up to which a pixel has many samples
 
 
 @dataclass(frozen=True)
