@@ -185,7 +185,7 @@ class Controls:
         if self._skin is None:
             self._skin = ShownSkin(self.registration)
         self._scene.skin = self._skin
-        if not self._skin.rests:
+        if not self._skin.rests and self._state.settled:
             self._scene.message = (
                 f"The detailed body has their pose; its shape takes about {self._skin.seconds:.0f} s ..."
             )
@@ -193,7 +193,7 @@ class Controls:
     def settle(self) -> bool:
         """Register the detailed body, if it is shown and the ellipsoids rest; whether there was something to do."""
         skin = self._scene.skin
-        if skin is None or skin.rests:
+        if skin is None or skin.rests or not self._state.settled:
             return False
         skin.register(self._state.placed, fitted=self._state.target.truth is None)
         if self._scene.message.endswith("..."):

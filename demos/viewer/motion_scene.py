@@ -8,15 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from ..models.normals import vertex_normals
+from ..models.suit import suit_of
 from .motion_state import MotionState
 from .motion_views import ViewPictures
 from .overlay import Overlay
 from .plotted import PANEL, Box, Look, Plotted, controls_beside, halves
+from .skin import suit_colours
 
 _COLUMN, _STRIP = 360, 110  # [px] of the controls
 _SHARE, _LESS = 0.6, 0.45  # of the space that the people in 3D have, and on the first screen
 _LETTER = 12  # [px]
 _SKIN = {"interpolation": "Gouraud", "ambient": 0.3, "diffuse": 0.75, "specular": 0.0}
+_COLOUR = "colour"  # name of the colours in a person's surface
 _GRID, _CAMERAS = "#b9bec6", "#70767e"
 _MOST_LINES = 40  # of the ground, each way
 _AROUND = 0.5  # [m] of ground beside the people
@@ -41,7 +44,7 @@ class PlottedMotion(Plotted):
         self.ground, self.cameras = True, True  # whether they are shown
         self._open("solid")
         self.people = {
-            person: self._add(self._skin(person), color=state.colour(person).tolist(), name=f"person{person}", **_SKIN)
+            person: self._add(self._skin(person), scalars=_COLOUR, rgb=True, name=f"person{person}", **_SKIN)
             for person in state.people
         }
         self._grid = self._add(self._lines(_ground(state.room.low, state.room.high)), color=_GRID, line_width=1)
@@ -71,7 +74,9 @@ class PlottedMotion(Plotted):
     def _skin(self, person: int) -> object:
         model = self.state.saved.motions[person].model
         points = model.rest_vertices.cpu().numpy().astype(np.float32)
-        return self._pv.PolyData.from_regular_faces(points, model.faces.cpu().numpy())
+        shown = self._pv.PolyData.from_regular_faces(points, model.faces.cpu().numpy())
+        shown.point_data[_COLOUR] = suit_colours(model, self.state.colour(person))
+        return shown
 
     def _lines(self, ends: np.ndarray) -> object:
         """Lines between pairs of points (N, 2, 3)."""
@@ -105,9 +110,10 @@ class PlottedMotion(Plotted):
         for person, actor in self.people.items():
             actor.visibility = person in bodies
             if person in bodies:
-                skin, faces = actor.mapper.dataset, self.state.saved.motions[person].model.faces
-                skin.points = (bodies[person].vertices[0].cpu().numpy() @ self.state.room.turn.T).astype(np.float32)
-                skin.point_data.active_normals = vertex_normals(skin.points, faces.cpu().numpy())
+                skin, model = actor.mapper.dataset, self.state.saved.motions[person].model
+                worn = suit_of(model).put_on(bodies[person].vertices[0]).numpy()
+                skin.points = (worn @ self.state.room.turn.T).astype(np.float32)
+                skin.point_data.active_normals = vertex_normals(skin.points, model.faces.cpu().numpy())
         self._grid.visibility, self._pyramids.visibility = self.ground, self.cameras
         self.pictures.update()
         self.body_view.ResetCameraClippingRange()

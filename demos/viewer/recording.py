@@ -35,14 +35,14 @@ _WIDEST = 640  # [px] of a film
 def frames(scene: PlottedScene, steps: int) -> Iterator[np.ndarray]:
     """The start, then a picture after each two steps, and the last: RGB, (height, width, 3), uint8.
 
-    In the last one, a detailed body that is shown is registered.
+    In the last one, a detailed body that is shown is registered, if the refinement has settled.
     """
     scene.update()
     yield scene.screenshot()
     for done in range(1, steps + 1):
         scene.state.step()
         if done % 2 == 0 or done == steps:
-            if done == steps and scene.skin is not None:
+            if done == steps and scene.skin is not None and scene.state.settled:
                 scene.skin.register(scene.state.placed, fitted=scene.state.target.truth is None)
             scene.update()
             yield scene.screenshot()

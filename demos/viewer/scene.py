@@ -282,7 +282,9 @@ class PlottedScene(Plotted):
         shown, (vertices, normals) = self._skin.mapper.dataset, skin.surface()
         if shown.n_points != len(vertices):
             shown = self._pv.PolyData.from_regular_faces(vertices, skin.faces)
+            shown.point_data.set_scalars(skin.colours, "colour")
             self._skin.mapper.dataset = shown
+            self._skin.mapper.scalar_visibility, self._skin.mapper.color_mode = True, "direct"
         shown.points = vertices @ _FLIP.astype(np.float32)
         shown.point_data.active_normals = normals @ _FLIP.astype(np.float32)
 

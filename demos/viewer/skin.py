@@ -11,6 +11,7 @@ from ..body.parameters import BodyParameters
 from ..body.posing import Posed
 from ..body.template import PARENTS
 from ..models.anny import anny
+from ..models.model import DetailedModel
 from ..models.normals import vertex_normals
 from ..models.pose import pose_from_ellipbody
 from ..models.registration import (
@@ -20,6 +21,8 @@ from ..models.registration import (
     register,
     shape_from_lengths,
 )
+from ..models.suit import suit_of
+from ..results.shading import SKIN_COLOUR, suit_tones
 
 _ITERATIONS = 30  # of a registration; more change nothing that can be seen
 _USUAL = 1.5  # [s] that a registration takes, until one was measured
@@ -80,9 +83,21 @@ class ShownSkin:
         self._shape, self._size = registered.shape, _size(posed)
         self._posed, self.rests, self.seconds = posed, True, time.perf_counter() - began
 
+    @property
+    def colours(self) -> np.ndarray:
+        """Colours of the vertices, RGB, shape (V, 3), uint8."""
+        return suit_colours(self._model, SKIN_COLOUR)
+
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (V, 3) [m] and their normals (V, 3)."""
-        return self._vertices, vertex_normals(self._vertices, self.faces).astype(np.float32)
+        """Vertices in a plain suit, as in all pictures (V, 3) [m], and their normals (V, 3)."""
+        worn = suit_of(self._model).put_on(torch.from_numpy(self._vertices)).numpy()
+        return worn, vertex_normals(worn, self.faces).astype(np.float32)
+
+
+def suit_colours(model: DetailedModel, colour: np.ndarray) -> np.ndarray:
+    """Colours of the vertices of a body in its suit, RGB, shape (V, 3), uint8; ``colour`` is that of the skin."""
+    tones: np.ndarray = suit_tones(suit_of(model).cloth)
+    return (tones[:, None] * colour).round().astype(np.uint8)
 
 
 def _size(posed: Posed) -> float:

@@ -94,6 +94,14 @@ class DemoState:
         self.history.append(float(self._refinement.history[-1]))
 
     @property
+    def settled(self) -> bool:
+        """Whether the body's sizes are somebody's, so that a detailed body can be registered to it.
+
+        On its way to a photo, single parts are much too thin or too thick.
+        """
+        return self.target.truth is not None or self.converged
+
+    @property
     def converged(self) -> bool:
         """True if the mean energy of the last 20 iterations is less than 1 % below that of the 20 before them."""
         if len(self.history) < 2 * _COMPARED:
