@@ -566,3 +566,17 @@ def test_edges_are_smooth_at_rest_and_fast_to_draw_while_it_moves(window):
     window._moved -= 1  # [s]
     window.tick()
     assert view.GetUseFXAA()
+
+
+def test_nobody_is_registered_to_a_body_on_its_way_to_a_photo(open_window, photo_target):
+    """On its way, single parts are much too thin or too thick, and a registered body would be, too."""
+    window = open_window(DemoState(body_of("t-pose"), photo_target, SMALL), more=False, detailed=True)
+    for _ in range(3):
+        window.state.step()
+    assert not window.state.settled
+    assert not window.settle()
+    assert not window.scene.skin.rests
+    window.state.history = [1.0] * 100  # an energy that no longer falls
+    assert window.state.settled
+    assert window.settle()
+    assert window.scene.skin.rests
