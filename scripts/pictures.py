@@ -115,18 +115,15 @@ def draw_examples() -> Image.Image:
     everyone = fit_photo(photo)
     mask = mask_labels(everyone.owners, 0)
     assert mask is not None  # the person is in the middle of the picture
-    alone = draw_fit(photo, mask, "the person who is found", everyone.fits[0], nude=False)
+    alone = draw_fit(photo, mask, "the person who is found", everyone.fits[0])
     sheet = Image.new("RGB", (max(labelled.width, alone.width), labelled.height + GAP + alone.height), "white")
     sheet.paste(labelled)
     sheet.paste(alone, (0, labelled.height + GAP))
     return sheet
 
 
-def draw_fit(photo: np.ndarray, parts: PartLabels, seen: str, mesh: MeshFit, *, nude: bool = True) -> Image.Image:
-    """A photo, the labels that a fit saw, both bodies over the photo, and the ellipsoids from the side.
-
-    The mesh is left out, on request: it has no clothes, and a photo may show somebody real.
-    """
+def draw_fit(photo: np.ndarray, parts: PartLabels, seen: str, mesh: MeshFit) -> Image.Image:
+    """A photo, the labels that a fit saw, both bodies over the photo, and the ellipsoids from the side."""
     height, width = round(WIDTH * photo.shape[0] / photo.shape[1]), WIDTH
     colours = group_colours(parts.label_set.part_groups)
     colours[0] = 255
@@ -134,9 +131,8 @@ def draw_fit(photo: np.ndarray, parts: PartLabels, seen: str, mesh: MeshFit, *, 
         "a photo": Image.fromarray(photo),
         seen: Image.fromarray(colours[parts.groups]),
         "ellipsoids, with the keypoints": draw_overlay(mesh.ellipbody, photo.shape[:2], photo),
+        "the mesh": draw_detailed(mesh.body, mesh.camera, photo.shape[:2], photo),
     }
-    if nude:
-        views["the mesh"] = draw_detailed(mesh.body, mesh.camera, photo.shape[:2], photo)
     panels = {name: view.resize((width, height), Image.Resampling.LANCZOS) for name, view in views.items()}
     (side,) = turntable_views(mesh.ellipbody.posed, ((90, 0),), height)
     margin = (height - width) // 2

@@ -574,9 +574,9 @@ def test_nobody_is_registered_to_a_body_on_its_way_to_a_photo(open_window, photo
     for _ in range(3):
         window.state.step()
     assert not window.state.settled
-    assert not window.settle()
+    assert not window.controls.settle()
     assert not window.scene.skin.rests
     window.state.history = [1.0] * 100  # an energy that no longer falls
     assert window.state.settled
-    assert window.settle()
+    assert window.controls.settle()
     assert window.scene.skin.rests
