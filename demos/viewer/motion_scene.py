@@ -19,7 +19,7 @@ _COLUMN, _STRIP = 360, 110  # [px] of the controls
 _SHARE, _LESS = 0.6, 0.45  # of the space that the people in 3D have, and on the first screen
 _LETTER = 12  # [px]
 _SKIN = {"interpolation": "Gouraud", "ambient": 0.3, "diffuse": 0.75, "specular": 0.0}
-_COLOUR = "colour"  # name of the colours in a person's surface
+_PAINT = "colour"  # name of the colours in a person's surface
 _GRID, _CAMERAS = "#b9bec6", "#70767e"
 _MOST_LINES = 40  # of the ground, each way
 _AROUND = 0.5  # [m] of ground beside the people
@@ -44,7 +44,7 @@ class PlottedMotion(Plotted):
         self.ground, self.cameras = True, True  # whether they are shown
         self._open("solid")
         self.people = {
-            person: self._add(self._skin(person), scalars=_COLOUR, rgb=True, name=f"person{person}", **_SKIN)
+            person: self._add(self._skin(person), scalars=_PAINT, rgb=True, name=f"person{person}", **_SKIN)
             for person in state.people
         }
         self._grid = self._add(self._lines(_ground(state.room.low, state.room.high)), color=_GRID, line_width=1)
@@ -75,7 +75,7 @@ class PlottedMotion(Plotted):
         model = self.state.saved.motions[person].model
         points = model.rest_vertices.cpu().numpy().astype(np.float32)
         shown = self._pv.PolyData.from_regular_faces(points, model.faces.cpu().numpy())
-        shown.point_data[_COLOUR] = suit_colours(model, self.state.colour(person))
+        shown.point_data[_PAINT] = suit_colours(model, self.state.colour(person))
         return shown
 
     def _lines(self, ends: np.ndarray) -> object:

@@ -95,7 +95,7 @@ class DemoState:
 
     @property
     def settled(self) -> bool:
-        """Whether the body's sizes are somebody's, so that a detailed body can be registered to it.
+        """True if the body's sizes are somebody's, so that a detailed body can be registered to it.
 
         On its way to a photo, single parts are much too thin or too thick.
         """
