@@ -181,7 +181,7 @@ def test_no_hint_and_no_page_installs_the_package_from_an_index():
     root = Path(__file__).resolve().parents[1]
     if not (root / "pyproject.toml").exists():
         pytest.skip("needs the repository around the tests")
-    places = ("*.md", "docs/*.md", "warp_partdr/**/*.py", "demos/**/*.py")
+    places = ("*.md", "docs/**/*.md", "warp_partdr/**/*.py", "demos/**/*.py")
     files = [path for place in places for path in root.glob(place) if path.name != "errors.py"]
     assert len(files) > 100
     assert [path.name for path in files if re.search("install '?warp-partdr", path.read_text())] == []
