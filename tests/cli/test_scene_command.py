@@ -166,7 +166,7 @@ def test_cameras_are_found(run: Run, unplaced: SceneSample) -> None:
     assert list(cameras) == ["left", "right"]
     report = json.loads(Path("out", "people.json").read_text())
     assert cameras["right"].size == unplaced.parts.shape[1:]
-    assert cameras["right"].focal[0] == pytest.approx(report["views"][1]["focal"])
+    assert cameras["right"].focal[0] == pytest.approx(report["views"][1]["focal"], abs=0.005)  # rounded in people.json
     np.testing.assert_allclose(cameras["right"].translation, report["views"][1]["translation"], atol=1e-5)
     # The file serves as calibrated cameras.
     code, said, complaint = run(f"scene left.mp4 right.mp4 --cameras out/cameras.json --out again {QUICK_COMMAND}")
