@@ -167,13 +167,13 @@ def test_cameras_are_found(run: Run, unplaced: SceneSample) -> None:
     report = json.loads(Path("out", "people.json").read_text())
     assert cameras["right"].size == unplaced.parts.shape[1:]
     assert cameras["right"].focal[0] == pytest.approx(report["views"][1]["focal"], abs=0.005)  # rounded in people.json
-    np.testing.assert_allclose(cameras["right"].translation, report["views"][1]["translation"], atol=1e-5)
+    np.testing.assert_allclose(cameras["right"].translation, report["views"][1]["translation"], atol=1e-4)
     # The file serves as calibrated cameras.
     code, said, complaint = run(f"scene left.mp4 right.mp4 --cameras out/cameras.json --out again {QUICK_COMMAND}")
     assert (code, complaint) == (0, "")
     assert "about" not in said
     again = json.loads(Path("again", "people.json").read_text())
-    np.testing.assert_allclose(again["views"][1]["rotation"], report["views"][1]["rotation"], atol=1e-5)
+    np.testing.assert_allclose(again["views"][1]["rotation"], report["views"][1]["rotation"], atol=1e-4)
 
 
 def test_photos_are_films_of_one_moment(run: Run, unplaced: SceneSample) -> None:
