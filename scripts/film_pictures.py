@@ -22,12 +22,12 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from warp_partdr import WeakPerspective, anny, fit_photo, save_photo_fit
-from warp_partdr.inputs.films import read_frames
+from warp_partdr.inputs.films import FilmFrames, read_frames
 from warp_partdr.models.model import Detailed, DetailedModel
 from warp_partdr.results.film_overlays import PosedMotions, draw_bodies, zoomed_view
 from warp_partdr.results.load_film import SavedFilm, load_film_fit
 from warp_partdr.results.overlays import skin_over
-from warp_partdr.results.palette import PEOPLE_COLOURS
+from warp_partdr.results.palette import PALE_PEOPLE_COLOURS
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 FILM = "Sports2D/Demo/demo.mp4"  # in the wheel
@@ -85,8 +85,8 @@ class SideView:
 
 def colour(person: int) -> np.ndarray:
     """Light colour of a person."""
-    mixed: np.ndarray = (PEOPLE_COLOURS[person % len(PEOPLE_COLOURS)] * 0.5 + 255 * 0.5).astype(np.uint8)
-    return mixed
+    chosen: np.ndarray = PALE_PEOPLE_COLOURS[person % len(PALE_PEOPLE_COLOURS)]
+    return chosen
 
 
 def draw_film(path: Path, saved: SavedFilm) -> list[Image.Image]:
@@ -119,7 +119,7 @@ def draw_film(path: Path, saved: SavedFilm) -> list[Image.Image]:
 
 def draw_still(path: Path, folder: Path) -> Image.Image:
     """Sheet of views of everyone in one frame of a film."""
-    (picture,) = (frame.picture for number, frame in enumerate(read_frames(path)) if number == STILL)
+    picture = FilmFrames(path).read(STILL)
     save_photo_fit(fit_photo(picture), folder, photo=picture)
     with Image.open(folder / "views.png") as views:
         return views.convert("RGB").resize((views.width * 2 // 3, views.height * 2 // 3), Image.Resampling.LANCZOS)
@@ -142,9 +142,14 @@ def main() -> None:
         frames = draw_film(film, load_film_fit(options.fit or folder / "fit", anny()))
         # One palette for all frames, so that nothing flickers; what stays the same from frame to frame is left out.
         palette = frames[len(frames) // 2].quantize(128)
-        first, *others = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
-        first.save(
-            options.out / "film.gif", save_all=True, append_images=others, duration=1000 // RATE, loop=0, optimize=True
+        drawn = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+        drawn[0].save(
+            options.out / "film.gif",
+            save_all=True,
+            append_images=drawn[1:],
+            duration=1000 // RATE,
+            loop=0,
+            optimize=True,
         )
 
 

@@ -342,5 +342,5 @@ def _fine(pixels: np.ndarray) -> np.ndarray:
     side = max(pixels.shape[:2])
     if side >= _FINE:
         return pixels
-    height, width = (round(length * _FINE / side) for length in pixels.shape[:2])
+    height, width = round(pixels.shape[0] * _FINE / side), round(pixels.shape[1] * _FINE / side)
     return np.asarray(Image.fromarray(pixels).resize((width, height), Image.Resampling.LANCZOS))

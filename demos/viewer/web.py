@@ -19,7 +19,7 @@ import numpy as np
 from PIL import Image
 
 from ..errors import InputError
-from .buttons import Button, Entry, Slider
+from .buttons import Button, Entry, Rows, Slider
 from .controlled import ControlledWindow
 from .plotted import Look
 from .stream import PictureStream
@@ -226,8 +226,12 @@ class _Pages:
 
     def _described(self, more: bool) -> dict[str, Any]:
         """The controls above and below the picture."""
-        above, below = ([[_described(entry) for entry in row] for row in rows] for rows in self._window.rows(more))
-        return {"more": more, "above": above, "below": below}
+        above, below = self._window.rows(more)
+        return {"more": more, "above": _rows_described(above), "below": _rows_described(below)}
+
+
+def _rows_described(rows: Rows) -> list[list[dict[str, Any]]]:
+    return [[_described(entry) for entry in row] for row in rows]
 
 
 def _described(entry: Entry) -> dict[str, Any]:

@@ -63,6 +63,9 @@ PEOPLE_COLOURS = np.array(
 )
 """RGB of people, dark enough for white letters; the ninth person has the first colour again."""
 
+PALE_PEOPLE_COLOURS: np.ndarray = (PEOPLE_COLOURS * 0.5 + 255 * 0.5).astype(np.uint8)
+"""The same colours of people, half white, for shaded bodies."""
+
 IGNORE_COLOUR = np.array([70, 70, 70], dtype=np.uint8)
 
 

@@ -20,7 +20,7 @@ from ..models.registration import Registered
 from ..render.mesh import draw_mesh
 from ..solve.scene.ground import ankle_confidence
 from .overlays import GRAY, gray_picture, skin_over
-from .palette import PEOPLE_COLOURS
+from .palette import PALE_PEOPLE_COLOURS
 from .placements import Placement, camera_offset, with_usual_lens
 from .shading import SKIN_COLOUR
 
@@ -42,7 +42,6 @@ _AROUND = 0.5  # [m], ground around people and camera
 _FRUSTUM = 0.45  # [m], length of the camera's frustum, or less if somebody is near
 _SMALLEST, _SMALLEST_ABOVE = 95.0, 60.0  # [px/m], scales below which the camera is left out and its distance written
 _FEET = 0.5  # confidence of the ankles from which on feet count as seen
-_PASTEL = 0.5  # share of white in the colours of people
 
 # Rotations from the camera's axes (x right, y down, z away) to a view's.
 _FRONT = np.eye(3)
@@ -152,7 +151,7 @@ def _over_photo(
     from PIL import Image as PilImage
 
     zoom = min(_HEIGHT / size[0], _WIDTHS[1] / size[1])
-    height, width = (max(round(side * zoom), 1) for side in size)
+    height, width = max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1)
     picture = gray_picture((height, width))
     if photo is not None:
         picture = np.asarray(PilImage.fromarray(photo).resize((width, height), PilImage.Resampling.LANCZOS))
@@ -190,8 +189,8 @@ class _Scene:
         """Place the bodies before the camera of a picture of (H, W) pixels."""
         points = [each.vertices() for each in bodies]
         feet = [float(vertices[:, 1].max()) for each, vertices in zip(bodies, points, strict=True) if each.feet]
-        pastel = (PEOPLE_COLOURS * (1 - _PASTEL) + 255 * _PASTEL).astype(np.uint8)
-        colours = [SKIN_COLOUR if len(bodies) == 1 else pastel[index % len(pastel)] for index in range(len(bodies))]
+        pale = PALE_PEOPLE_COLOURS
+        colours = [SKIN_COLOUR if len(bodies) == 1 else pale[index % len(pale)] for index in range(len(bodies))]
         camera = bodies[0].camera
         if not isinstance(camera, Perspective):
             camera, _ = with_usual_lens(camera, size)
