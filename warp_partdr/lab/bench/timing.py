@@ -104,20 +104,29 @@ def capture(launch: Callable[[], None], device: str, times: int = 1) -> wp.Graph
 
 def graph_sample(graph: wp.Graph, device: str) -> Callable[[], list[float]]:
     """A sample of replays for ``repeat``."""
-    if wp.get_device(device).is_cpu:
-        return lambda: [wall_time(lambda: wp.capture_launch(graph), device)]
+    return device_sample(lambda: wp.capture_launch(graph, stream=_stream(device)), device)
 
-    def replay() -> list[float]:
+
+def device_sample(work: Callable[[], object], device: str) -> Callable[[], list[float]]:
+    """A sample for ``repeat`` of work on Warp's current stream: between events on CUDA, on the wall on the CPU."""
+    if wp.get_device(device).is_cpu:
+        return lambda: [wall_time(work, device)]
+
+    def run() -> list[float]:
         events = [wp.Event(device, enable_timing=True) for _ in range(_QUEUED + 1)]
         stream = wp.get_stream(device)
         for event in events:
             stream.record_event(event)
             if event is not events[-1]:
-                wp.capture_launch(graph, stream=stream)
-        # At the first event the queue is still empty: the first replay waits for the host.
+                work()
+        # At the first event the queue is still empty: the first run waits for the host.
         return [1e-3 * wp.get_event_elapsed_time(start, end) for start, end in pairwise(events[1:])]
 
-    return replay
+    return run
+
+
+def _stream(device: str) -> wp.Stream | None:
+    return None if wp.get_device(device).is_cpu else wp.get_stream(device)
 
 
 def wall_time(call: Callable[[], object], device: str) -> float:
