@@ -103,6 +103,16 @@ def _capture_streams(where: str) -> tuple[wp.Stream | None, wp.Stream | None]:
 
 
 @contextmanager
+def beside(stream: torch.cuda.Stream) -> Iterator[None]:
+    """Make a stream torch's current one within: it waits for the one that was, which waits for it at the end."""
+    current = torch.cuda.current_stream(stream.device)
+    stream.wait_stream(current)
+    with torch.cuda.stream(stream):
+        yield
+    current.wait_stream(stream)
+
+
+@contextmanager
 def on_torch_stream(device: torch.device, *, torch_memory: bool = False) -> Iterator[str]:
     """Launch on torch's current stream of ``device`` within; yields the Warp device's alias, which launches must name.
 
