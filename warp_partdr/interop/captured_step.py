@@ -7,7 +7,7 @@ from typing import Any, Generic, TypeVar
 
 import torch
 
-from .streams import beside, capturing
+from .streams import capturing, on_side_stream
 
 _T = TypeVar("_T")
 
@@ -36,7 +36,7 @@ class CapturedStep(Generic[_T]):
     ) -> None:
         if stream is None:
             stream = torch.cuda.Stream(device)
-            with beside(stream):
+            with on_side_stream(stream):
                 step()  # loads kernels, and torch's libraries
         self._graph = torch.cuda.CUDAGraph()
         for generator in generators:

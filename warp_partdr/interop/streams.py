@@ -103,7 +103,7 @@ def _capture_streams(where: str) -> tuple[wp.Stream | None, wp.Stream | None]:
 
 
 @contextmanager
-def beside(stream: torch.cuda.Stream) -> Iterator[None]:
+def on_side_stream(stream: torch.cuda.Stream) -> Iterator[None]:
     """Make a stream torch's current one within: it waits for the one that was, which waits for it at the end."""
     current = torch.cuda.current_stream(stream.device)
     stream.wait_stream(current)

@@ -25,7 +25,7 @@ from ..kernels.checks import launch_watch_step
 from .arrays import warp_array
 from .captured_step import CapturedStep
 from .gradient_mode import with_gradients
-from .streams import beside, launching, on_torch_stream
+from .streams import launching, on_side_stream, on_torch_stream
 
 if TYPE_CHECKING:
     from torch.optim import Optimizer
@@ -169,7 +169,7 @@ class TrainingStep:
         self._rates.update()
         key = tuple([(each.shape, each.dtype) for each in inputs]), *map(_about, self._optimizer.param_groups)
         if key not in self._graphs:
-            with beside(self._stream), self._rates.on_device():
+            with on_side_stream(self._stream), self._rates.on_device():
                 loss, self._norm = self._step(self._on_device(inputs))
             self._remember(key, None)
             return loss
