@@ -177,6 +177,30 @@ def test_bodies_are_trained_as_by_a_loop(device, call):
     assert have[-2] < have[0]
 
 
+def test_a_fused_optimiser_gets_gradients_laid_out_as_parameters(device):
+    """Gradients of bodies are columns of one table."""
+    mean, images = bodies_and_labels(device, 3, 1)
+    losses = []
+    for run in (eager, stepped):
+        leaves = mean.leaves(log_sizes=True)
+        optimizer = torch.optim.Adam(leaves.tensors().values(), lr=0.01, fused=True)
+        losses.append(run(crop_function(RendererEllipsoids("edges"), leaves), optimizer, images * 4))
+    assert losses[1] == pytest.approx(losses[0], rel=1e-3)
+
+
+def test_gradients_that_others_hold_stay_as_they_are(device):
+    """Two parameters have the same gradient, and each is clipped once."""
+    losses = []
+    for run in (eager, stepped):
+        one, other = (torch.zeros(3, device=device, requires_grad=True) for _ in range(2))
+
+        def function(one: torch.Tensor = one, other: torch.Tensor = other) -> torch.Tensor:
+            return (one + other - 1).square().sum()
+
+        losses.append(run(function, torch.optim.SGD([one, other], lr=0.1), [()] * 5, clip_norm=0.5))
+    assert losses[1] == pytest.approx(losses[0], rel=1e-4)
+
+
 def test_a_detailed_body_is_trained_as_by_a_loop(device):
     model = anny(device)
     mesh, mean = detailed_mesh(model), BodyParameters.mean(1, device=device)

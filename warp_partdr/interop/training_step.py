@@ -240,31 +240,39 @@ class TrainingStep:
     def _step(self, inputs: _Inputs) -> tuple[torch.Tensor, torch.Tensor]:
         """Take a step, which may be captured; returns the loss and the gradient's norm, shape () each."""
         parameters = [each for each in _parameters(self._optimizer) if each.requires_grad]
-        loss = self._find_gradients(inputs, parameters)
-        gradients = [each.grad for each in parameters if each.grad is not None]
+        loss, found = self._find_gradients(inputs, parameters)
+        trained = [each for each, gradient in zip(parameters, found, strict=True) if gradient is not None]
+        gradients = [gradient for gradient in found if gradient is not None]
         norm = torch.nn.utils.get_total_norm(gradients)
-        if self._clip_norm is not None:
-            torch.nn.utils.clip_grads_with_norm_(parameters, self._clip_norm, norm)
+        if self._clip_norm is not None:  # as torch's ``clip_grad_norm_``, but not in place: others may hold them, too
+            share = (self._clip_norm / (norm + 1e-6)).clamp(max=1.0)
+            gradients = list(torch._foreach_mul(gradients, share))
+        self._optimizer.zero_grad()
+        for parameter, gradient in zip(trained, gradients, strict=True):
+            parameter.grad = _laid_out(gradient, parameter)
         self._optimizer.step()
         self._optimizer.zero_grad()
         self._watch.see(loss, norm)
         return loss, norm
 
-    def _find_gradients(self, inputs: _Inputs, parameters: list[torch.Tensor]) -> torch.Tensor:
-        """Set the parameters' gradients, and return the loss."""
+    def _find_gradients(
+        self, inputs: _Inputs, parameters: list[torch.Tensor]
+    ) -> tuple[torch.Tensor, list[torch.Tensor | None]]:
+        """Compute the loss, and the gradient with respect to each parameter; None if the loss does not depend on it."""
         count = self._accumulation
         parts = list(zip(*(each.chunk(count) for each in inputs), strict=True)) if count > 1 else [inputs]
+        sums: list[torch.Tensor | None] = [None] * len(parameters)
         losses = []
-        self._optimizer.zero_grad()
         for part in parts:
             loss = _checked(self._function(*part)) / len(parts)
             # Unlike ``backward``, it can be captured even if another graph of gradients, made outside, is still there.
             gradients = torch.autograd.grad(loss, parameters, allow_unused=True)
-            for parameter, gradient in zip(parameters, gradients, strict=True):
+            for index, gradient in enumerate(gradients):
                 if gradient is not None:
-                    parameter.grad = gradient if parameter.grad is None else parameter.grad + gradient
+                    before = sums[index]
+                    sums[index] = gradient if before is None else before + gradient
             losses.append(loss.detach())
-        return torch.stack(losses).sum() if len(losses) > 1 else losses[0]
+        return torch.stack(losses).sum() if len(losses) > 1 else losses[0], sums
 
 
 def _prepare_again(step: ref[TrainingStep], _: Optimizer) -> None:
@@ -431,6 +439,13 @@ def _checked(loss: object) -> torch.Tensor:
     if not loss.requires_grad:
         raise ValueError("function: returned a loss without gradient; expected one of the optimiser's parameters")
     return loss.reshape(())
+
+
+def _laid_out(gradient: torch.Tensor, parameter: torch.Tensor) -> torch.Tensor:
+    """Return a gradient with its parameter's strides, as a fused optimiser needs them; a copy if they differ."""
+    if gradient.stride() == parameter.stride():
+        return gradient
+    return torch.empty_like(parameter).copy_(gradient)
 
 
 def _first(error: BaseException) -> str:
