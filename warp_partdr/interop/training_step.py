@@ -34,9 +34,9 @@ _Inputs = tuple[torch.Tensor, ...]
 _NOT_IN_KEY = ("params", "lr", "initial_lr")  # of an optimiser's groups
 
 _NO_WAITING = (
-    "Within the step nothing may wait for the device: expected no .item(), print or `if` of a tensor, no copy to or from "
-    "the CPU (make what torch.tensor makes outside), validate=False in functions that check numbers, and no generator "
-    "that `generators` doesn't name. captured=False takes the same steps one kernel at a time"
+    "Within the step nothing may wait for the device: expected no .item(), print or `if` of a tensor, no copy to or "
+    "from the CPU (make what torch.tensor makes outside), validate=False in functions that check numbers, and no "
+    "generator that `generators` doesn't name. captured=False takes the same steps one kernel at a time"
 )
 
 
