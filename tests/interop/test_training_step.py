@@ -172,7 +172,8 @@ def test_bodies_are_trained_as_by_a_loop(device, call):
         optimizer = torch.optim.Adam(leaves.tensors().values(), lr=0.01)
         losses.append(run(make(renderer, leaves), optimizer, images * 4))
     want, have = losses
-    assert have == pytest.approx(want, rel=1e-3)
+    # A mesh's forces are added in any order on CUDA.
+    assert have == pytest.approx(want, rel=1e-3 if isinstance(renderer, RendererEllipsoids) else 2e-2)
     assert have[-1] < have[1]
     assert have[-2] < have[0]
 
@@ -369,6 +370,7 @@ def test_a_loss_of_an_earlier_loop_may_still_be_there(device):
     optimizer, loss = fit.adam(), fit.loss(*inputs[0])
     loss.backward()
     stepped(fit.loss, optimizer, inputs)
+    assert all(each.grad is None for each in fit.network.parameters())
     assert loss.grad_fn is not None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, Generic, TypeVar
 
 import torch
@@ -41,15 +42,31 @@ class CapturedStep(Generic[_T]):
         self._graph = torch.cuda.CUDAGraph()
         for generator in generators:
             self._graph.register_generator_state(generator)
-        # Other threads may allocate meanwhile; their launches of Warp wait. A capture that fails leaves its stream
-        # current, so it is made so here, too.
-        with (
-            capturing(),
-            torch.cuda.stream(stream),
-            torch.cuda.graph(self._graph, pool=pool, stream=stream, capture_error_mode="thread_local"),
-        ):
-            self.result = step()
+        try:
+            # Other threads may allocate meanwhile; their launches of Warp wait. A capture that fails leaves its stream
+            # current, so it is made so here, too.
+            with (
+                capturing(),
+                torch.cuda.stream(stream),
+                torch.cuda.graph(self._graph, pool=pool, stream=stream, capture_error_mode="thread_local"),
+            ):
+                self.result = step()
+        except BaseException:
+            _clean_up(self._graph, stream.device_index, generators)
+            raise
 
     def replay(self) -> None:
         """Run the step on torch's current stream."""
         self._graph.replay()
+
+
+def _clean_up(graph: torch.cuda.CUDAGraph, device: int, generators: Sequence[torch.Generator]) -> None:
+    """Let torch go on after a capture that failed, whose end it has not noticed everywhere (torch 2.11).
+
+    Generators get states that are in no capture. Graphs from before keep the old ones, so ``torch.manual_seed`` does
+    not reach them any more.
+    """
+    with suppress(RuntimeError):  # memory is allocated for the graph no more
+        torch._C._cuda_endAllocateToPool(device, graph.pool())
+    for generator in (torch.cuda.default_generators[device], *generators):
+        generator.graphsafe_set_state(generator.clone_state())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -53,6 +54,8 @@ class _Gate:
     def capturing(self) -> Iterator[None]:
         """Enter for a capture: one thread at a time, while no thread launches.
 
+        Python collects no garbage meanwhile: a graph that it frees would spoil the capture.
+
         Raises:
             RuntimeError: If this thread is launching: it would wait for itself.
         """
@@ -61,9 +64,13 @@ class _Gate:
         with self._changed:
             self._changed.wait_for(lambda: self._capturing is None and self._launching == 0)
             self._capturing = threading.get_ident()
+        collects = gc.isenabled()
+        gc.disable()
         try:
             yield
         finally:
+            if collects:
+                gc.enable()
             with self._changed:
                 self._capturing = None
                 self._changed.notify_all()

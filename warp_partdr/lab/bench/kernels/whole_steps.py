@@ -22,6 +22,7 @@ _Loss = Callable[[torch.Tensor], torch.Tensor]
 
 _IN_A_ROW = 20  # steps that are timed together, as they follow one another in a training
 _CHECKED = 10  # steps after which both ways must have the same loss
+_TOLERANCE = 0.03  # of the losses: on CUDA, a mesh's forces are added in any order
 _RATE = 0.005
 
 
@@ -49,7 +50,7 @@ def _check(scene: BenchScene, name: str) -> None:
         step = make(scene, name)
         losses.append(torch.stack([step() for _ in range(_CHECKED)]))
     wp.synchronize_device(wp.device_from_torch(scene.targets.device))
-    torch.testing.assert_close(losses[1], losses[0], rtol=1e-3, atol=0)
+    torch.testing.assert_close(losses[1], losses[0], rtol=_TOLERANCE, atol=0)
 
 
 def _loop(scene: BenchScene, name: str) -> _Step:
