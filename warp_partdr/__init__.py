@@ -78,6 +78,7 @@ _EXPORTS = {
     "read_parts": "inputs.part_labels",
     "read_photo": "inputs.part_labels",
     "set_graph_memory": "interop.graph_cache",
+    "TrainingStep": "interop.training_step",
     "set_num_threads": "kernels.launch",
     "load_label_network": "networks.regression.checkpoint",
     "predict_bodies": "networks.regression.predict",
@@ -162,6 +163,7 @@ if TYPE_CHECKING:
     from .inputs.scene import SceneObservation as SceneObservation
     from .inputs.scene import View as View
     from .interop.graph_cache import set_graph_memory as set_graph_memory
+    from .interop.training_step import TrainingStep as TrainingStep
     from .kernels.launch import set_num_threads as set_num_threads
     from .models.anny import anny as anny
     from .models.anny import anny_shape as anny_shape

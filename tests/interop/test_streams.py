@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import threading
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -61,6 +62,14 @@ def test_a_capture_does_not_wait_for_itself():
     cpu = torch.device("cpu")
     with on_torch_stream(cpu), pytest.raises(RuntimeError, match="inside on_torch_stream"):
         capture_graph(lambda: None, cpu)
+
+
+def test_no_garbage_is_collected_during_a_capture():
+    """The collector might free a graph, which CUDA forbids then."""
+    assert gc.isenabled()
+    with capturing():
+        assert not gc.isenabled()
+    assert gc.isenabled()
 
 
 def test_a_launch_that_belongs_to_a_capture_does_not_wait_for_it():

@@ -26,8 +26,10 @@ from warp_partdr.lab.bench.kernels.plan import (
     GROUPS,
     KERNELS,
     LABELS,
+    LOOP_STEP,
     MINIMISE,
     PEER_ROWS,
+    POSED,
     REFINEMENT,
     STARTS,
     TARGETS,
@@ -35,6 +37,7 @@ from warp_partdr.lab.bench.kernels.plan import (
     TORCH_GRADIENT,
     TORCH_LABELS,
     TORCH_POSE,
+    WHOLE_STEP,
     KernelPlan,
     plan_kernels,
 )
@@ -67,6 +70,7 @@ PLAN = KernelPlan(
         (TORCH_POSE, "", 2, SIZE),
     ),
     others=((GRADIENT, PARTDR, 1, SIZE), (GRADIENT, "mesh E0", 1, 2 * SIZE), (MINIMISE, EXACT, 4, SIZE)),
+    steps=((LOOP_STEP, EXACT, 2, SIZE), (WHOLE_STEP, EXACT + POSED, 2, SIZE), (WHOLE_STEP, "mesh E0", 2, SIZE)),
     batches=(2,),
     budget=0.0,
     start=False,
@@ -115,8 +119,8 @@ def test_a_wrong_run_is_not_timed(device: str, what: str) -> None:
 
 def test_every_row_is_there(figures: dict[str, Any]) -> None:
     keys = ("name", "renderer", "batch", "size_px")
-    found = {tuple(row[key] for key in keys): row for row in figures["rows"] if row["group"] in GROUPS[:3]}
-    assert [*found] == [*PLAN.targets, *PLAN.calls, *PLAN.others]
+    found = {tuple(row[key] for key in keys): row for row in figures["rows"] if row["group"] in GROUPS[:4]}
+    assert [*found] == [*PLAN.targets, *PLAN.calls, *PLAN.others, *PLAN.steps]
     assert all(found[run]["median_s"] > 0 for run in PLAN.targets)
     assert all((row["group"] == TARGETS) == (run in PLAN.targets) for run, row in found.items())
     assert found[LABELS, MESH, 2, SIZE]["memory_bytes"] > 2 * SIZE * SIZE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -53,6 +54,8 @@ class _Gate:
     def capturing(self) -> Iterator[None]:
         """Enter for a capture: one thread at a time, while no thread launches.
 
+        Python collects no garbage meanwhile: a graph that it frees would spoil the capture.
+
         Raises:
             RuntimeError: If this thread is launching: it would wait for itself.
         """
@@ -61,9 +64,13 @@ class _Gate:
         with self._changed:
             self._changed.wait_for(lambda: self._capturing is None and self._launching == 0)
             self._capturing = threading.get_ident()
+        collects = gc.isenabled()
+        gc.disable()
         try:
             yield
         finally:
+            if collects:
+                gc.enable()
             with self._changed:
                 self._capturing = None
                 self._changed.notify_all()
@@ -100,6 +107,16 @@ def _capture_streams(where: str) -> tuple[wp.Stream | None, wp.Stream | None]:
     first = wp.stream_from_torch(torch.cuda.Stream(device.ordinal, priority=-1))
     second = wp.stream_from_torch(torch.cuda.Stream(device.ordinal, priority=-1))
     return first, second
+
+
+@contextmanager
+def on_side_stream(stream: torch.cuda.Stream) -> Iterator[None]:
+    """Make a stream torch's current one within: it waits for the one that was, which waits for it at the end."""
+    current = torch.cuda.current_stream(stream.device)
+    stream.wait_stream(current)
+    with torch.cuda.stream(stream):
+        yield
+    current.wait_stream(stream)
 
 
 @contextmanager

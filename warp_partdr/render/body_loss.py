@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cache
 from typing import Any, NamedTuple, Protocol, Self
 
 import torch
@@ -233,7 +233,7 @@ def _check(name: str, parameters: Sequence[torch.Tensor], camera: Camera) -> dic
     return {**dict(zip(BODY_SHAPES, parameters, strict=True)), "camera": intrinsics}
 
 
-@lru_cache(maxsize=8)
+@cache  # never freed: a training step's captured graph goes on reading it
 def _origin(batch: int, device: torch.device) -> torch.Tensor:
     with torch.inference_mode(False):  # kept for calls outside of it, too
         return torch.zeros(batch, 3, device=device)

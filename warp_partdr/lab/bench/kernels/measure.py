@@ -32,6 +32,7 @@ from .plan import (
     PEER_ROWS,
     REFINEMENT,
     STARTS,
+    STEPS,
     TARGETS,
     TORCH_REFINEMENT,
     KernelPlan,
@@ -40,6 +41,7 @@ from .plan import (
 from .report import NOTES, copy_share, make_row
 from .runs import NUM_ITERATIONS, ExactRun, KinematicsRun, MeshRun, refined_once
 from .start import time_commands, time_starts
+from .whole_steps import time_steps
 
 _Rows = list[dict[str, Any]]  # of ``make_row``
 _Jobs = Iterator[tuple[str, Callable[[], _Rows]]]
@@ -59,7 +61,7 @@ def run_kernels(plan: KernelPlan, progress: Progress | None = None) -> dict[str,
         rows.extend({**row, "share_of_copy_bandwidth": copy_share(row, bandwidth)} for row in job())
         gc.collect()  # buffers of large batches, before the next job makes its own
 
-    jobs = [*_render_jobs(plan), *_kernel_jobs(plan), *_peer_jobs(plan, remarks)]
+    jobs = [*_render_jobs(plan), *_step_jobs(plan), *_kernel_jobs(plan), *_peer_jobs(plan, remarks)]
     if plan.start:
         jobs.append(("cold and warm start", partial(_time_starts, plan)))
     gradients: list[dict[str, Any]] = []
@@ -113,6 +115,18 @@ def _time(plan: KernelPlan, group: str, wanted: Run) -> _Rows:
         call = partial(refine_all, scene.bodies, scene.energy(GRADIENTS[name]))
     timing = time_calls(call, plan.device, plan.budget)
     return [row("call", timing, memory=peak_memory(call, plan.device))]
+
+
+def _step_jobs(plan: KernelPlan) -> _Jobs:
+    for run in plan.steps:
+        what, name, batch, _ = run
+        yield f"{what}, {name}, B = {batch}", partial(_time_step, plan, run)
+
+
+def _time_step(plan: KernelPlan, wanted: Run) -> _Rows:
+    what, name, batch, size = wanted
+    timing, memory = time_steps(BenchScene.random(batch, size, plan.device), what, name, plan.budget)
+    return [make_row(STEPS, wanted, "step", timing, memory=memory)]
 
 
 def _refine_by_autograd(bodies: BodyParameters, energy: Energy) -> Refined:

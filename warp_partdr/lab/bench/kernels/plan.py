@@ -13,14 +13,17 @@ OTHERS = "Other renderers, batches and sizes"
 KERNELS = "Kernels, each in its place in a run"
 STARTS = "Starts"
 CALLS = "Calls from torch, until the device is done"
+STEPS = "Whole steps of a training: parameters, loss, gradient, Adam"
 PEER_ROWS = "Peers: the same mesh, the same target"
-GROUPS = (TARGETS, CALLS, OTHERS, KERNELS, STARTS, PEER_ROWS)
+GROUPS = (TARGETS, CALLS, OTHERS, STEPS, KERNELS, STARTS, PEER_ROWS)
 
 LABELS, GRADIENT, REFINEMENT = "label image", "render, L_seg, gradient", "50 iterations"
 TORCH_GRADIENT, TORCH_REFINEMENT = "forward, backward in torch", "50 iterations in torch"
 TORCH_BODY = "from parameters: L_seg, gradient, in torch"
 TORCH_LABELS, TORCH_POSE = "label image in torch", "pose, gradient, in torch"
 MINIMISE = "50 iterations, one target, with set-up"
+LOOP_STEP, WHOLE_STEP = "step, loop in Python", "whole step, TrainingStep"
+POSED = ", posed"  # end of a renderer's name: `posed` and `ellipsoid_label_loss`, else `crop_loss`
 TORCH_ITSELF = "torch itself"  # an autograd function that finds nothing: what is left when rendering takes no time
 
 Run = tuple[str, str, int, int]  # what, renderer, B, side of the picture [px]
@@ -35,6 +38,7 @@ class KernelPlan:
     targets: tuple[Run, ...]  # runs that stand first
     calls: tuple[Run, ...]
     others: tuple[Run, ...]
+    steps: tuple[Run, ...]
     batches: tuple[int, ...]  # those whose kernels are timed one by one, and that peers draw
     budget: float  # for each row [s]
     start: bool = True  # whether to time a cold and a warm start
@@ -46,10 +50,11 @@ def plan_kernels(device: str, *, quick: bool = False) -> KernelPlan:
     size = 256
     batches: tuple[int, ...] = (1, 16)
     middle = 16
-    exact = mesh = labels = refined = batches
+    exact = mesh = labels = refined = trained = batches
     if device != "cpu":
         batches, middle = (1, 8, 128, 1024), 128
         exact, mesh, labels, refined = (1, 128, 1024), (128,), (128,), (1, 1024)
+        trained = (1, 8, 128)
     targets = (
         *product([GRADIENT], [EXACT], exact, [size]),
         *product([GRADIENT], [MESH], mesh, [size]),
@@ -58,7 +63,7 @@ def plan_kernels(device: str, *, quick: bool = False) -> KernelPlan:
         *product([TORCH_GRADIENT], [EXACT, MESH], [1], [size]),
     )
     if quick:
-        return KernelPlan(device, size, targets, (), (), (1,), 0.1, start=False, gradients=False)
+        return KernelPlan(device, size, targets, (), (), (), (1,), 0.1, start=False, gradients=False)
     calls = (
         (TORCH_GRADIENT, TORCH_ITSELF, 1, size),
         *product([TORCH_BODY], [EXACT, MESH], exact, [size]),
@@ -76,5 +81,6 @@ def plan_kernels(device: str, *, quick: bool = False) -> KernelPlan:
         (TORCH_REFINEMENT, EXACT, 1, size),
         *product([TORCH_GRADIENT], [COVERAGE, PARTDR], [middle], [size]),
     )
+    steps = tuple(product([LOOP_STEP, WHOLE_STEP], [EXACT, EXACT + POSED, MESH], trained, [size]))
     left = tuple(row for row in others if row not in targets)
-    return KernelPlan(device, size, targets, calls, left, (1, middle), 0.4)
+    return KernelPlan(device, size, targets, calls, left, steps, (1, middle), 0.4)

@@ -17,7 +17,8 @@ _GRADIENTS = "Gradients by moves of parts, beside the derivative of the area tha
 
 NOTES = (
     "The spread is the interquartile range. graph: one replay of a captured graph, on the device's clock; call: from "
-    "Python, until the device is done; kernel: what it adds to a run, what clears memory for it included.",
+    "Python, until the device is done; step: the mean of 20 calls that follow one another, until the device is done; "
+    "kernel: what it adds to a run, what clears memory for it included.",
     "Moved: the arrays that kernels are given, each byte once a kernel, whether or not all of it is touched; its share "
     "of what a copy within the device reaches. Arrays that stay in the cache can take it past 100 %.",
     "Memory: the same arrays, each byte once in all, for nothing else is allocated in a captured run; of calls into "
@@ -42,7 +43,7 @@ def make_row(
     Args:
         group: Group, one of ``GROUPS``.
         run: Run that was timed. B and the picture are 0 where they mean nothing.
-        how: Way of timing: "graph", "call", "kernel" or "process", see ``NOTES``.
+        how: Way of timing: "graph", "call", "step", "kernel" or "process", see ``NOTES``.
         timing: Durations of the run.
         moved: Size of the arrays given to kernels, each once a kernel [bytes].
         memory: Size of the same arrays, each once in all. For calls into torch, it is its peak [bytes].
