@@ -13,7 +13,7 @@ from ..body.posing import pose
 from ..body.rotations import rotation_between
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS, PARENTS, PART_NAMES, template
 from .growth import Growth
-from .model import Detailed, DetailedModel
+from .model import Detailed, DetailedModel, unique_pairs
 from .pose import end_joints, rest_turns
 from .registration import Registered
 from .surfaces import vertex_parts
@@ -113,7 +113,8 @@ def _edges(model: DetailedModel, parts: tuple[str, ...]) -> torch.Tensor:
     """Edges of the faces of some parts, shape (E, 2)."""
     labels = torch.tensor([PART_NAMES.index(part) + 1 for part in parts], device=model.faces.device)
     corners = model.faces[torch.isin(model.face_parts.long(), labels)].long()
-    return torch.stack([corners, corners.roll(1, 1)], dim=-1).flatten(0, 1).sort(dim=1).values.unique(dim=0)
+    sides = torch.stack([corners.flatten(), corners.roll(1, 1).flatten()]).sort(dim=0).values
+    return unique_pairs(sides, model.num_vertices).T
 
 
 def _girths(vertices: torch.Tensor, edges: torch.Tensor, level: torch.Tensor) -> torch.Tensor:

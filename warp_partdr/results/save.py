@@ -36,7 +36,7 @@ from ..render.mesh import draw_mesh
 from ..solve.confidence.judge import BodyConfidence, confidence_record, judge_fits
 from ..solve.ellipsoids.result import FitResult
 from .body_file import BodyFile
-from .ellipbody_files import ellipbody_scene
+from .ellipbody_files import ellipbody_glb
 from .fit_charts import loss_chart, panels
 from .further_files import save_further
 from .overlays import draw_detailed, draw_overlay, overlay_size
@@ -112,7 +112,7 @@ def save_fit(
         position = result.posed.joints[0, 0]
         body_file(result.parameters, result.camera, size, position).save(temporary / "body.npz")
         save_description(describe_body(result, mesh), temporary)
-        ellipbody_scene(result.posed).export(temporary / "ellipbody.glb")
+        (temporary / "ellipbody.glb").write_bytes(ellipbody_glb(result.posed))
         overlay.save(temporary / "overlay.png")
         if comparison is not None:
             comparison.save(temporary / "parts.png")

@@ -18,6 +18,7 @@ from ..solve.confidence.judge import confidence_record
 from ..solve.confidence.limbs import guessed_parts
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .further_files import FURTHER_FILES
+from .mesh_files import NamedMesh, scene_glb
 from .overlays import at_overlay_size, draw_detailed, draw_keypoints, overlay_size
 from .palette import PART_COLOURS
 from .photo_page import PAGE, draw_pictures, write_photo_page
@@ -37,7 +38,6 @@ from .skinned_files import BODY_MATERIAL
 from .views import VIEWS, PlacedBody, draw_views, feet_seen
 
 if TYPE_CHECKING:
-    import trimesh
     from PIL.Image import Image
 
 PHOTO_FILES = (PAGE, "overlay.png", VIEWS, "people.png", "scene.glb", PEOPLE_REPORT)
@@ -137,7 +137,7 @@ def save_photo_fit(
         vertices = {
             index: placements[index].apply(body.detailed.vertices[0].cpu().numpy()) for index, body in shown.items()
         }
-        _scene(vertices, fit).export(temporary / "scene.glb")
+        (temporary / "scene.glb").write_bytes(scene_glb(_meshes(vertices, fit)))
     return report
 
 
@@ -188,17 +188,13 @@ def _describe(fit: PhotoFit, index: int, placement: Placement) -> dict[str, Any]
     }
 
 
-def _scene(vertices: dict[int, np.ndarray], fit: PhotoFit) -> trimesh.Scene:
-    """Scene of all bodies as named meshes [m], y up, facing as in the picture."""
-    import trimesh
-
-    scene = trimesh.Scene()
-    for index, points in vertices.items():
-        faces = fit.fits[index].body.model.faces.cpu().numpy()
-        look = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(**BODY_MATERIAL))
-        mesh = trimesh.Trimesh(points @ GLTF_FROM_CAMERA.T, faces, process=False, visual=look)
-        scene.add_geometry(mesh, node_name=_name(index), geom_name=_name(index))
-    return scene
+def _meshes(vertices: dict[int, np.ndarray], fit: PhotoFit) -> list[NamedMesh]:
+    """Meshes of all bodies [m], y up, facing as in the picture."""
+    faces = {index: fit.fits[index].body.model.faces.cpu().numpy() for index in vertices}
+    return [
+        NamedMesh(_name(index), points @ GLTF_FROM_CAMERA.T, faces[index], BODY_MATERIAL)
+        for index, points in vertices.items()
+    ]
 
 
 def _remove_others(folder: Path, kept: set[str]) -> None:

@@ -87,7 +87,9 @@ class Regressor(nn.Module):
             known = [features, estimate.to(features.dtype)]
             if self.feedback:
                 assert keypoints is not None
-                known.append(misfits(self._bodies(estimate), keypoints).to(features.dtype))
+                # Not traced: kernels pose bodies faster. A decorator would import torch's compiler in every process.
+                found = torch.compiler.disable(misfits) if torch.compiler.is_compiling() else misfits
+                known.append(found(self._bodies(estimate), keypoints).to(features.dtype))
             hidden = self.first(torch.cat(known, dim=1), iteration)
             for block in self.blocks:
                 first, second = block.children()
@@ -130,7 +132,6 @@ class _Layer(nn.Module):
         return self.linear(values)
 
 
-@torch.compiler.disable  # type: ignore[untyped-decorator]  # kernels pose bodies faster than what is traced
 @torch.no_grad()
 def misfits(bodies: Predicted, keypoints: torch.Tensor) -> torch.Tensor:
     """Ways from the bodies' landmarks to the keypoints, 0 to those that are missing, shape (B, 48).
