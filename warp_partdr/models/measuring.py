@@ -119,9 +119,14 @@ def _edges(model: DetailedModel, parts: tuple[str, ...]) -> torch.Tensor:
 
 def _girths(vertices: torch.Tensor, edges: torch.Tensor, level: torch.Tensor) -> torch.Tensor:
     """Lengths of tapes around the sections of bodies (B, V, 3) at heights (B,), shape (B,); 0 where nothing is cut."""
+    over = vertices[..., 1] - level[:, None]
+    cut = (over[:, edges[:, 0]] > 0) != (over[:, edges[:, 1]] > 0)
+    some = cut.any(0)  # one edge in thirty or so
+    if not bool(some.any()):
+        return vertices.new_zeros(len(vertices))
+    edges, cut = edges[some], cut[:, some]
     first, second = vertices[:, edges].unbind(2)
-    above, below = first[..., 1] - level[:, None], second[..., 1] - level[:, None]
-    cut = (above > 0) != (below > 0)
+    above, below = over[:, edges].unbind(2)
     share = above / torch.where(cut, above - below, torch.ones_like(above))
     points = (first + share[..., None] * (second - first))[..., ::2]
     angles = torch.arange(_DIRECTIONS, dtype=vertices.dtype, device=vertices.device) * (2 * math.pi / _DIRECTIONS)

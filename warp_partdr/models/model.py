@@ -244,10 +244,11 @@ class DetailedModel(Movable):
         pairs = torch.stack([corners.flatten(), corners.roll(1, 1).flatten()])
         alone = torch.arange(self.num_vertices, device=corners.device).expand(2, -1)
         pairs = unique_pairs(torch.cat([pairs, pairs.flip(0), alone], dim=1), self.num_vertices)
-        counts = torch.bincount(pairs[0], minlength=self.num_vertices).to(self.skin_weights)
+        counts = torch.bincount(pairs[0], minlength=self.num_vertices)
+        starts = counts.cumsum(0) - counts  # of the neighbours of each vertex
         weights = self.skin_weights @ torch.nn.functional.one_hot(self._joint_parts, NUM_PARTS).to(self.skin_weights)
         for _ in range(_SPREADING):
-            sums = torch.zeros_like(weights).index_add_(0, pairs[0], weights[pairs[1]])
+            sums = torch.nn.functional.embedding_bag(pairs[1], weights, starts, mode="sum")
             weights = sums / counts[:, None]
         return weights
 
