@@ -8,7 +8,7 @@ import numpy as np
 
 from ..body.icosphere import icosphere
 from ..body.template import NUM_PARTS, PART_NAMES
-from .mesh_files import NamedMesh, scene_glb
+from .mesh_files import NamedMesh, meshes_glb
 from .palette import PART_COLOURS
 
 if TYPE_CHECKING:
@@ -36,4 +36,4 @@ def ellipbody_glb(posed: Posed) -> bytes:
         colour = [*_LINEAR_COLOURS[k + 1].tolist(), 1.0]
         material = {"baseColorFactor": colour, "metallicFactor": 0.0, "roughnessFactor": 0.7}
         meshes.append(NamedMesh(name, points[k], faces, material, normals[k]))
-    return scene_glb(meshes)
+    return meshes_glb(meshes)

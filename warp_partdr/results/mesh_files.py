@@ -75,7 +75,7 @@ def ply(vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray) -> bytes:
     return head + vertices.astype("<f4").tobytes() + rows.tobytes()
 
 
-def scene_glb(meshes: Sequence[NamedMesh]) -> bytes:
+def meshes_glb(meshes: Sequence[NamedMesh]) -> bytes:
     """Write meshes as binary glTF 2.0, each with a node and a material of its own. Equal faces are stored once."""
     document = Document()
     stored: list[tuple[np.ndarray, int]] = []  # faces, and the accessor of their indices

@@ -41,6 +41,7 @@ from .fit_charts import loss_chart, panels
 from .further_files import save_further
 from .overlays import draw_detailed, draw_overlay, overlay_size
 from .palette import group_colours
+from .png_files import save_png
 from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, names_file, replacing
 from .skinned_files import save_detailed
 from .views import VIEWS, PlacedBody, draw_views
@@ -113,10 +114,10 @@ def save_fit(
         body_file(result.parameters, result.camera, size, position).save(temporary / "body.npz")
         save_description(describe_body(result, mesh), temporary)
         (temporary / "ellipbody.glb").write_bytes(ellipbody_glb(result.posed))
-        overlay.save(temporary / "overlay.png")
+        save_png(overlay, temporary / "overlay.png")
         if comparison is not None:
-            comparison.save(temporary / "parts.png")
-        loss_chart(result).save(temporary / "loss.png")
+            save_png(comparison, temporary / "parts.png")
+        save_png(loss_chart(result), temporary / "loss.png")
     return report
 
 
@@ -204,9 +205,9 @@ def save_registered(
         save_detailed(registered, temporary, bare=bare)
         save_further(registered if bare else in_suit(registered), temporary / "detailed", formats)
         save_detailed_arrays(registered, temporary, clothes)
-        picture.save(temporary / "detailed.png")
+        save_png(picture, temporary / "detailed.png")
         if views is not None:
-            draw_views([views], size, photo, bare=bare).save(temporary / VIEWS)
+            save_png(draw_views([views], size, photo, bare=bare), temporary / VIEWS)
         if model.name in POSES and bool((registered.growth[0] == 1).all()):
             smplx = to_smplx(model, registered.shape[:1], registered.rotations[:1], registered.translation[:1])
             of_smplx: dict[str, Any] = {**smplx, **camera_arrays(camera, size)}

@@ -18,11 +18,12 @@ from ..solve.confidence.judge import confidence_record
 from ..solve.confidence.limbs import guessed_parts
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .further_files import FURTHER_FILES
-from .mesh_files import NamedMesh, scene_glb
+from .mesh_files import NamedMesh, meshes_glb
 from .overlays import at_overlay_size, draw_detailed, draw_keypoints, overlay_size
 from .palette import PART_COLOURS
 from .photo_page import PAGE, draw_pictures, write_photo_page
 from .placements import Placement, place_on_ground
+from .png_files import save_png
 from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, replacing
 from .save import (
     DETAILED_FILES,
@@ -130,14 +131,14 @@ def save_photo_fit(
         folder, PEOPLE_REPORT, report, outdates=(PEOPLE_REPORT, FIT_REPORT, REGISTRATION_REPORT)
     ) as temporary:
         (temporary / PAGE).write_text(page, encoding="utf-8")
-        _picture(overlay).save(temporary / "overlay.png")
-        views.save(temporary / VIEWS)
-        draw_people(fit, small).save(temporary / "people.png")
+        save_png(_picture(overlay), temporary / "overlay.png")
+        save_png(views, temporary / VIEWS)
+        save_png(draw_people(fit, small), temporary / "people.png")
         shown = {index: each.body if bare else in_suit(each.body) for index, each in fit.fits.items()}
         vertices = {
             index: placements[index].apply(body.detailed.vertices[0].cpu().numpy()) for index, body in shown.items()
         }
-        (temporary / "scene.glb").write_bytes(scene_glb(_meshes(vertices, fit)))
+        (temporary / "scene.glb").write_bytes(meshes_glb(_meshes(vertices, fit)))
     return report
 
 
