@@ -28,7 +28,7 @@ def packaged_findings(model: DetailedModel, name: str) -> dict[str, np.ndarray] 
     return found or None
 
 
-@lru_cache(maxsize=16)  # a hundredth of a second
+@lru_cache(maxsize=8)  # a hundredth of a second
 def findings_start(model: DetailedModel, name: str) -> str:
     """Start of the keys in the asset: the findings' name, and SHA-256 of the model's surface at rest."""
     vertices = model.rest_vertices.double().cpu().numpy()
