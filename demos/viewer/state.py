@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..metrics import mpjpe, part_f1
 from ..render.mesh import mesh_label_loss
 from ..render.renderers import labelled_mesh
-from ..results.ellipbody_files import ellipbody_scene
+from ..results.ellipbody_files import ellipbody_glb
 from ..results.save import body_file
 from ..solve.ellipsoids.energy import Energy
 from ..solve.ellipsoids.stepper import SIZES, Refinement, rate_share, size_bounds
@@ -239,7 +239,7 @@ class DemoState:
         """Write the body as ``body.npz``, and as coloured meshes, whose name ends with .glb."""
         size = self.settings.size
         body_file(self.body, self.body.detach().camera(size), (size, size)).save(body)
-        ellipbody_scene(self.posed).export(meshes)
+        meshes.write_bytes(ellipbody_glb(self.posed))
 
 
 def _check_labels(settings: Settings, target: Target) -> None:

@@ -249,3 +249,15 @@ def test_names_of_options_are_those_of_the_stages(options_of: Callable[[str], Fi
     assert [each.value for each in fit_request.QualityName] == list(STAGES["network"])
     assert [each.value for each in fit_request.StartName] == list(STAGES)
     assert options_of("") == FitOptions.at("balanced")
+
+
+def test_garbage_is_collected_late_at_first_and_then_more_often() -> None:
+    """Imports and a fit of a photo make millions of objects that stay, and collections of them would take as long."""
+    code = (
+        "import gc\nfrom warp_partdr.cli import main as command\n"
+        "def main():\n    print(gc.get_threshold()[0])\n    gc.collect()\n    gc.collect()\n"
+        "    print(gc.get_threshold()[0], gc.get_freeze_count() > 1000)\n    raise SystemExit(0)\n"
+        "command.main = main\ncommand.run()"
+    )
+    said = subprocess.check_output([sys.executable, "-c", code], text=True, timeout=HANG)
+    assert said.split() == ["4000000", "100000", "True"]

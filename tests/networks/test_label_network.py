@@ -151,6 +151,19 @@ def test_corrections_see_how_far_landmarks_are_from_the_keypoints(network, devic
     torch.testing.assert_close(misfits(bodies, keypoints), expected.flatten()[None], atol=1e-4, rtol=0)
 
 
+def test_a_compiled_regressor_is_one_graph_that_sees_the_same_misfits():
+    torch.manual_seed(0)
+    regressor = Regressor(4, RegressorConfig(width=8, blocks=0, iterations=2, dropout=0.0, feedback=True)).eval()
+    features, keypoints = torch.randn(2, 4), torch.rand(2, len(LANDMARKS), 3)
+    weight = regressor.first.linear.weight
+    found = []
+    for network in (regressor, torch.compile(regressor, fullgraph=True, backend="aot_eager")):
+        bodies = network(features, keypoints)
+        (gradient,) = torch.autograd.grad(bodies.rotations.sum() + bodies.log_scale.sum(), weight)
+        found.append((bodies.rotations, bodies.lengths, gradient))
+    torch.testing.assert_close(found[1], found[0])
+
+
 def test_predicted_numbers_are_those_of_a_fit(network, device):
     network = network.to(device)
     shares = torch.rand(3, NUM_CHANNELS, 64, 64, device=device)
@@ -317,7 +330,7 @@ def test_a_network_comes_back_from_its_file(wide_network, tmp_path, bits):
     assert not back.training
     shares, keypoints = torch.rand(2, NUM_CHANNELS, 64, 64), torch.rand(2, len(LANDMARKS), 3)
     want, have = network(shares, keypoints, torch.zeros(2, 4)), back(shares, keypoints, torch.zeros(2, 4))
-    assert torch.allclose(want.rotations, have.rotations, atol={32: 0, 16: 1e-2, 8: 3e-2}[bits])
+    assert torch.allclose(want.rotations, have.rotations, atol={32: 1e-6, 16: 1e-2, 8: 3e-2}[bits])
 
 
 def test_a_file_is_read_once_while_it_stays_as_it_is(network, tmp_path):

@@ -13,11 +13,12 @@ from ..errors import InputError
 from ..models.model import DetailedModel
 from ..models.registration import Registered
 from ..models.suit import in_suit
-from ..results.ellipbody_files import ellipbody_scene
+from ..results.ellipbody_files import ellipbody_glb
 from ..results.further_files import FURTHER, save_further
+from ..results.mesh_files import obj
 from ..results.result_sets import FIT_REPORT, REGISTRATION_REPORT, replacing
 from ..results.save import describe_posed, save_description, save_detailed_arrays
-from ..results.skinned_files import glb, posed_mesh
+from ..results.skinned_files import glb, standing_mesh
 from .reading import Address, PersonRow
 
 
@@ -35,7 +36,7 @@ class Body:
 
 
 def _save_glb(body: Body, folder: Path) -> None:
-    ellipbody_scene(body.posed).export(folder / "ellipbody.glb")
+    (folder / "ellipbody.glb").write_bytes(ellipbody_glb(body.posed))
     if body.registered is not None:
         (folder / "detailed.glb").write_bytes(glb(body.registered, bare=body.bare))
 
@@ -53,7 +54,7 @@ def _shown(body: Body, name: str) -> Registered:
 
 
 def _save_obj(body: Body, folder: Path) -> None:
-    posed_mesh(_shown(body, "obj")).export(folder / "detailed.obj")
+    (folder / "detailed.obj").write_text(obj(*standing_mesh(_shown(body, "obj"))))
 
 
 def _save_further(name: str, body: Body, folder: Path) -> None:

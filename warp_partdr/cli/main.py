@@ -30,8 +30,9 @@ from .train import TRAIN_HELP, train_network
 
 _UsageError: Any = typer.BadParameter.__base__  # versions of typer have it in different modules, but not its subclass
 
-# New objects between two garbage collections. Imports make a million objects that stay, and the default is 700.
-_OBJECTS = 100_000
+# New objects before the first garbage collection, and between later ones. Imports make a million objects that stay, and
+# a fit of a photo a million more; the default is 700.
+_FIRST_OBJECTS, _OBJECTS = 4_000_000, 100_000
 
 app = typer.Typer(
     add_completion=False, rich_markup_mode="markdown", context_settings={"help_option_names": ["-h", "--help"]}
@@ -86,7 +87,8 @@ def main() -> None:
 
 def run() -> None:
     """Run ``main`` as a process of its own, which ends here, without clean-up that would take a second."""
-    gc.set_threshold(_OBJECTS)
+    gc.set_threshold(_FIRST_OBJECTS)
+    gc.callbacks.append(_collect_new_objects)
     try:
         main()
     except SystemExit as left:
@@ -97,6 +99,14 @@ def run() -> None:
         with contextlib.suppress(OSError, ValueError):  # it is closed, or a pipe that nobody reads any more
             stream.flush()
     os._exit(code)
+
+
+def _collect_new_objects(phase: str, info: dict[str, int]) -> None:
+    """Let collections after the first one be of new objects, and more frequent: what is there by then will stay."""
+    if phase == "stop":
+        gc.callbacks.remove(_collect_new_objects)
+        gc.freeze()
+        gc.set_threshold(_OBJECTS)
 
 
 def _print_error(message: str) -> int:

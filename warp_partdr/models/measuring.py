@@ -13,7 +13,7 @@ from ..body.posing import pose
 from ..body.rotations import rotation_between
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS, PARENTS, PART_NAMES, template
 from .growth import Growth
-from .model import Detailed, DetailedModel
+from .model import Detailed, DetailedModel, unique_pairs
 from .pose import end_joints, rest_turns
 from .registration import Registered
 from .surfaces import vertex_parts
@@ -113,14 +113,20 @@ def _edges(model: DetailedModel, parts: tuple[str, ...]) -> torch.Tensor:
     """Edges of the faces of some parts, shape (E, 2)."""
     labels = torch.tensor([PART_NAMES.index(part) + 1 for part in parts], device=model.faces.device)
     corners = model.faces[torch.isin(model.face_parts.long(), labels)].long()
-    return torch.stack([corners, corners.roll(1, 1)], dim=-1).flatten(0, 1).sort(dim=1).values.unique(dim=0)
+    sides = torch.stack([corners.flatten(), corners.roll(1, 1).flatten()]).sort(dim=0).values
+    return unique_pairs(sides, model.num_vertices).T
 
 
 def _girths(vertices: torch.Tensor, edges: torch.Tensor, level: torch.Tensor) -> torch.Tensor:
     """Lengths of tapes around the sections of bodies (B, V, 3) at heights (B,), shape (B,); 0 where nothing is cut."""
+    over = vertices[..., 1] - level[:, None]
+    cut = (over[:, edges[:, 0]] > 0) != (over[:, edges[:, 1]] > 0)
+    some = cut.any(0)  # one edge in thirty or so
+    if not bool(some.any()):
+        return vertices.new_zeros(len(vertices))
+    edges, cut = edges[some], cut[:, some]
     first, second = vertices[:, edges].unbind(2)
-    above, below = first[..., 1] - level[:, None], second[..., 1] - level[:, None]
-    cut = (above > 0) != (below > 0)
+    above, below = over[:, edges].unbind(2)
     share = above / torch.where(cut, above - below, torch.ones_like(above))
     points = (first + share[..., None] * (second - first))[..., ::2]
     angles = torch.arange(_DIRECTIONS, dtype=vertices.dtype, device=vertices.device) * (2 * math.pi / _DIRECTIONS)

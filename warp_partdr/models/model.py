@@ -243,17 +243,33 @@ class DetailedModel(Movable):
         corners = self.faces.long()
         pairs = torch.stack([corners.flatten(), corners.roll(1, 1).flatten()])
         alone = torch.arange(self.num_vertices, device=corners.device).expand(2, -1)
-        pairs = torch.unique(torch.cat([pairs, pairs.flip(0), alone], dim=1), dim=1)
-        counts = torch.bincount(pairs[0], minlength=self.num_vertices).to(self.skin_weights)
+        pairs = unique_pairs(torch.cat([pairs, pairs.flip(0), alone], dim=1), self.num_vertices)
+        counts = torch.bincount(pairs[0], minlength=self.num_vertices)
+        starts = counts.cumsum(0) - counts  # of the neighbours of each vertex
         weights = self.skin_weights @ torch.nn.functional.one_hot(self._joint_parts, NUM_PARTS).to(self.skin_weights)
         for _ in range(_SPREADING):
-            sums = torch.zeros_like(weights).index_add_(0, pairs[0], weights[pairs[1]])
+            sums = torch.nn.functional.embedding_bag(pairs[1], weights, starts, mode="sum")
             weights = sums / counts[:, None]
         return weights
 
     def _check(self, name: str, tensor: torch.Tensor, *shape: int | None) -> None:
         like = self.rest_vertices
         check_tensor(name, tensor, shape, dtypes=(like.dtype,), like=(self.name, like))
+
+
+def unique_pairs(pairs: torch.Tensor, count: int) -> torch.Tensor:
+    """Each pair once, in rising order.
+
+    Args:
+        pairs: Pairs of whole numbers from 0 to ``count`` - 1, shape (2, P), int64.
+        count: Number that all of them are less than.
+
+    Returns:
+        Pairs, shape (2, U), int64.
+    """
+    # One number stands for a pair: torch sorts numbers forty times as fast as columns.
+    keys = (pairs[0] * count + pairs[1]).unique()
+    return torch.stack([keys // count, keys % count])
 
 
 def weigh_points(weights: torch.Tensor, points: torch.Tensor) -> torch.Tensor:

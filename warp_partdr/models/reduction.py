@@ -11,6 +11,7 @@ from ..body.template import NUM_PARTS
 from ..errors import check_whole
 from .model import DetailedModel
 from .normals import vertex_normals
+from .packaged import packaged_findings
 from .surfaces import vertex_parts
 
 _LEAST = 12  # vertices of a part
@@ -47,15 +48,39 @@ class Reduced:
     error: float
 
 
+@dataclass(frozen=True, eq=False)
+class FewVertices:
+    """Vertices of a model that its reduced one has, and the faces between them.
+
+    Attributes:
+        kept: Indices of the vertices, shape (N,), int64.
+        moves: Move of each of them at rest [m], shape (N, 3).
+        faces: Indices among ``kept`` of each face's corners, shape (F, 3), int32.
+        face_parts: Part label of each face, shape (F,), uint8.
+        error: ``Reduced.error`` [m], shape ().
+    """
+
+    kept: np.ndarray
+    moves: np.ndarray
+    faces: np.ndarray
+    face_parts: np.ndarray
+    error: np.ndarray
+
+
 def reduce_within(model: DetailedModel, error: float) -> Reduced | None:
     """Reduce a model to about as few vertices as have at most this error [m]; None: it has no more than it needs."""
-    count = max(_VERTICES_FOR / error, LEAST_VERTICES)
+    count = first_count(error)
     while count < model.num_vertices:
         reduced = reduce_model(model, int(count))
         if reduced.error <= error:
             return reduced
         count *= _MORE
     return None
+
+
+def first_count(error: float) -> float:
+    """Number of vertices, not yet whole, that is tried first for this error [m]."""
+    return max(_VERTICES_FOR / error, LEAST_VERTICES)
 
 
 def reduce_model(model: DetailedModel, vertices: int) -> Reduced:
@@ -73,6 +98,38 @@ def reduce_model(model: DetailedModel, vertices: int) -> Reduced:
         ValueError: If ``vertices`` is less than that, or more than the model has.
     """
     count = check_whole("vertices", vertices, LEAST_VERTICES, model.num_vertices)
+    packaged = packaged_findings(model, few_name(count))
+    few = find_few(model, count) if packaged is None else FewVertices(**packaged)
+    points, joints, weights = _landmark_points(model)
+    some = torch.from_numpy(few.kept).to(model.faces.device)
+
+    def rows(values: torch.Tensor) -> torch.Tensor:
+        """Values of the kept vertices, then of the landmarks' points, from values of all vertices (..., V, C)."""
+        return torch.cat([values[..., some, :], points @ values], dim=-2)
+
+    rests, bends = rows(model.rest_vertices), model.pose_directions
+    rests[: len(some)] += torch.from_numpy(few.moves).to(rests)
+    alone = torch.nn.functional.one_hot(joints, model.num_joints).to(rests)
+    reduced = replace(
+        model,
+        faces=torch.from_numpy(few.faces).to(some.device),
+        face_parts=torch.from_numpy(few.face_parts).to(some.device),
+        rest_vertices=rests,
+        shape_directions=rows(model.shape_directions),
+        skin_weights=torch.cat([model.skin_weights[some], alone]),
+        landmark_weights=torch.nn.functional.pad(weights, (len(some), 0)),
+        pose_directions=None if bends is None else rows(bends.unflatten(1, (-1, 3))).flatten(1),
+    )
+    return Reduced(reduced, len(some), some, float(few.error))
+
+
+def few_name(count: int) -> str:
+    """Name of the packaged findings about a model with so many vertices."""
+    return f"{count} vertices"
+
+
+def find_few(model: DetailedModel, count: int) -> FewVertices:
+    """Choose about so many vertices of a model, where they move to, and the faces between them."""
     part, shares = (values.cpu().numpy() for values in vertex_parts(model))
     rest = model.rest_vertices.double().cpu().numpy()
     faces = model.faces.cpu().numpy().astype(np.int64)
@@ -87,28 +144,7 @@ def reduce_model(model: DetailedModel, vertices: int) -> Reduced:
     corners, first = np.unique(turned, axis=0, return_index=True)
     labels = model.face_parts.cpu().numpy()[whole][first]
     places, error = _settle(rest, areas, kept, nearest, corners)
-
-    points, joints, weights = _landmark_points(model)
-    some = torch.from_numpy(kept).to(model.faces.device)
-
-    def rows(values: torch.Tensor) -> torch.Tensor:
-        """Values of the kept vertices, then of the landmarks' points, from values of all vertices (..., V, C)."""
-        return torch.cat([values[..., some, :], points @ values], dim=-2)
-
-    rests, bends = rows(model.rest_vertices), model.pose_directions
-    rests[: len(kept)] += torch.from_numpy(places - rest[kept]).to(rests)
-    alone = torch.nn.functional.one_hot(joints, model.num_joints).to(rests)
-    reduced = replace(
-        model,
-        faces=torch.from_numpy(corners.astype(np.int32)).to(some.device),
-        face_parts=torch.from_numpy(labels).to(some.device),
-        rest_vertices=rests,
-        shape_directions=rows(model.shape_directions),
-        skin_weights=torch.cat([model.skin_weights[some], alone]),
-        landmark_weights=torch.nn.functional.pad(weights, (len(kept), 0)),
-        pose_directions=None if bends is None else rows(bends.unflatten(1, (-1, 3))).flatten(1),
-    )
-    return Reduced(reduced, len(kept), some, error)
+    return FewVertices(kept, places - rest[kept], corners.astype(np.int32), labels, np.array(error))
 
 
 def _areas(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:

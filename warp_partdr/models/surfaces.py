@@ -16,8 +16,10 @@ from ..interop.layouts import Tensors
 from ..interop.operation import Gradients, Operation
 from ..interop.streams import on_torch_stream
 from ..kernels import registration as kernels
-from .model import DetailedModel
+from .model import DetailedModel, unique_pairs
+from .packaged import packaged_findings
 
+SKIN = "skin"  # name of the packaged findings
 # Ellipsoids taper toward the joints, limbs don't: only samples and vertices within this share of a bone's half-length,
 # from its middle, say how thick a limb is.
 BAND = 0.7
@@ -57,6 +59,14 @@ def vertex_parts(model: DetailedModel) -> tuple[torch.Tensor, torch.Tensor]:
 
 def skin_vertices(model: DetailedModel) -> torch.Tensor:
     """1 for each vertex that can be seen from outside when the model is at rest, else 0, shape (V,)."""
+    found = packaged_findings(model, SKIN)
+    if found is not None:
+        return torch.from_numpy(found["seen"]).to(model.rest_vertices)
+    return find_skin(model)
+
+
+def find_skin(model: DetailedModel) -> torch.Tensor:
+    """Find by rays what ``skin_vertices`` returns."""
     vertices = model.rest_vertices.contiguous()
     directions = torch.from_numpy(icosphere(1)[0]).to(vertices)
     skin = torch.empty_like(vertices[:, 0])
@@ -69,10 +79,13 @@ def skin_vertices(model: DetailedModel) -> torch.Tensor:
 
 def is_closed(model: DetailedModel) -> bool:
     """True if the model's surface has no hole and its faces wind counterclockwise as seen from outside."""
-    from trimesh import Trimesh  # whose import takes a while
-
-    vertices, faces = model.rest_vertices.detach().cpu().numpy(), model.faces.cpu().numpy()
-    return bool(Trimesh(vertices, faces, process=False).is_volume)
+    vertices, faces = model.rest_vertices.double(), model.faces.long()
+    sides = torch.stack([faces.flatten(), faces.roll(-1, 1).flatten()])
+    once = unique_pairs(sides, len(vertices))
+    if once.shape[1] < sides.shape[1] or not torch.equal(once, unique_pairs(sides.flip(0), len(vertices))):
+        return False  # a side of a face must be a side of one other face, which passes it the other way
+    first, second, third = vertices[faces].unbind(1)
+    return bool((first * torch.linalg.cross(second, third)).sum() > 0)
 
 
 def surface_samples(posed: Posed) -> tuple[torch.Tensor, torch.Tensor]:

@@ -69,6 +69,8 @@ class PhotoFit:
 
     def hidden_by(self, index: int) -> list[int]:
         """Indices of the people whose masks cover a person's body."""
+        if len(self.people) == 1:
+            return []
         zoom = min(1.0, _COMPARED / max(self.owners.shape))
         height, width = self.owners.shape
         rows = _nearest(height, zoom)

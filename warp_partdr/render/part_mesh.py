@@ -181,15 +181,14 @@ def _find_edges(faces: np.ndarray, labels: np.ndarray) -> np.ndarray:
     count = len(faces)
     if count == 0:
         return np.zeros((0, 6), dtype=np.int32)
-    start = faces[:, [0, 1, 2]].T.reshape(-1)
-    end = faces[:, [1, 2, 0]].T.reshape(-1)
-    opposite = faces[:, [2, 0, 1]].T.reshape(-1)
-    face = np.tile(np.arange(count, dtype=np.int32), 3)
+    start, end, opposite = faces.ravel(), faces[:, [1, 2, 0]].ravel(), faces[:, [2, 0, 1]].ravel()
+    face = np.repeat(np.arange(count, dtype=np.int32), 3)
     low, high = np.minimum(start, end), np.maximum(start, end)
-    order = np.lexsort((face, labels[face], high, low))
-    low, high, face, opposite = low[order], high[order], face[order], opposite[order]
-    key = np.stack([low, high, labels[face].astype(np.int32)])
-    is_new = np.r_[True, (key[:, 1:] != key[:, :-1]).any(0)]
+    # One number stands for an edge of a label; edges of equal numbers stay in the order of their faces.
+    key = (low.astype(np.int64) * (int(faces.max()) + 1) + high) * 256 + labels[face]
+    order = key.argsort(kind="stable")
+    low, high, face, opposite, key = low[order], high[order], face[order], opposite[order], key[order]
+    is_new = np.r_[True, key[1:] != key[:-1]]
     group = np.cumsum(is_new) - 1
     size = np.bincount(group)
     first = np.flatnonzero(is_new)

@@ -11,6 +11,8 @@ import numpy as np
 _DTYPES = {"float32": 5126, "uint16": 5123, "uint32": 5125}  # component types
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 
+ELEMENT_ARRAY = 34963  # target of indices, glTF's ELEMENT_ARRAY_BUFFER
+
 _Animated = Literal["translation", "rotation", "scale"]
 
 

@@ -36,11 +36,12 @@ from ..render.mesh import draw_mesh
 from ..solve.confidence.judge import BodyConfidence, confidence_record, judge_fits
 from ..solve.ellipsoids.result import FitResult
 from .body_file import BodyFile
-from .ellipbody_files import ellipbody_scene
+from .ellipbody_files import ellipbody_glb
 from .fit_charts import loss_chart, panels
 from .further_files import save_further
 from .overlays import draw_detailed, draw_overlay, overlay_size
 from .palette import group_colours
+from .png_files import save_png
 from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, names_file, replacing
 from .skinned_files import save_detailed
 from .views import VIEWS, PlacedBody, draw_views
@@ -112,11 +113,11 @@ def save_fit(
         position = result.posed.joints[0, 0]
         body_file(result.parameters, result.camera, size, position).save(temporary / "body.npz")
         save_description(describe_body(result, mesh), temporary)
-        ellipbody_scene(result.posed).export(temporary / "ellipbody.glb")
-        overlay.save(temporary / "overlay.png")
+        (temporary / "ellipbody.glb").write_bytes(ellipbody_glb(result.posed))
+        save_png(overlay, temporary / "overlay.png")
         if comparison is not None:
-            comparison.save(temporary / "parts.png")
-        loss_chart(result).save(temporary / "loss.png")
+            save_png(comparison, temporary / "parts.png")
+        save_png(loss_chart(result), temporary / "loss.png")
     return report
 
 
@@ -204,9 +205,9 @@ def save_registered(
         save_detailed(registered, temporary, bare=bare)
         save_further(registered if bare else in_suit(registered), temporary / "detailed", formats)
         save_detailed_arrays(registered, temporary, clothes)
-        picture.save(temporary / "detailed.png")
+        save_png(picture, temporary / "detailed.png")
         if views is not None:
-            draw_views([views], size, photo, bare=bare).save(temporary / VIEWS)
+            save_png(draw_views([views], size, photo, bare=bare), temporary / VIEWS)
         if model.name in POSES and bool((registered.growth[0] == 1).all()):
             smplx = to_smplx(model, registered.shape[:1], registered.rotations[:1], registered.translation[:1])
             of_smplx: dict[str, Any] = {**smplx, **camera_arrays(camera, size)}

@@ -35,6 +35,7 @@ from .film_overlays import PosedMotions, draw_bodies, resized, zoomed_view
 from .further_files import check_formats, save_further
 from .motion_confidence import confidence_arrays, motion_confidence_record
 from .overlays import overlay_size
+from .png_files import save_png
 from .predictions import ROW, FilmBodies
 from .result_sets import PEOPLE_REPORT, replacing
 from .scene_file import Actor, NamedView, scene_glb
@@ -129,7 +130,7 @@ def save_film_fit(
             NamedView(name, each.view, each.people.image_size) for name, each in zip(names, fit.films, strict=True)
         ]
         (temporary / SCENE).write_bytes(scene_glb(actors, views, bare=bare))
-        confidence_chart(fit.motions, fit.times).save(temporary / CURVES)
+        save_png(confidence_chart(fit.motions, fit.times), temporary / CURVES)
         if len(films) > 1:
             data = camera_data(dict(zip(names, (each.camera for each in fit.films), strict=True)))
             (temporary / CAMERAS).write_text(json.dumps(data, indent=1))

@@ -18,10 +18,12 @@ from ..solve.confidence.judge import confidence_record
 from ..solve.confidence.limbs import guessed_parts
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .further_files import FURTHER_FILES
+from .mesh_files import NamedMesh, meshes_glb
 from .overlays import at_overlay_size, draw_detailed, draw_keypoints, overlay_size
 from .palette import PART_COLOURS
 from .photo_page import PAGE, draw_pictures, write_photo_page
 from .placements import Placement, place_on_ground
+from .png_files import save_png
 from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, replacing
 from .save import (
     DETAILED_FILES,
@@ -37,7 +39,6 @@ from .skinned_files import BODY_MATERIAL
 from .views import VIEWS, PlacedBody, draw_views, feet_seen
 
 if TYPE_CHECKING:
-    import trimesh
     from PIL.Image import Image
 
 PHOTO_FILES = (PAGE, "overlay.png", VIEWS, "people.png", "scene.glb", PEOPLE_REPORT)
@@ -130,14 +131,14 @@ def save_photo_fit(
         folder, PEOPLE_REPORT, report, outdates=(PEOPLE_REPORT, FIT_REPORT, REGISTRATION_REPORT)
     ) as temporary:
         (temporary / PAGE).write_text(page, encoding="utf-8")
-        _picture(overlay).save(temporary / "overlay.png")
-        views.save(temporary / VIEWS)
-        draw_people(fit, small).save(temporary / "people.png")
+        save_png(_picture(overlay), temporary / "overlay.png")
+        save_png(views, temporary / VIEWS)
+        save_png(draw_people(fit, small), temporary / "people.png")
         shown = {index: each.body if bare else in_suit(each.body) for index, each in fit.fits.items()}
         vertices = {
             index: placements[index].apply(body.detailed.vertices[0].cpu().numpy()) for index, body in shown.items()
         }
-        _scene(vertices, fit).export(temporary / "scene.glb")
+        (temporary / "scene.glb").write_bytes(meshes_glb(_meshes(vertices, fit)))
     return report
 
 
@@ -188,17 +189,13 @@ def _describe(fit: PhotoFit, index: int, placement: Placement) -> dict[str, Any]
     }
 
 
-def _scene(vertices: dict[int, np.ndarray], fit: PhotoFit) -> trimesh.Scene:
-    """Scene of all bodies as named meshes [m], y up, facing as in the picture."""
-    import trimesh
-
-    scene = trimesh.Scene()
-    for index, points in vertices.items():
-        faces = fit.fits[index].body.model.faces.cpu().numpy()
-        look = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(**BODY_MATERIAL))
-        mesh = trimesh.Trimesh(points @ GLTF_FROM_CAMERA.T, faces, process=False, visual=look)
-        scene.add_geometry(mesh, node_name=_name(index), geom_name=_name(index))
-    return scene
+def _meshes(vertices: dict[int, np.ndarray], fit: PhotoFit) -> list[NamedMesh]:
+    """Meshes of all bodies [m], y up, facing as in the picture."""
+    faces = {index: fit.fits[index].body.model.faces.cpu().numpy() for index in vertices}
+    return [
+        NamedMesh(_name(index), points @ GLTF_FROM_CAMERA.T, faces[index], BODY_MATERIAL)
+        for index, points in vertices.items()
+    ]
 
 
 def _remove_others(folder: Path, kept: set[str]) -> None:

@@ -1,15 +1,15 @@
 """Registered detailed bodies and their motions as files for other tools: GLB with skeleton and skin, OBJ, PLY, and BVH.
 
 In all files y is up, bodies stand on y = 0, and they face as in the picture, like EllipBody in ``ellipbody_files``.
-Lengths are in metres, in BVH in centimetres. trimesh writes no skins, so the GLB is written here (glTF 2.0). Its joints
-hold the pose, so that a viewer shows the posed body and Blender can change the pose.
+Lengths are in metres, in BVH in centimetres. The joints of the GLB (glTF 2.0) hold the pose, so that a viewer shows the
+posed body and Blender can change the pose.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,12 +22,10 @@ from ..models.registration import Registered
 from ..models.suit import in_suit, suit_of
 from .binding import Binding, from_rest, numbers_of, to_quaternions
 from .ellipbody_files import GLTF_FROM_CAMERA
-from .gltf import Document
+from .gltf import ELEMENT_ARRAY, Document
+from .mesh_files import obj, ply
 from .palette import PART_COLOURS
 from .shading import SKIN_COLOUR, suit_tones
-
-if TYPE_CHECKING:
-    import trimesh
 
 SKIN_WEIGHTS = 4  # weights of a vertex, as many as glTF's JOINTS_0 has
 _GAMMA = 2.2  # of colours on screens; those of glTF are linear
@@ -38,7 +36,6 @@ BODY_MATERIAL: dict[str, Any] = {  # by glTF's names: matt, and as neutral as in
 }
 _MOST_OFTEN = 16  # most poses at a constant rate for each given pose
 _STILL = 1e-5  # change of a rotation's entries; joints that turn less do not move
-_INDICES = 34963  # glTF's ELEMENT_ARRAY_BUFFER
 
 
 def save_detailed(registered: Registered, folder: Path, *, bare: bool = False) -> None:
@@ -48,19 +45,17 @@ def save_detailed(registered: Registered, folder: Path, *, bare: bool = False) -
     """
     (folder / "detailed.glb").write_bytes(glb(registered, bare=bare))
     shown = registered if bare else in_suit(registered)
-    posed_mesh(shown).export(folder / "detailed.obj")
+    vertices, faces = standing_mesh(shown)
+    (folder / "detailed.obj").write_text(obj(vertices, faces))
     colours = PART_COLOURS[registered.model.face_parts.cpu().numpy()]
-    posed_mesh(shown, face_colors=colours).export(folder / "detailed.ply")
+    (folder / "detailed.ply").write_bytes(ply(vertices, faces, colours))
     (folder / "detailed.bvh").write_text(bvh(registered))
 
 
-def posed_mesh(registered: Registered, **options: Any) -> trimesh.Trimesh:
-    """Make the first body's posed mesh, y up, standing on y = 0 [m]. ``options`` are those of trimesh."""
-    import trimesh
-
+def standing_mesh(registered: Registered) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices of the first body's posed mesh, y up, standing on y = 0 [m], shape (V, 3), and faces, shape (F, 3)."""
     vertices, lowest = _upright(registered)
-    faces = registered.model.faces.cpu().numpy()
-    return trimesh.Trimesh(vertices - [0.0, lowest, 0.0], faces, process=False, **options)
+    return vertices - [0.0, lowest, 0.0], registered.model.faces.cpu().numpy()
 
 
 @dataclass(frozen=True)
@@ -157,7 +152,7 @@ def add_body(document: Document, registered: Registered, poses: Poses, *, name: 
     if not bare:
         tones = suit_tones(suit_of(model).cloth) ** _GAMMA
         attributes["COLOR_0"] = document.add(np.repeat(tones[:, None], 3, axis=1).astype(np.float32))
-    indices = document.add(faces.astype(np.uint32).reshape(-1), target=_INDICES)
+    indices = document.add(faces.astype(np.uint32).reshape(-1), target=ELEMENT_ARRAY)
     # glTF's matrices are stored column by column.
     matrices = document.add(from_rest(rest).transpose(0, 2, 1).astype(np.float32))
     primitive = {"attributes": attributes, "indices": indices, "material": len(document.materials)}

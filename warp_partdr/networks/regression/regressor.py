@@ -8,6 +8,7 @@ factors of the mean body's.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,7 +88,7 @@ class Regressor(nn.Module):
             known = [features, estimate.to(features.dtype)]
             if self.feedback:
                 assert keypoints is not None
-                known.append(misfits(self._bodies(estimate), keypoints).to(features.dtype))
+                known.append(_found_misfits(self._bodies(estimate), keypoints).to(features.dtype))
             hidden = self.first(torch.cat(known, dim=1), iteration)
             for block in self.blocks:
                 first, second = block.children()
@@ -130,7 +131,6 @@ class _Layer(nn.Module):
         return self.linear(values)
 
 
-@torch.compiler.disable  # type: ignore[untyped-decorator]  # kernels pose bodies faster than what is traced
 @torch.no_grad()
 def misfits(bodies: Predicted, keypoints: torch.Tensor) -> torch.Tensor:
     """Ways from the bodies' landmarks to the keypoints, 0 to those that are missing, shape (B, 48).
@@ -142,6 +142,30 @@ def misfits(bodies: Predicted, keypoints: torch.Tensor) -> torch.Tensor:
         drawn = bodies.log_scale.exp()[:, None, None] * landmarks + bodies.shift[:, None]
         ways = (keypoints[..., :2].float() - drawn).clamp(-_FARTHEST, _FARTHEST) / _USUAL
     return torch.where(keypoints[..., 2:] > 0, ways, 0.0).flatten(1)
+
+
+def _found_misfits(bodies: Predicted, keypoints: torch.Tensor) -> torch.Tensor:
+    """``misfits``, of which ``torch.compile`` makes no graph: kernels pose bodies faster than what is traced.
+
+    ``torch.compiler.disable`` would do the same, but imports torch's compiler in every process, in half a second.
+    """
+    if not torch.compiler.is_compiling():
+        return misfits(bodies, keypoints)
+    sizes, camera = (bodies.lengths, bodies.thicknesses), (bodies.log_scale, bodies.shift)
+    tensors = [tensor.detach() for tensor in (bodies.orientation, bodies.rotations, *sizes, *camera)]
+    found: torch.Tensor = torch.ops.warp_partdr.misfits(tensors, keypoints.detach())
+    return found
+
+
+@torch.library.custom_op("warp_partdr::misfits", mutates_args=())
+def _misfits(bodies: Sequence[torch.Tensor], keypoints: torch.Tensor) -> torch.Tensor:
+    orientation, rotations, lengths, thicknesses, log_scale, shift = bodies
+    return misfits(Predicted(orientation, rotations, lengths, thicknesses, log_scale, shift), keypoints)
+
+
+@_misfits.register_fake
+def _(bodies: Sequence[torch.Tensor], keypoints: torch.Tensor) -> torch.Tensor:
+    return keypoints.new_empty(len(keypoints), MISFITS, dtype=torch.float32)
 
 
 def _mean_estimate() -> torch.Tensor:

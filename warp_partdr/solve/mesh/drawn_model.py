@@ -142,6 +142,11 @@ def _draw_model(
         return DrawnModel(reduced, mesh, num_groups, dressed, turning, free, first, weights, ends)
 
 
+def few_joints(model: DetailedModel) -> DetailedModel:
+    """Merge the joints that a fit does not turn with those above them."""
+    return merge_joints(model, turning_joints(model))
+
+
 def drawn_vertices(model: DetailedModel, options: MeshOptions) -> int:
     """Number of vertices of the mesh that a fit draws."""
     few, first, _ = _reduced_by(model, options)
@@ -158,7 +163,7 @@ def _reduced_by(model: DetailedModel, options: MeshOptions) -> tuple[DetailedMod
 def _reduced(model: DetailedModel, vertices: int | None, error: float) -> tuple[DetailedModel, int, torch.Tensor]:
     """Reduce a model; return it with its first vertex that carries a landmark, and the basis of its clothes."""
     basis = clothes_basis(model)
-    merged = merge_joints(model, turning_joints(model))
+    merged = few_joints(model)
     first = 0
     few = merged
     reduced = None

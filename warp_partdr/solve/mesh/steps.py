@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 
@@ -92,7 +93,7 @@ class Steps:
         if not self._pulls:
             factors = self.energy.factors(self.people)
             self._pulls = {name: torch.full_like(cost, factors[name]) for name, cost in self._costs.items()}
-        torch.autograd.backward(list(self._costs.values()), list(self._pulls.values()))
+        _Weighted.apply(tuple(self._pulls.values()), *self._costs.values()).backward()
         self._adam.step(share)
 
     @torch.no_grad()
@@ -101,6 +102,22 @@ class Steps:
         torch._foreach_copy_(self.people.tensors(), people.tensors())
         self._moves.zero_()
         self._adam.restart()
+
+
+class _Weighted(torch.autograd.Function):
+    """Weighted sum of costs. Only its gradient is needed, which is the weights, so the sum is not computed.
+
+    ``torch.autograd.backward`` takes weights as well, but imports sympy to compare shapes, which takes half a second.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, weights: tuple[torch.Tensor, ...], *costs: torch.Tensor) -> torch.Tensor:
+        ctx.weights = weights
+        return costs[0].new_empty(())
+
+    @staticmethod
+    def backward(ctx: Any, adjoint: torch.Tensor) -> Any:
+        return None, *ctx.weights
 
 
 class _CapturedSteps(Steps):
