@@ -11,8 +11,8 @@ from warp_partdr.networks.detection.asset import packaged_people_networks
 from warp_partdr.networks.detection.crops import Pyramid, TurnedCrops, cut_crops
 from warp_partdr.networks.detection.detector import tiles
 from warp_partdr.networks.detection.graph import Node, OperatorGraph
-from warp_partdr.networks.detection.half_graph import HalfGraph
 from warp_partdr.networks.detection.movenet import read_people
+from warp_partdr.networks.detection.product_graph import ProductGraph
 
 
 def chain(rng: np.random.Generator, size: int, stride: int, zeros: tuple[int, int, int, int]) -> OperatorGraph:
@@ -41,7 +41,7 @@ def test_a_chain_is_that_of_float32(rng, device, size, stride, zeros):
     graph = chain(rng, size, stride, zeros).to(device)
     pictures = torch.from_numpy(rng.normal(size=(300, 3, 12, 11)).astype(np.float32)).to(device)
     for some in (pictures[:3], pictures[:70], pictures):  # few are captured on CUDA
-        expected, found = graph(some), HalfGraph(graph)(some)
+        expected, found = graph(some), ProductGraph(graph, torch.float16)(some)
         for name in ("map", "numbers"):
             assert found[name].dtype == torch.float32
             assert found[name].shape == expected[name].shape
@@ -54,7 +54,7 @@ def test_numbers_have_more_digits_than_float16(rng, device):
     weights = {"1.weight": torch.zeros(4, 3, 1, 1), "1.bias": torch.full((4,), 200.01)}
     nodes = [Node("convolution", (0,), 1), Node("rows", (1,), 2, shape=(-1,))]
     graph = OperatorGraph(2, 0, {"places": 2}, nodes, weights).to(device)
-    found = HalfGraph(graph)(torch.zeros(1, 3, 2, 2, device=device))["places"]
+    found = ProductGraph(graph, torch.float16)(torch.zeros(1, 3, 2, 2, device=device))["places"]
     torch.testing.assert_close(found, torch.full_like(found, 200.01), rtol=0, atol=1e-4)
 
 
