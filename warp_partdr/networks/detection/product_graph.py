@@ -65,8 +65,6 @@ class ProductGraph(OperatorGraph):
 
     def forward(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
         """Compute the outputs by name, for pictures of shape (B, 3, size, size)."""
-        if not len(pictures):
-            return self._run(pictures)
         parts = [self._asked(part) for part in pictures.split(self._most(pictures.device))]
         if len(parts) == 1:
             return parts[0]
