@@ -19,7 +19,8 @@ def refine_landmarks(places: torch.Tensor, heat: torch.Tensor) -> torch.Tensor:
         Refined positions, shape (N, K, 2).
     """
     height, width = heat.shape[-2:]
-    extent = torch.tensor([width, height], device=places.device)
+    extent = torch.full((2,), width, device=places.device)
+    extent[1] = height  # made on the device, for a graph that is captured is sent nothing
     steps = torch.arange(-_REACH, _REACH + 1, device=places.device)
     cells = (places * extent).floor()
     inside = ((cells >= 0) & (cells < extent)).all(dim=-1)
