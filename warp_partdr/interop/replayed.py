@@ -27,7 +27,7 @@ def replayed(function: Callable[..., Tensors], tensors: Tensors, *options: Hasha
         The results of ``function``.
     """
     device = tensors[0].device
-    differentiated = torch.is_grad_enabled() and any([each.requires_grad for each in tensors])
+    differentiated = torch.is_grad_enabled() and any(each.requires_grad for each in tensors)
     if device.type != "cuda" or differentiated or torch.compiler.is_compiling():
         return function(*tensors, *options)
     key = function, options, tuple([(each.shape, each.dtype) for each in tensors])

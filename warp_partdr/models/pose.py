@@ -91,9 +91,9 @@ def _pose_limbs(
     model: DetailedModel,
     trunk_along: bool,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Compute ``pose_from_ellipbody`` from rotations (B, 20, 3, 3) and joints (B, 21, 3) of EllipBodies."""
+    """Compute ``pose_from_ellipbody`` from the rotations (B, 20, 3, 3) and joints (B, 21, 3) of EllipBodies."""
     marks, rest = model.rest_landmarks(shape, _marks(model))
-    parts = part_rotations @ _turns_at_rest(model, marks, trunk_along)
+    parts = turns @ _turns_at_rest(model, marks, trunk_along)
     # The two hips are the pelvis; the mean is exact where they haven't been turned against each other.
     pelvis = rotation_from_6d(rotation_to_6d(parts[:, 0] + parts[:, 1]))[:, None]
     sharing = _sharing(model)
@@ -108,7 +108,7 @@ def _pose_limbs(
     still = torch.eye(3, dtype=rest.dtype, device=rest.device).expand_as(pelvis)
     rotations = torch.cat([pelvis, turned, still], dim=1)[:, sharing.order]
     middle = marks[:, _HIPS].mean(1) - rest[:, 0]
-    return rotations, part_joints[:, _HIPS].mean(1) - (pelvis[:, 0] @ middle[..., None])[..., 0]
+    return rotations, joints[:, _HIPS].mean(1) - (pelvis[:, 0] @ middle[..., None])[..., 0]
 
 
 def free_joints(model: DetailedModel) -> list[int]:
