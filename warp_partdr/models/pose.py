@@ -85,11 +85,7 @@ def pose_from_ellipbody(
 
 
 def _pose_limbs(
-    part_rotations: torch.Tensor,
-    part_joints: torch.Tensor,
-    shape: torch.Tensor,
-    model: DetailedModel,
-    trunk_along: bool,
+    turns: torch.Tensor, joints: torch.Tensor, shape: torch.Tensor, model: DetailedModel, trunk_along: bool
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Compute ``pose_from_ellipbody`` from the rotations (B, 20, 3, 3) and joints (B, 21, 3) of EllipBodies."""
     marks, rest = model.rest_landmarks(shape, _marks(model))
