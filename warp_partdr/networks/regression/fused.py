@@ -23,7 +23,7 @@ from ..window_products import convolve_windows
 from .label_network import EVEN_CHANNELS, LabelNetwork, ResidualBlock
 from .predicted import Predicted
 
-_MOST_WINDOWS = 32  # pictures in float32, whose windows take up to 4 MB each
+_MOST_WINDOWS = 32  # pictures in float32, whose windows take up to 10 MB each
 _MOST_CAPTURED = 1024  # people; of more, launches are short beside their work, and graphs would hold much memory
 _Inputs = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 _Known = tuple[list[torch.Tensor], list[int], LabelNetwork]
