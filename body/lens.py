@@ -107,6 +107,7 @@ def ray_rotations(parameters: BodyParameters, lens: torch.Tensor) -> torch.Tenso
 def rotations_to(rays: torch.Tensor) -> torch.Tensor:
     """Shortest rotations from the camera's axis to rays of any length, (B, 3), shape (B, 3, 3)."""
     rays = torch.nn.functional.normalize(rays, dim=1)
-    axis = rays.new_zeros(3)
-    axis[2] = 1.0  # made on the device, for a graph that is captured is sent nothing
+    axis = torch.eye(3, dtype=rays.dtype, device=rays.device)[
+        2
+    ]  # made there: graphs are captured that are sent nothing
     return rotation_between(axis.expand_as(rays), rays)

@@ -11,9 +11,8 @@ import torch
 from ...body.lens import place_bodies, turn_to_rays
 from ...body.parameters import BodyParameters, crop_camera, resized_numbers
 from ...body.posing import LandmarkGather, Posed, pose
-from ...body.rotations import rotation_to_6d, rotation_to_axis_angle
+from ...body.rotations import replayed_axis_angles, rotation_to_6d
 from ...cameras import WeakPerspective
-from ...interop.replayed import replayed
 from ...render.ellipsoids import draw_ellipsoids
 from .uncertainty import Uncertainty
 
@@ -78,19 +77,14 @@ class Predicted:
 
     def parameters(self) -> BodyParameters:
         """Parameters for a fit, detached."""
-        (rotations,) = replayed(_axis_angles, (self.rotations,))
         return BodyParameters(
             orientation=rotation_to_6d(self.orientation),
-            rotations=rotations,
+            rotations=replayed_axis_angles(self.rotations),
             lengths=self.lengths,
             thicknesses=self.thicknesses,
             log_scale=self.log_scale,
             shift=self.shift,
         ).detach()
-
-
-def _axis_angles(rotations: torch.Tensor) -> tuple[torch.Tensor]:
-    return (rotation_to_axis_angle(rotations),)
 
 
 def posed_landmarks(posed: Posed, names: tuple[str, ...]) -> torch.Tensor:
