@@ -21,6 +21,7 @@ from ...interop.captured_step import CapturedStep
 from ...interop.graph_cache import graphs
 from ..window_products import convolve_windows
 from .label_network import EVEN_CHANNELS, LabelNetwork, ResidualBlock
+from .mirror import mean_with_images
 from .predicted import Predicted
 
 _MOST_WINDOWS = 32  # pictures in float32, whose windows take up to 10 MB each
@@ -35,41 +36,53 @@ def is_fused(inputs: _Inputs, *, half: bool) -> bool:
     return inputs[0].is_cuda and (half or len(inputs[0]) <= _MOST_WINDOWS)
 
 
-def ask_fused(network: LabelNetwork, inputs: _Inputs, *, half: bool) -> Predicted:
-    """Bodies on CUDA, of inputs of ``forward``. Features are in bfloat16 or float32; graphs are for few people."""
+def ask_fused(network: LabelNetwork, inputs: _Inputs, *, half: bool, images: bool) -> Predicted:
+    """Bodies on CUDA, as ``ask_with`` returns them; few people are captured."""
     fused = fused_network(network, torch.bfloat16 if half else torch.float32)
     if len(inputs[0]) <= _MOST_CAPTURED:
-        key = _Captured, fused, tuple([(each.shape, each.dtype) for each in inputs])
-        make = partial(_Captured, network, fused, inputs, half=half)
+        key = _Captured, fused, images, tuple([(each.shape, each.dtype) for each in inputs])
+        make = partial(_Captured, network, fused, inputs, half=half, images=images)
         captured = graphs.find(key, inputs[0].device, 0, make)
         if captured is not None:
             return captured(inputs)
-    return ask_with(network, fused, inputs, half=half)
+    return ask_with(network, fused, inputs, half=half, images=images)
 
 
-def ask_with(network: LabelNetwork, encoder: LabelNetwork, inputs: _Inputs, *, half: bool) -> Predicted:
-    """Bodies of the inputs of ``forward``, from an encoder's ``features``, with ``half`` in bfloat16.
+def ask_with(network: LabelNetwork, encoder: LabelNetwork, inputs: _Inputs, *, half: bool, images: bool) -> Predicted:
+    """Bodies of the inputs of ``forward``, from an encoder's ``features``.
 
     Bodies are made of features in float32 all the same: three corrections in bfloat16 would add up their rounding.
+
+    Args:
+        network: Network that makes bodies of features.
+        encoder: Network that makes features, perhaps the same.
+        inputs: Inputs of ``forward``.
+        half: True for features in bfloat16.
+        images: True if people's mirror images follow them, as many as they are (``mean_with_images``).
     """
     with torch.autocast(inputs[0].device.type, torch.bfloat16, enabled=half):
         features = encoder.features(*inputs)
-    return network.bodies(features.float(), inputs[1])
+    bodies = network.bodies(features.float(), inputs[1])
+    return mean_with_images(bodies) if images else bodies
 
 
 class _Captured:
     """``ask_with``, of inputs in fixed buffers."""
 
-    def __init__(self, network: LabelNetwork, fused: LabelNetwork, inputs: _Inputs, *, half: bool) -> None:
+    def __init__(
+        self, network: LabelNetwork, fused: LabelNetwork, inputs: _Inputs, *, half: bool, images: bool
+    ) -> None:
         self._inputs = shares, keypoints, conditions = tuple([each.clone() for each in inputs])
         held = shares, keypoints, conditions
-        self._step = CapturedStep(lambda: ask_with(network, fused, held, half=half), shares.device)
+        step = partial(ask_with, network, fused, held, half=half, images=images)
+        self._step = CapturedStep(step, shares.device)
 
     def __call__(self, inputs: _Inputs) -> Predicted:
         """Copies of the results, for the next call fills the buffers again."""
         torch._foreach_copy_(self._inputs, inputs)
         self._step.replay()
-        return self._step.result.select(torch.arange(len(inputs[0]), device=inputs[0].device))
+        result = self._step.result
+        return result.select(torch.arange(len(result.shift), device=result.shift.device))
 
 
 def fused_network(network: LabelNetwork, dtype: torch.dtype = torch.bfloat16) -> LabelNetwork:

@@ -26,7 +26,7 @@ from .label_network import (
     network_conditions,
 )
 from .landmarks import format_keypoints
-from .mirror import mean_bodies, mirror_bodies, mirror_inputs
+from .mirror import mirror_inputs
 from .predicted import Predicted
 from .upright import leans, turn_inputs, turn_predicted
 
@@ -164,12 +164,9 @@ def _look(observations: Observations, network: LabelNetwork, *, mirror: bool, ha
     shares = shares.contiguous(memory_format=torch.channels_last)
     given = shares, keypoints, conditions
     if is_fused(given, half=half):
-        predicted = ask_fused(network, given, half=half)
+        predicted = ask_fused(network, given, half=half, images=mirror)
     else:
-        predicted = ask_with(network, network, given, half=half)
-    if mirror:
-        own, images = slice(len(observations)), slice(len(observations), None)
-        predicted = mean_bodies(predicted.select(own), mirror_bodies(predicted.select(images)))
+        predicted = ask_with(network, network, given, half=half, images=mirror)
     predicted = turn_predicted(predicted, angles)
     said = predicted.uncertainty
     predicted = replace(predicted, uncertainty=None if said is None else said.widened(REAL_PEOPLE))
