@@ -53,7 +53,7 @@ class Growth:
     def __init__(self, model: DetailedModel, parts: torch.Tensor, areas: torch.Tensor, shape: torch.Tensor) -> None:
         """Prepare for shapes near one (B, S); ``vertex_parts`` gives parts and areas."""
         self.model = model
-        tables = _tables(model, parts, areas)
+        tables = _growth_tables(model, parts, areas)
         self.indices, self.shares, self.sharing = tables.indices, tables.shares, tables.sharing
         self.ratios, self.spreads, self.middles = tables.ratios, tables.spreads, tables.middles
         self.joint_weights, self._bone_starts = model.weights_of(JOINT_NAMES), tables.bone_starts
@@ -84,7 +84,7 @@ class Growth:
         return (self.axes * factors[:, self.indices][..., None, :]) @ self.axes.mT
 
 
-class _Tables(NamedTuple):
+class _GrowthTables(NamedTuple):
     """What ``Growth`` knows of a model, whatever its shape."""
 
     indices: torch.Tensor  # measure of each axis of each part, shape (20, 3)
@@ -98,7 +98,7 @@ class _Tables(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def _tables(model: DetailedModel, parts: torch.Tensor, areas: torch.Tensor) -> _Tables:
+def _growth_tables(model: DetailedModel, parts: torch.Tensor, areas: torch.Tensor) -> _GrowthTables:
     with torch.inference_mode(False):  # kept for calls outside of it, too
         indices = torch.tensor(SIZE_COLUMNS, device=areas.device)
         of_parts = torch.nn.functional.one_hot(parts.long(), NUM_PARTS).to(areas) * areas[:, None]
@@ -108,7 +108,7 @@ def _tables(model: DetailedModel, parts: torch.Tensor, areas: torch.Tensor) -> _
         counts = torch.stack([torch.ones_like(whole), whole > 0, whole > 0], dim=-1).flatten()
         sharing = torch.nn.functional.one_hot(indices.flatten(), len(MEASURES)) * counts[:, None]
         ratios, spreads = zip(*(THICKNESS_RATIOS[name] for name in THICKNESS_NAMES), strict=True)
-        return _Tables(
+        return _GrowthTables(
             indices=indices,
             shares=shares,
             sharing=sharing / sharing.sum(0).clamp(min=1),
