@@ -7,6 +7,8 @@ from the last features in float32.
 from __future__ import annotations
 
 import threading
+from functools import lru_cache
+from typing import Any
 
 import torch
 
@@ -20,7 +22,6 @@ from .graph import KINDS, Node, OperatorGraph, activate, convolve
 
 _MOST = {torch.float32: 16, torch.float16: 256}  # pictures at a time; with more, launches take little of the time
 _A_PICTURE = 2**28  # [bytes], memory that a device has for each picture of a graph, which takes some hundredths of it
-_FEW = 16  # pictures; graphs for fewer are for a power of 4, so that a photo needs few, and those for more for one of 2
 _NUMBERS = ("rows", "sigmoid")  # operators whose numbers are a convolution's, rearranged or squashed
 
 
@@ -115,9 +116,8 @@ class ProductGraph(OperatorGraph):
 
 
 def batch_room(count: int) -> int:
-    """Size of the batch in which so many pictures are computed: a power of 4 up to 16, then a power of 2."""
-    room = 1 << (count - 1).bit_length()
-    return 4 if room == 2 else _FEW if room == _FEW // 2 else room
+    """Size of the batch in which so many pictures are computed: 4, 16, or a higher power of 2."""
+    return 4 if count <= 4 else max(1 << (count - 1).bit_length(), 16)
 
 
 def _numbers(graph: OperatorGraph) -> set[int]:
@@ -153,15 +153,31 @@ def _by_channel(
     rows = (height + above + below - size) // node.stride + 1
     columns = (width + left + right - size) // node.stride + 1
     found = values.new_empty(batch, rows, columns * channels)
-    windows = depthwise.DepthwiseWindows()
-    windows.height, windows.width, windows.words = height, width, channels // depthwise.TOGETHER
-    windows.size, windows.stride = size, node.stride
-    windows.left, windows.above = left, above
-    windows.input_limits = _limits(before, values.dtype)
-    windows.limits = _limits(node.activation, values.dtype)
+    limits = *_limits(before, values.dtype), *_limits(node.activation, values.dtype)
+    windows = _windows(height, width, channels // depthwise.TOGETHER, size, node.stride, left, above, limits)
     weights = weight.permute(2, 3, 1, 0).flatten()
     depthwise.launch_depthwise(_words(values.flatten()), _words(weights), _words(bias), windows, _words(found))
     return found.view(batch, rows, columns, channels).permute(0, 3, 1, 2)
+
+
+@lru_cache(maxsize=1024)  # it takes as long as a launch
+def _windows(
+    height: int,
+    width: int,
+    words: int,
+    size: int,
+    stride: int,
+    left: int,
+    above: int,
+    limits: tuple[float, float, float, float],
+) -> Any:
+    """Make ``DepthwiseWindows`` of its fields in their order."""
+    windows = depthwise.DepthwiseWindows()
+    windows.height, windows.width, windows.words = height, width, words
+    windows.size, windows.stride = size, stride
+    windows.left, windows.above = left, above
+    windows.input_limits, windows.limits = limits[:2], limits[2:]
+    return windows
 
 
 def _words(values: torch.Tensor) -> object:

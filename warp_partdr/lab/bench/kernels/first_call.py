@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+EXAMPLE = Path(__file__).resolve().parents[3] / "assets" / "example" / "photo.png"
 _TIMES = 3  # fresh processes, after one that compiles the kernels and does not count
 _LATER = 5  # later calls with the photos that are known
 FIRST, OTHER, LATER = "first call", "first photo of another size and number of people", "later call"
@@ -59,7 +60,7 @@ def time_this_process(device: str) -> dict[str, float]:
         return time.perf_counter() - start
 
     durations = {"imports": time.perf_counter() - begin}
-    one = read_photo(Path(__file__).resolve().parents[3] / "assets" / "example" / "photo.png")
+    one = read_photo(EXAMPLE)
     three = np.concatenate([one, one[:, ::-1], one], axis=1)  # three people
     durations[FIRST] = timed(one)
     durations[OTHER] = timed(three)
