@@ -154,14 +154,14 @@ def _by_channel(
     columns = (width + left + right - size) // node.stride + 1
     found = values.new_empty(batch, rows, columns * channels)
     limits = *_limits(before, values.dtype), *_limits(node.activation, values.dtype)
-    windows = _windows(height, width, channels // depthwise.TOGETHER, size, node.stride, left, above, limits)
+    windows = _depthwise_windows(height, width, channels // depthwise.TOGETHER, size, node.stride, left, above, limits)
     weights = weight.permute(2, 3, 1, 0).flatten()
     depthwise.launch_depthwise(_words(values.flatten()), _words(weights), _words(bias), windows, _words(found))
     return found.view(batch, rows, columns, channels).permute(0, 3, 1, 2)
 
 
 @lru_cache(maxsize=1024)  # it takes as long as a launch
-def _windows(
+def _depthwise_windows(
     height: int,
     width: int,
     words: int,
