@@ -10,9 +10,10 @@ from dataclasses import replace
 import torch
 
 from ..cameras import Camera, Perspective, WeakPerspective
+from ..interop.replayed import replayed
 from .parameters import BodyParameters
 from .posing import Posed
-from .rotations import rotation_between, rotation_to_6d
+from .rotations import rotation_between, rotation_from_6d, rotation_to_6d
 
 
 def place_bodies(
@@ -84,8 +85,14 @@ def _rays(shift: torch.Tensor, lens: torch.Tensor) -> torch.Tensor:
 
 def turn_to_rays(parameters: BodyParameters, lens: torch.Tensor) -> BodyParameters:
     """Bodies that a camera along its axis would see so, turned to the ray through their pelvis, shortest way."""
-    turned = ray_rotations(parameters, lens) @ parameters.global_orient()
-    return replace(parameters, orientation=rotation_to_6d(turned))
+    lens = lens.to(parameters.shift).expand(parameters.batch_size, 3)
+    (orientation,) = replayed(_turned_orientation, (parameters.orientation, _rays(parameters.shift, lens)))
+    return replace(parameters, orientation=orientation)
+
+
+def _turned_orientation(orientation: torch.Tensor, rays: torch.Tensor) -> tuple[torch.Tensor]:
+    """Orientations of ``turn_to_rays``, as in ``BodyParameters``, for rays (B, 3)."""
+    return (rotation_to_6d(rotations_to(rays) @ rotation_from_6d(orientation)),)
 
 
 def ray_rotations(parameters: BodyParameters, lens: torch.Tensor) -> torch.Tensor:
@@ -100,4 +107,7 @@ def ray_rotations(parameters: BodyParameters, lens: torch.Tensor) -> torch.Tenso
 def rotations_to(rays: torch.Tensor) -> torch.Tensor:
     """Shortest rotations from the camera's axis to rays of any length, (B, 3), shape (B, 3, 3)."""
     rays = torch.nn.functional.normalize(rays, dim=1)
-    return rotation_between(rays.new_tensor([0.0, 0.0, 1.0]).expand_as(rays), rays)
+    axis = torch.eye(3, dtype=rays.dtype, device=rays.device)[
+        2
+    ]  # made there: graphs are captured that are sent nothing
+    return rotation_between(axis.expand_as(rays), rays)

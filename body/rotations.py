@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import torch
 
+from ..interop.replayed import replayed
+
 _TINY_ANGLE = 1e-4  # [rad]; below it Taylor's series are exact to float32 and need no division
 _TINY_LENGTH = 1e-6  # shorter columns have no direction
 
@@ -171,6 +173,15 @@ def rotation_to_axis_angle(rotation: torch.Tensor) -> torch.Tensor:
     sine = torch.where(small, torch.ones_like(square), square).sqrt()
     factor = torch.where(small, 2 / w.clamp_min(0.5), 2 * torch.atan2(sine, w) / sine)
     return xyz * factor[..., None]
+
+
+def replayed_axis_angles(rotations: torch.Tensor) -> torch.Tensor:
+    """``rotation_to_axis_angle`` of many rotations, whose operators a CUDA graph replays from the second call on."""
+    return replayed(_axis_angles, (rotations,))[0]
+
+
+def _axis_angles(rotations: torch.Tensor) -> tuple[torch.Tensor]:
+    return (rotation_to_axis_angle(rotations),)
 
 
 def nearest_rotation(matrices: torch.Tensor) -> torch.Tensor:

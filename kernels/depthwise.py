@@ -1,9 +1,8 @@
-"""Convolutions of each channel by itself, in float16: four channels, which lie side by side in memory, a thread.
+"""Convolutions of each channel by itself: four channels, which lie side by side in memory, a thread.
 
 Libraries' own leave memory idle here, and add biases and cut values off in launches of their own.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
@@ -11,22 +10,23 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 TOGETHER = 4  # channels that a thread reads at once
+HALF_WORD = wp.int64  # that many channels in float16
+WORD = wp.vec4  # the same in float32
 
 
 @wp.struct
-class DepthwiseArrays:
-    """A batch of pictures, and what they are convolved with; words hold ``TOGETHER`` channels, float16."""
+class DepthwiseWindows:
+    """Sizes of pictures, and of the windows over them."""
 
-    pictures: wp.array[wp.int64]  # (B H W words,)
-    weights: wp.array[wp.int64]  # (size size words,)
-    biases: wp.array[wp.int64]  # (words,)
     height: int
     width: int
-    words: int  # of a pixel
+    words: int  # of a pixel, each of ``TOGETHER`` channels
     size: int  # side of the windows [px]
     stride: int
     left: int  # zeros beside the pictures
     above: int
+    input_limits: wp.vec2  # least and most of the pictures' values: what is beyond counts as these
+    limits: wp.vec2  # the same of the results
 
 
 @wp.func
@@ -40,7 +40,12 @@ def unpacked(word: wp.int64) -> wp.vec4:
 
 
 @wp.func
-def packed(values: wp.vec4) -> wp.int64:
+def unpacked(word: wp.vec4) -> wp.vec4:
+    return word
+
+
+@wp.func
+def packed_like(example: wp.int64, values: wp.vec4) -> wp.int64:
     word = wp.int64(0)
     for place in range(TOGETHER):
         word = word | (wp.int64(wp.cast(wp.float16(values[place]), wp.uint16)) << wp.int64(16 * place))
@@ -48,46 +53,51 @@ def packed(values: wp.vec4) -> wp.int64:
 
 
 @wp.func
-def cut_off(values: wp.vec4, least: float, most: float) -> wp.vec4:
-    return wp.max(wp.min(values, wp.vec4(most)), wp.vec4(least))
+def packed_like(example: wp.vec4, values: wp.vec4) -> wp.vec4:
+    return values
+
+
+@wp.func
+def cut_off(values: wp.vec4, limits: wp.vec2) -> wp.vec4:
+    return wp.max(wp.min(values, wp.vec4(limits[1])), wp.vec4(limits[0]))
 
 
 @wp.kernel
 def convolve_channels(
-    arrays: DepthwiseArrays,
-    input_limits: wp.vec2,  # least and most of the pictures' values: what is beyond counts as these
-    limits: wp.vec2,  # the same of the results
-    found: wp.array3d[wp.int64],  # (B, h, w words)  OUTPUT
+    pictures: wp.array[Any],  # (B H W words,)
+    weights: wp.array[Any],  # (size size words,)
+    biases: wp.array[Any],  # (words,)
+    windows: DepthwiseWindows,
+    found: wp.array3d[Any],  # (B, h, w words)  OUTPUT
 ):
     """Sums over windows, counted in float32."""
     n, row, place = wp.tid()
-    column = place // arrays.words
-    word = place - column * arrays.words
-    top, left = row * arrays.stride - arrays.above, column * arrays.stride - arrays.left
-    total = unpacked(arrays.biases[word])
-    for v in range(arrays.size):
+    column = place // windows.words
+    word = place - column * windows.words
+    top, left = row * windows.stride - windows.above, column * windows.stride - windows.left
+    total = unpacked(biases[word])
+    for v in range(windows.size):
         y = top + v
-        if y >= 0 and y < arrays.height:
-            for u in range(arrays.size):
+        if y >= 0 and y < windows.height:
+            for u in range(windows.size):
                 x = left + u
-                if x >= 0 and x < arrays.width:
-                    value = unpacked(
-                        arrays.pictures[((n * arrays.height + y) * arrays.width + x) * arrays.words + word]
-                    )
-                    weight = unpacked(arrays.weights[(v * arrays.size + u) * arrays.words + word])
-                    total += wp.cw_mul(cut_off(value, input_limits[0], input_limits[1]), weight)
-    found[n, row, place] = packed(cut_off(total, limits[0], limits[1]))
+                if x >= 0 and x < windows.width:
+                    value = unpacked(pictures[((n * windows.height + y) * windows.width + x) * windows.words + word])
+                    weight = unpacked(weights[(v * windows.size + u) * windows.words + word])
+                    total += wp.cw_mul(cut_off(value, windows.input_limits), weight)
+    found[n, row, place] = packed_like(biases[word], cut_off(total, windows.limits))
 
 
-def launch_depthwise(
-    words: Sequence[wp.array],
-    numbers: Sequence[int],
-    limits: tuple[tuple[float, float], tuple[float, float]],
-    found: Any,
-) -> None:
-    """Fill ``found`` from arrays and numbers in the order of ``DepthwiseArrays``, and limits of input and results."""
-    given: Any = DepthwiseArrays()
-    given.pictures, given.weights, given.biases = words
-    given.height, given.width, given.words, given.size, given.stride, given.left, given.above = numbers
-    inputs = [given, wp.vec2(*limits[0]), wp.vec2(*limits[1]), found]
-    wp.launch(convolve_channels, found.shape, inputs, device=found.device)
+def _overload(word: Any) -> Any:
+    arrays = dict.fromkeys(("pictures", "weights", "biases"), wp.array[word])
+    return wp.overload(convolve_channels, {**arrays, "found": wp.array3d[word]})
+
+
+# Both stand here, because a kernel that appears after the module was loaded would build it again.
+_KERNELS = {word: _overload(word) for word in (HALF_WORD, WORD)}
+
+
+def launch_depthwise(pictures: Any, weights: Any, biases: Any, windows: Any, found: Any) -> None:
+    """Fill ``found``; arrays are of ``HALF_WORD`` or of ``WORD``, and ``windows`` are ``DepthwiseWindows``."""
+    inputs = [pictures, weights, biases, windows, found]
+    wp.launch(_KERNELS[found.dtype], found.shape, inputs, device=found.device)

@@ -75,6 +75,7 @@ INNER_MODULES_OF_PAGES = {
 # Where arguments are parsed: the command line, the harness of measurements, tutorials, and tools of the repository.
 PARSERS = ("warp_partdr/cli/", "warp_partdr/lab/harness.py", "demos/", "scripts/", "benchmarks/")
 OTHER_PARSERS = {
+    "warp_partdr/lab/bench/kernels/first_call.py": "is started as a process of its own, to time the first call",
     "warp_partdr/lab/bench/kernels/start.py": "is started as a process of its own, to time the start",
     "warp_partdr/reference/__main__.py": "prints one equation, with NumPy alone",
 }

@@ -18,7 +18,7 @@ from PIL import Image
 
 from warp_partdr.cli import bench
 from warp_partdr.errors import InputError
-from warp_partdr.lab.bench.kernels import measure, peers, start
+from warp_partdr.lab.bench.kernels import first_call, measure, peers, start
 from warp_partdr.lab.bench.kernels.chart import draw_kernel_chart
 from warp_partdr.lab.bench.kernels.measure import run_kernels
 from warp_partdr.lab.bench.kernels.plan import (
@@ -291,6 +291,34 @@ def test_starts_are_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(0 < row["median_s"] < 0.5 for row in rows[3:])
     assert [command[-1] for command in commands[1:]] == ["anny", "none"]
     assert len({row["name"] for row in rows}) == 6
+
+
+def test_first_calls_are_rows_of_fresh_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first process compiles kernels, and does not count."""
+    printed = iter([9.0, 1.0, 3.0, 2.0])
+
+    def run(command: list[str], **_: object) -> CompletedProcess[str]:
+        assert command[2:] == [first_call.__name__, PLAN.device]
+        seconds = next(printed)
+        return CompletedProcess(command, 0, f'Module loaded\n{{"first call": {seconds}, "later call": {seconds / 10}}}')
+
+    monkeypatch.setattr(subprocess, "run", run)
+    first, later = measure._time_first_calls(PLAN)
+    assert first["group"] == later["group"] == STARTS
+    assert (first["name"], first["median_s"], first["fastest_s"], first["repeats"]) == (
+        "fit_photo: first call",
+        2.0,
+        1.0,
+        3,
+    )
+    assert later["median_s"] == 0.2
+
+
+@pytest.mark.slow
+def test_a_first_call_is_timed_in_this_process(device: str) -> None:
+    seconds = first_call.time_this_process(device)
+    assert list(seconds) == ["imports", first_call.FIRST, first_call.OTHER, first_call.LATER]
+    assert all(each > 0 for each in seconds.values())
 
 
 @pytest.mark.slow

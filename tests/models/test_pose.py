@@ -61,6 +61,12 @@ def test_parts_are_where_ellipbody_has_them():
             assert abs(middle[0]) < 0.01, name
 
 
+def test_the_middle_of_the_hips_is_ellipbodys():
+    model, shape, rotations, translation = at_rest()
+    hips = model.landmarks(model.pose(shape, rotations, translation), ["left_hip", "right_hip"]).mean(1)
+    torch.testing.assert_close(hips, mean_body(REST).joints[:, 1:3].mean(1), rtol=0, atol=1e-5)
+
+
 def angles(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """Between directions [degrees]."""
     a, b = (torch.nn.functional.normalize(vector, dim=-1) for vector in (a, b))

@@ -49,6 +49,14 @@ def test_fused_features_are_as_exact_as_torchs_in_bfloat16(device: str, even: bo
     assert 0 < off(found, exact) < max(1.5 * off(usual, exact), 0.01)
 
 
+def test_fused_features_in_float32_are_the_networks_own(device: str) -> None:
+    network, given = packaged_network(device), inputs(device)
+    with torch.no_grad():
+        expected, found = network.features(*given), fused_network(network, torch.float32).features(*given)
+    most = 1e-5 if device == "cpu" else 1e-3  # the network's own go through cuDNN, which rounds to TF32
+    assert off(found, expected) < most
+
+
 def test_a_fused_network_is_kept_until_weights_change() -> None:
     network: LabelNetwork = deepcopy(packaged_network("cpu"))
     first = fused_network(network)

@@ -6,6 +6,9 @@ others, parts are stretched at rest along its axes; skinning weights blend one p
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import NamedTuple
+
 import torch
 
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, SIZE_COLUMNS, THICKNESS_NAMES, template
@@ -50,22 +53,11 @@ class Growth:
     def __init__(self, model: DetailedModel, parts: torch.Tensor, areas: torch.Tensor, shape: torch.Tensor) -> None:
         """Prepare for shapes near one (B, S); ``vertex_parts`` gives parts and areas."""
         self.model = model
-        like = areas
-        self.indices = torch.tensor(SIZE_COLUMNS, device=like.device)
-        of_parts = torch.nn.functional.one_hot(parts.long(), NUM_PARTS).to(like) * areas[:, None]
-        whole = of_parts.sum(0)
-        self.shares = (of_parts / whole.clamp(min=1e-12)).T
-        self.joint_weights = model.weights_of(JOINT_NAMES)
-        # A part without skin, which a model may have, does not count.
-        counts = torch.stack([torch.ones_like(whole), whole > 0, whole > 0], dim=-1).flatten()
-        sharing = torch.nn.functional.one_hot(self.indices.flatten(), len(MEASURES)) * counts[:, None]
-        self.sharing = sharing / sharing.sum(0).clamp(min=1)
-        ratios, spreads = zip(*(THICKNESS_RATIOS[name] for name in THICKNESS_NAMES), strict=True)
-        self.ratios = like.new_tensor([1.0] * len(LENGTH_NAMES) + [*ratios])[self.indices]
-        self.spreads = like.new_tensor([_LENGTH_SPREAD] * len(LENGTH_NAMES) + [*spreads])
-        # Of each vertex' own part: about the whole body's middle, float32 leaves a foot's variance three digits.
-        self.middles = (self.shares @ model.rest_vertices)[parts.long()]
-        self.axes = rest_turns(model, model.rest(shape)).mT @ torch.from_numpy(template().rest_axes).to(like)
+        tables = _growth_tables(model, parts, areas)
+        self.indices, self.shares, self.sharing = tables.indices, tables.shares, tables.sharing
+        self.ratios, self.spreads, self.middles = tables.ratios, tables.spreads, tables.middles
+        self.joint_weights, self._bone_starts = model.weights_of(JOINT_NAMES), tables.bone_starts
+        self.axes = rest_turns(model, model.rest(shape)).mT @ tables.rest_axes
 
     def demanded(self, semi_axes: torch.Tensor) -> torch.Tensor:
         """Logarithms of the 27 measures [log m] of ellipsoids, shape (B, 20, 3), shape (B, 27)."""
@@ -75,7 +67,7 @@ class Growth:
         """Logarithms of the 27 measures of the model's bodies, shape (B, 27), differentiable."""
         rest = self.model.rest(shape, stretches=stretches)
         joints = weigh_points(self.joint_weights, torch.cat([rest.vertices, rest.joints], dim=1))
-        lengths = (joints[:, 1:] - joints[:, BONE_STARTS]).norm(dim=-1, keepdim=True)
+        lengths = (joints[:, 1:] - joints[:, self._bone_starts]).norm(dim=-1, keepdim=True)
         # Vertices last: products of three numbers side by side are slow.
         points = (rest.vertices - self.middles).mT.contiguous()
         means = (points @ self.shares.mT).mT
@@ -90,3 +82,40 @@ class Growth:
     def stretches(self, factors: torch.Tensor) -> torch.Tensor:
         """Stretches for ``model.pose``, shape (B, 20, 3, 3), from a factor of each measure, shape (B, 27)."""
         return (self.axes * factors[:, self.indices][..., None, :]) @ self.axes.mT
+
+
+class _GrowthTables(NamedTuple):
+    """What ``Growth`` knows of a model, whatever its shape."""
+
+    indices: torch.Tensor  # measure of each axis of each part, shape (20, 3)
+    shares: torch.Tensor  # share of each vertex in its part's skin, shape (20, V)
+    sharing: torch.Tensor  # share of each axis of each part in each measure, shape (60, 27)
+    ratios: torch.Tensor  # of thicknesses of ellipsoids and skin, shape (20, 3)
+    spreads: torch.Tensor  # shape (27,)
+    middles: torch.Tensor  # middle of each vertex' part at rest [m], shape (V, 3)
+    rest_axes: torch.Tensor  # axes of EllipBody's parts at rest, shape (20, 3, 3)
+    bone_starts: torch.Tensor  # shape (20,)
+
+
+@lru_cache(maxsize=4)
+def _growth_tables(model: DetailedModel, parts: torch.Tensor, areas: torch.Tensor) -> _GrowthTables:
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        indices = torch.tensor(SIZE_COLUMNS, device=areas.device)
+        of_parts = torch.nn.functional.one_hot(parts.long(), NUM_PARTS).to(areas) * areas[:, None]
+        whole = of_parts.sum(0)
+        shares = (of_parts / whole.clamp(min=1e-12)).T
+        # A part without skin, which a model may have, does not count.
+        counts = torch.stack([torch.ones_like(whole), whole > 0, whole > 0], dim=-1).flatten()
+        sharing = torch.nn.functional.one_hot(indices.flatten(), len(MEASURES)) * counts[:, None]
+        ratios, spreads = zip(*(THICKNESS_RATIOS[name] for name in THICKNESS_NAMES), strict=True)
+        return _GrowthTables(
+            indices=indices,
+            shares=shares,
+            sharing=sharing / sharing.sum(0).clamp(min=1),
+            ratios=areas.new_tensor([1.0] * len(LENGTH_NAMES) + [*ratios])[indices],
+            spreads=areas.new_tensor([_LENGTH_SPREAD] * len(LENGTH_NAMES) + [*spreads]),
+            # Of each vertex' own part: about the whole body's middle, float32 leaves a foot's variance three digits.
+            middles=(shares @ model.rest_vertices)[parts.long()],
+            rest_axes=torch.from_numpy(template().rest_axes).to(areas),
+            bone_starts=torch.tensor(BONE_STARTS, device=areas.device),
+        )

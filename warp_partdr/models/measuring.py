@@ -6,12 +6,15 @@ A girth is the length of a tape around a horizontal section: of its convex hull.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import NamedTuple
 
 import torch
 
 from ..body.posing import pose
 from ..body.rotations import rotation_between
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS, PARENTS, PART_NAMES, template
+from ..interop.replayed import replayed
 from .growth import Growth
 from .model import Detailed, DetailedModel, unique_pairs
 from .pose import end_joints, rest_turns
@@ -40,14 +43,28 @@ def measure_ellipbody(body: Registered) -> tuple[torch.Tensor, ...]:
         Orientation (B, 3, 3), position of the pelvis [m] (B, 3), local rotations (B, 20, 3, 3), ``LENGTH_NAMES`` [m]
         (B, 12), ``THICKNESS_NAMES`` [m] (B, 15).
     """
-    model, shape = body.model, body.shape
-    sizes = Growth(model, *vertex_parts(model), shape).measured(shape, body.stretches).exp()
+    detailed = body.detailed
+    given = body.shape, body.stretches, detailed.vertices, detailed.joints, detailed.transforms
+    return replayed(_measure, given, body.model)
+
+
+def _measure(
+    shape: torch.Tensor,
+    stretches: torch.Tensor,
+    vertices: torch.Tensor,
+    joints: torch.Tensor,
+    transforms: torch.Tensor,
+    model: DetailedModel,
+) -> tuple[torch.Tensor, ...]:
+    """Compute ``measure_ellipbody`` from tensors of ``Registered`` and of its ``detailed``."""
+    sizes = Growth(model, *vertex_parts(model), shape).measured(shape, stretches).exp()
     lengths, thicknesses = sizes[:, : len(LENGTH_NAMES)], sizes[:, len(LENGTH_NAMES) :]
-    joints = model.landmarks(body.detailed, JOINT_NAMES)
-    orientation, rotations = _rotations(body, joints)
-    origin = joints.new_zeros(len(joints), 3)
+    landmarks = model.landmarks(Detailed(vertices, joints, transforms), JOINT_NAMES)
+    rest = model.rest(shape, stretches=stretches)
+    orientation, rotations = _rotations(model, rest, transforms, landmarks)
+    origin = landmarks.new_zeros(len(landmarks), 3)
     there = pose(orientation, origin, rotations, lengths, thicknesses, validate=False)
-    return orientation, (joints - there.joints).mean(1), rotations, lengths, thicknesses
+    return orientation, (landmarks - there.joints).mean(1), rotations, lengths, thicknesses
 
 
 def statures(model: DetailedModel, shape: torch.Tensor) -> torch.Tensor:
@@ -94,19 +111,42 @@ def measure_body(model: DetailedModel, rest: Detailed) -> torch.Tensor:
     )
 
 
-def _rotations(body: Registered, joints: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _rotations(
+    model: DetailedModel, rest: Detailed, transforms: torch.Tensor, joints: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Orientation (B, 3, 3) and local rotations (B, 20, 3, 3) in which bones have the directions of these joints'."""
-    world = body.detailed.transforms[..., :3, :3]
-    turned = rest_turns(body.model, body.rest(), trunk_along=True)
-    carried = world[:, end_joints(body.model)] @ turned.mT
-    directions = torch.from_numpy(template().rest_directions).to(joints)
-    bones = joints[:, 1:] - joints[:, BONE_STARTS]
+    world, known = transforms[..., :3, :3], _directions(model)
+    turned = rest_turns(model, rest, trunk_along=True)
+    carried = world[:, known.ends] @ turned.mT
+    directions = known.rest
+    bones = joints[:, 1:] - joints[:, known.bone_starts]
     hips = directions[_LEFT_HIP] - directions[_RIGHT_HIP], bones[:, _LEFT_HIP] - bones[:, _RIGHT_HIP]
     orientation = rotation_between(world[:, 0] @ hips[0], hips[1]) @ world[:, 0]
     found = rotation_between((carried @ directions[..., None])[..., 0], bones) @ carried
-    found[:, list(LOCKED_PARTS)] = orientation[:, None]
+    found[:, known.locked] = orientation[:, None]
     above = torch.stack([orientation if parent < 0 else found[:, parent] for parent in PARENTS], dim=1)
     return orientation, above.mT @ found
+
+
+class _Directions(NamedTuple):
+    """Constants of ``_rotations`` on a model's device, which a captured graph can't be sent."""
+
+    ends: torch.Tensor  # ``end_joints``, shape (20,)
+    rest: torch.Tensor  # directions of EllipBody's bones at rest, shape (20, 3)
+    bone_starts: torch.Tensor  # shape (20,)
+    locked: torch.Tensor  # ``LOCKED_PARTS``, shape (2,)
+
+
+@lru_cache(maxsize=4)
+def _directions(model: DetailedModel) -> _Directions:
+    device = model.faces.device
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        return _Directions(
+            ends=torch.tensor(end_joints(model), device=device),
+            rest=torch.from_numpy(template().rest_directions).to(model.rest_vertices),
+            bone_starts=torch.tensor(BONE_STARTS, device=device),
+            locked=torch.tensor(LOCKED_PARTS, device=device),
+        )
 
 
 def _edges(model: DetailedModel, parts: tuple[str, ...]) -> torch.Tensor:

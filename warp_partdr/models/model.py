@@ -183,7 +183,7 @@ class DetailedModel(Movable):
             turns = torch.eye(3, dtype=joints.dtype, device=joints.device).expand(*joints.shape, 3)
             placed = torch.cat([joints[:, :1], bones], dim=1)
             stretched = chain_joints(self.parents, turns, placed)[..., :3, 3]
-            carrying = list(self.part_joints)
+            carrying = self._part_joints
             vertices = blend_skin(self.spread_weights, stretches, stretched[:, carrying], joints[:, carrying], vertices)
             joints = stretched
         return vertices, joints
@@ -224,6 +224,10 @@ class DetailedModel(Movable):
     @cached_property
     def _parents(self) -> torch.Tensor:
         return torch.tensor(self.parents, device=self.faces.device)
+
+    @cached_property
+    def _part_joints(self) -> torch.Tensor:
+        return torch.tensor(self.part_joints, device=self.faces.device)
 
     @cached_property
     def _joint_parts(self) -> torch.Tensor:

@@ -17,6 +17,7 @@ from ..body.rotations import (
     rotation_to_axis_angle,
 )
 from ..body.template import BONE_STARTS, JOINT_NAMES, NUM_PARTS, PARENTS, PART_NAMES, template
+from ..interop.replayed import replayed
 from .model import Detailed, DetailedModel
 
 # Parts whose bone has another direction in a model's rest pose than in EllipBody's.
@@ -79,8 +80,16 @@ def pose_from_ellipbody(
     """
     if shape is None:
         shape = posed.rotations.new_zeros(len(posed.rotations), model.num_shapes)
+    rotations, translation = replayed(_pose_limbs, (posed.rotations, posed.joints, shape), model, trunk_along)
+    return rotations, translation
+
+
+def _pose_limbs(
+    turns: torch.Tensor, joints: torch.Tensor, shape: torch.Tensor, model: DetailedModel, trunk_along: bool
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Compute ``pose_from_ellipbody`` from the rotations (B, 20, 3, 3) and joints (B, 21, 3) of EllipBodies."""
     marks, rest = model.rest_landmarks(shape, _marks(model))
-    parts = posed.rotations @ _turns_at_rest(model, marks, trunk_along)
+    parts = turns @ _turns_at_rest(model, marks, trunk_along)
     # The two hips are the pelvis; the mean is exact where they haven't been turned against each other.
     pelvis = rotation_from_6d(rotation_to_6d(parts[:, 0] + parts[:, 1]))[:, None]
     sharing = _sharing(model)
@@ -95,7 +104,7 @@ def pose_from_ellipbody(
     still = torch.eye(3, dtype=rest.dtype, device=rest.device).expand_as(pelvis)
     rotations = torch.cat([pelvis, turned, still], dim=1)[:, sharing.order]
     middle = marks[:, _HIPS].mean(1) - rest[:, 0]
-    return rotations, posed.joints[:, _HIPS].mean(1) - (pelvis[:, 0] @ middle[..., None])[..., 0]
+    return rotations, joints[:, _HIPS].mean(1) - (pelvis[:, 0] @ middle[..., None])[..., 0]
 
 
 def free_joints(model: DetailedModel) -> list[int]:
@@ -128,6 +137,11 @@ def _turns_at_rest(model: DetailedModel, marks: torch.Tensor, trunk_along: bool)
 
     ``marks`` are where the landmarks ``_marks`` of bodies at rest lie, shape (B, L, 3).
     """
+    return replayed(_find_turns, (marks,), model, trunk_along)[0]
+
+
+def _find_turns(marks: torch.Tensor, model: DetailedModel, trunk_along: bool) -> tuple[torch.Tensor]:
+    """Compute ``_turns_at_rest``."""
     aimed = (*_AIMED, *_TRUNK) if trunk_along else _AIMED
     joints, ends = marks[:, : len(JOINT_NAMES)].unbind(1), marks[:, len(JOINT_NAMES) :]
     bones = [joint - joints[start] for joint, start in zip(joints[1:], BONE_STARTS, strict=True)]
@@ -147,7 +161,7 @@ def _turns_at_rest(model: DetailedModel, marks: torch.Tensor, trunk_along: bool)
         found = torch.stack([palms[part] for part in framed]) @ _frame(hands, ends[:, 1::2] - ends[:, ::2]).mT
         for part, turn in zip(framed, found.unbind(1), strict=True):
             turns[part] = turn
-    return torch.stack(turns[:-1], dim=1)
+    return (torch.stack(turns[:-1], dim=1),)
 
 
 @lru_cache(maxsize=16)

@@ -16,7 +16,7 @@ from ...errors import InputError, cause
 from ...files.json_files import parse_json
 from . import LandmarkNetwork
 from .graph import Node, OperatorGraph
-from .half_graph import HalfGraph
+from .product_graph import ProductGraph
 
 _FORMAT = "warp-partdr people detector 1"
 _EXPECTED = "a file of scripts/pack_detector.py (safetensors)"
@@ -46,8 +46,9 @@ class PeopleNetworks:
 
     def halved(self) -> PeopleNetworks:
         """Networks in float16, for CUDA; keypoints move by 0.2 % of a person's height (see the model card)."""
-        heavy = None if self.heavy is None else HalfGraph(self.heavy).eval()
-        return PeopleNetworks(HalfGraph(self.detector).eval(), HalfGraph(self.landmarks).eval(), heavy)
+        heavy = None if self.heavy is None else ProductGraph(self.heavy, torch.float16)
+        networks = ProductGraph(self.detector, torch.float16), ProductGraph(self.landmarks, torch.float16)
+        return PeopleNetworks(*networks, heavy)
 
 
 def load_people_networks(path: Path | str | None = None, *, device: torch.device | str = "cpu") -> PeopleNetworks:
@@ -87,13 +88,14 @@ def _packaged(device: str, half: bool) -> PeopleNetworks:
 
 @lru_cache(maxsize=8)
 def _packaged_heavy(device: str, half: bool) -> OperatorGraph:
-    return HalfGraph(_packaged_heavy(device, False)).eval() if half else load_heavy_landmarks(device=device)
+    return ProductGraph(_packaged_heavy(device, False), torch.float16) if half else load_heavy_landmarks(device=device)
 
 
 def _load_network(path: Path | str | None, packaged: str, name: str, device: torch.device | str) -> OperatorGraph:
-    """Load a network from a file, or from the packaged file."""
+    """Load a network from a file, or from the packaged file. On CUDA it is a ``ProductGraph``."""
     with resources.as_file(resources.files("warp_partdr").joinpath("assets", packaged)) as default:
-        return _read(Path(default if path is None else path), name).eval().to(device)
+        graph = _read(Path(default if path is None else path), name).to(device)
+    return ProductGraph(graph) if torch.device(device).type == "cuda" else graph
 
 
 def _read(path: Path, name: str) -> OperatorGraph:

@@ -1,8 +1,7 @@
-"""Graphs of a few operators, which describe the packaged networks of the detection; torch runs them."""
+"""Graphs of a few operators, which describe the packaged networks of the detection. Plain torch runs them."""
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,7 +10,6 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from ...interop.captured_step import CapturedStep
 from ...interop.precision import exact_convolutions
 
 
@@ -50,16 +48,15 @@ class Node:
         return cls(**fields)
 
 
-def _activate(values: torch.Tensor, name: str) -> torch.Tensor:
+def activate(values: torch.Tensor, name: str) -> torch.Tensor:
+    """Values after an activation, in their own memory."""
     if name == "none":
         return values
     return values.relu_() if name == "relu" else values.clamp_(0.0, 6.0)
 
 
-def convolve(
-    node: Node, values: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, activation: str | None = None
-) -> torch.Tensor:
-    """Convolution, then the node's activation, or another one.
+def convolve(node: Node, values: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+    """Convolution, then the node's activation.
 
     Torch pads both sides alike. Where the node doesn't, zeros beside the weights do the same as a padded copy of the
     values, which would take twice as long as the convolution itself.
@@ -69,11 +66,11 @@ def convolve(
     if left != right or above != below:
         weight = F.pad(weight, (across - left, across - right, down - above, down - below))
     found = F.conv2d(values, weight, bias, node.stride, (down, across), groups=node.groups)
-    return _activate(found, node.activation if activation is None else activation)
+    return activate(found, node.activation)
 
 
 def _add(node: Node, first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
-    return _activate(first + second, node.activation)
+    return activate(first + second, node.activation)
 
 
 def _max_pool(node: Node, values: torch.Tensor) -> torch.Tensor:
@@ -136,39 +133,18 @@ class OperatorGraph(nn.Module):
             # Channels come last, so that convolutions of 1 x 1, which most of them are, are products of matrices.
             form = torch.channels_last if tensor.dim() == 4 else torch.contiguous_format
             self.register_buffer(name.replace(".", "_"), tensor.float().contiguous(memory_format=form))
-        self._captured: dict[tuple[int, int], tuple[torch.Tensor, CapturedStep[dict[str, torch.Tensor]]]] = {}
-        self._lock = threading.Lock()  # guards the buffers of the captured graphs
         last = {number: index for index, node in enumerate(self.nodes) for number in node.inputs}
         self._done = [
             [number for number in set(node.inputs) if last[number] == index and number not in self.outputs.values()]
             for index, node in enumerate(self.nodes)
         ]
 
-    def most_captured(self, device: torch.device) -> int:
-        """Largest number of pictures for which graphs are captured. With more, launches take little of the time."""
-        return 16
-
     def forward(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
         """Compute the outputs by name, for pictures of shape (B, 3, size, size)."""
         if not pictures.is_cuda:
             return self._run(pictures)  # several threads at a time, which must not change torch's settings
         with exact_convolutions():
-            few = 0 < len(pictures) <= self.most_captured(pictures.device)
-            return self._replayed(pictures) if few else self._run(pictures)
-
-    def _replayed(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Replay a captured graph, because launches for few pictures would take longer than their work."""
-        count = len(pictures)
-        room = 1 << (count - 1).bit_length()  # so that there are few graphs
-        key = room, torch.cuda.current_stream(pictures.device).cuda_stream
-        with self._lock:
-            if key not in self._captured:
-                held = pictures.new_zeros(room, *pictures.shape[1:])
-                self._captured[key] = held, CapturedStep(lambda: self._run(held), pictures.device)
-            held, step = self._captured[key]
-            held[:count].copy_(pictures)
-            step.replay()
-            return {name: values[:count].clone() for name, values in step.result.items()}
+            return self._run(pictures)
 
     def _run(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
         values = {self.start: pictures.contiguous(memory_format=torch.channels_last)}
@@ -180,5 +156,9 @@ class OperatorGraph(nn.Module):
 
     def _computed(self, node: Node, inputs: list[torch.Tensor]) -> torch.Tensor:
         if node.kind == "convolution":
-            inputs = [*inputs, getattr(self, f"{node.output}_weight"), getattr(self, f"{node.output}_bias")]
+            inputs = [*inputs, *self._weights(node)]
         return KINDS[node.kind](node, *inputs)
+
+    def _weights(self, node: Node) -> tuple[torch.Tensor, torch.Tensor]:
+        """Weight and bias of a convolution."""
+        return getattr(self, f"{node.output}_weight"), getattr(self, f"{node.output}_bias")

@@ -19,7 +19,8 @@ def refine_landmarks(places: torch.Tensor, heat: torch.Tensor) -> torch.Tensor:
         Refined positions, shape (N, K, 2).
     """
     height, width = heat.shape[-2:]
-    extent = torch.tensor([width, height], device=places.device)
+    # Made on the device, for a graph that is captured is sent nothing.
+    extent = torch.cat([torch.full((1,), side, device=places.device) for side in (width, height)])
     steps = torch.arange(-_REACH, _REACH + 1, device=places.device)
     cells = (places * extent).floor()
     inside = ((cells >= 0) & (cells < extent)).all(dim=-1)

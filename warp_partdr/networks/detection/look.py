@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from ...inputs.keypoints import Keypoints2D
+from ...interop.replayed import replayed
 from .asset import PeopleNetworks
 from .crops import Pyramid, TurnedCrops, crops_of_people, cut_crops, join_crops, work_on_crops
 from .heat import refine_landmarks
@@ -110,11 +111,15 @@ def read_landmarks(values: Mapping[str, torch.Tensor], size: int) -> torch.Tenso
     Returns:
         x and y from 0 to 1 across the crop, depth, visibility and presence from 0 to 1, shape (N, 39, 5), float64.
     """
-    landmarks = values["landmarks"].unflatten(1, (-1, _VALUES))
-    landmarks[..., :2] = refine_landmarks(landmarks[..., :2] / size, values["heat"])
-    landmarks = landmarks.double()
-    landmarks[..., 3:] = landmarks[..., 3:].sigmoid()
-    return landmarks
+    return replayed(_read_landmarks, (values["landmarks"], values["heat"]), size)[0]
+
+
+def _read_landmarks(numbers: torch.Tensor, heat: torch.Tensor, size: int) -> tuple[torch.Tensor]:
+    """Compute ``read_landmarks`` of numbers (N, 195), with logits of heat (N, 39, H, W)."""
+    landmarks = numbers.unflatten(1, (-1, _VALUES))
+    places = refine_landmarks(landmarks[..., :2] / size, heat).double()
+    rest = landmarks[..., 2:].double()
+    return (torch.cat([places, rest[..., :1], rest[..., 1:].sigmoid()], dim=-1),)
 
 
 def place_landmarks(landmarks: np.ndarray, crops: TurnedCrops) -> tuple[np.ndarray, np.ndarray, TurnedCrops]:

@@ -48,6 +48,12 @@ def mirror_bodies(bodies: Predicted) -> Predicted:
     )
 
 
+def mean_with_images(bodies: Predicted) -> Predicted:
+    """Bodies halfway between N people and their mirror images, mirrored back, which follow them as N more."""
+    count = len(bodies.shift) // 2
+    return mean_bodies(bodies.select(slice(count)), mirror_bodies(bodies.select(slice(count, None))))
+
+
 def mean_bodies(first: Predicted, second: Predicted) -> Predicted:
     """Bodies halfway between two predictions of the same people."""
 

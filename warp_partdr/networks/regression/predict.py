@@ -13,7 +13,7 @@ from ...inputs.observation import Observation, resize_nearest
 from ...inputs.observations import Observations, batch_observations
 from ...interop.torch_threads import one_torch_thread
 from .conventions import keypoints_at_landmarks
-from .fused import ask_fused, ask_with
+from .fused import ask_fused, ask_with, is_fused
 from .label_network import (
     EVEN_CHANNELS,
     KNOWN_LENS,
@@ -26,7 +26,7 @@ from .label_network import (
     network_conditions,
 )
 from .landmarks import format_keypoints
-from .mirror import mean_bodies, mirror_bodies, mirror_inputs
+from .mirror import mirror_inputs
 from .predicted import Predicted
 from .upright import leans, turn_inputs, turn_predicted
 
@@ -162,13 +162,11 @@ def _look(observations: Observations, network: LabelNetwork, *, mirror: bool, ha
         both = zip(inputs, mirror_inputs(shares, keypoints, conditions), strict=True)
         shares, keypoints, conditions = map(torch.cat, both)
     shares = shares.contiguous(memory_format=torch.channels_last)
-    if half and shares.is_cuda:
-        predicted = ask_fused(network, shares, keypoints, conditions)
+    given = shares, keypoints, conditions
+    if is_fused(given, half=half):
+        predicted = ask_fused(network, given, half=half, images=mirror)
     else:
-        predicted = ask_with(network, network, (shares, keypoints, conditions), half=half)
-    if mirror:
-        own, images = slice(len(observations)), slice(len(observations), None)
-        predicted = mean_bodies(predicted.select(own), mirror_bodies(predicted.select(images)))
+        predicted = ask_with(network, network, given, half=half, images=mirror)
     predicted = turn_predicted(predicted, angles)
     said = predicted.uncertainty
     predicted = replace(predicted, uncertainty=None if said is None else said.widened(REAL_PEOPLE))

@@ -11,7 +11,7 @@ import torch
 from ...body.lens import place_bodies, turn_to_rays
 from ...body.parameters import BodyParameters, crop_camera, resized_numbers
 from ...body.posing import LandmarkGather, Posed, pose
-from ...body.rotations import rotation_to_6d, rotation_to_axis_angle
+from ...body.rotations import replayed_axis_angles, rotation_to_6d
 from ...cameras import WeakPerspective
 from ...render.ellipsoids import draw_ellipsoids
 from .uncertainty import Uncertainty
@@ -79,7 +79,7 @@ class Predicted:
         """Parameters for a fit, detached."""
         return BodyParameters(
             orientation=rotation_to_6d(self.orientation),
-            rotations=rotation_to_axis_angle(self.rotations),
+            rotations=replayed_axis_angles(self.rotations),
             lengths=self.lengths,
             thicknesses=self.thicknesses,
             log_scale=self.log_scale,

@@ -17,7 +17,7 @@ import torch
 
 from ...body.lens import move_pelvises, place_bodies
 from ...body.parameters import BodyParameters
-from ...body.rotations import rotation_to_6d, rotation_to_axis_angle
+from ...body.rotations import replayed_axis_angles, rotation_to_6d
 from ...cameras import Camera
 from ...errors import InputError, check_type
 from ...inputs.observation import REFERENCE_SIZE
@@ -338,7 +338,7 @@ def measure_parameters(bodies: Registered, origins: CropPositions) -> tuple[Body
     orientation, pelvises, turns, lengths, thicknesses = measure_ellipbody(bodies)
     measured = BodyParameters(
         orientation=rotation_to_6d(orientation),
-        rotations=rotation_to_axis_angle(turns),
+        rotations=replayed_axis_angles(turns),
         lengths=lengths,
         thicknesses=thicknesses,
         log_scale=origins.log_scale,

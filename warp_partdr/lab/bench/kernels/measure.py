@@ -21,6 +21,7 @@ from ..renderers import COVERAGE, EXACT, GRADIENTS, LEVELS, MESH, PARTDR
 from ..scene import BenchScene
 from ..timing import Timing, capture, peak_memory, time_calls, time_graph
 from .calls import CALLS_OF, mesh_view
+from .first_call import time_first_calls
 from .peer_gradients import measure_gradients
 from .peers import OURS, PEERS
 from .plan import (
@@ -64,6 +65,7 @@ def run_kernels(plan: KernelPlan, progress: Progress | None = None) -> dict[str,
     jobs = [*_render_jobs(plan), *_step_jobs(plan), *_kernel_jobs(plan), *_peer_jobs(plan, remarks)]
     if plan.start:
         jobs.append(("cold and warm start", partial(_time_starts, plan)))
+        jobs.append(("first call", partial(_time_first_calls, plan)))
     gradients: list[dict[str, Any]] = []
 
     def compare() -> None:
@@ -164,6 +166,14 @@ _KERNEL_RUNS: dict[str, _MakeRun] = {
 def _time_starts(plan: KernelPlan) -> _Rows:
     durations = {**time_starts(plan.device), **time_commands(plan.device)}
     return [make_row(STARTS, (name, EXACT, 0, 0), "process", Timing((each,))) for name, each in durations.items()]
+
+
+def _time_first_calls(plan: KernelPlan) -> _Rows:
+    durations = time_first_calls(plan.device)
+    return [
+        make_row(STARTS, (f"fit_photo: {name}", "", 0, 0), "process", Timing(tuple(seconds)))
+        for name, seconds in durations.items()
+    ]
 
 
 def _peer_jobs(plan: KernelPlan, remarks: list[str]) -> _Jobs:

@@ -1,4 +1,4 @@
-"""Graphs in float16: the same results as in float32, to float16's digits, and numbers to more."""
+"""Graphs for CUDA: the results of plain torch, to the digits of float32 or float16, from batches of few sizes."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ import pytest
 import torch
 from helpers.example import example_photo
 
+from warp_partdr.networks.detection import product_graph
 from warp_partdr.networks.detection.asset import packaged_people_networks
 from warp_partdr.networks.detection.crops import Pyramid, TurnedCrops, cut_crops
 from warp_partdr.networks.detection.detector import tiles
 from warp_partdr.networks.detection.graph import Node, OperatorGraph
-from warp_partdr.networks.detection.half_graph import HalfGraph
 from warp_partdr.networks.detection.movenet import read_people
+from warp_partdr.networks.detection.product_graph import ProductGraph
+from warp_partdr.networks.window_products import convolve_windows
 
 
 def chain(rng: np.random.Generator, size: int, stride: int, zeros: tuple[int, int, int, int]) -> OperatorGraph:
@@ -34,19 +36,64 @@ def chain(rng: np.random.Generator, size: int, stride: int, zeros: tuple[int, in
     return OperatorGraph(12, 0, {"map": 4, "numbers": 6}, nodes, weights)
 
 
+@pytest.mark.parametrize(("dtype", "error"), [(torch.float32, 1e-5), (torch.float16, 0.015)])
 @pytest.mark.parametrize(
     ("size", "stride", "zeros"), [(3, 1, (1, 1, 1, 1)), (5, 2, (2, 2, 2, 2)), (3, 2, (0, 1, 0, 1))]
 )
-def test_a_chain_is_that_of_float32(rng, device, size, stride, zeros):
+def test_a_chain_is_that_of_plain_torch(rng, device, size, stride, zeros, dtype, error):
     graph = chain(rng, size, stride, zeros).to(device)
+    products = ProductGraph(graph, dtype)
     pictures = torch.from_numpy(rng.normal(size=(300, 3, 12, 11)).astype(np.float32)).to(device)
-    for some in (pictures[:3], pictures[:70], pictures):  # few are captured on CUDA
-        expected, found = graph(some), HalfGraph(graph)(some)
+    for some in (pictures[:3], pictures[:70], pictures):
+        expected, found = graph(some), products(some)
         for name in ("map", "numbers"):
             assert found[name].dtype == torch.float32
             assert found[name].shape == expected[name].shape
             scale = float(expected[name].abs().max())
-            torch.testing.assert_close(found[name], expected[name], rtol=0, atol=0.015 * scale)
+            torch.testing.assert_close(found[name], expected[name], rtol=0, atol=error * scale)
+
+
+def test_any_number_of_people_needs_few_sizes_of_batches(rng, monkeypatch):
+    """Each size that is new costs a photo time: its graph is captured, and torch's libraries choose kernels for it."""
+    products, sizes = ProductGraph(chain(rng, 3, 1, (1, 1, 1, 1))), set()
+
+    def convolve(values: torch.Tensor, *rest: object) -> torch.Tensor:
+        sizes.add(len(values))
+        return convolve_windows(values, *rest)
+
+    monkeypatch.setattr(product_graph, "convolve_windows", convolve)
+    for count in range(1, 41):
+        assert len(products(torch.zeros(count, 3, 12, 11))["map"]) == count
+    assert sizes == {4, 16}
+
+
+@pytest.mark.parametrize("name", ["detector", "landmarks", "heavy"])
+def test_packaged_networks_need_no_library_for_convolutions(name, monkeypatch):
+    """Loading cuDNN, and its plans for each shape, took most of a first call on CUDA."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise AssertionError("conv2d was called")
+
+    network = getattr(packaged_people_networks("cpu", landmarks="heavy"), name)
+    pictures = torch.rand(1, 3, 256, 256, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        expected = network(pictures)
+        monkeypatch.setattr(torch.nn.functional, "conv2d", fail)
+        found = ProductGraph(network)(pictures)
+    for each, values in expected.items():
+        torch.testing.assert_close(found[each], values, rtol=0, atol=1e-3 * float(values.abs().max()))
+
+
+@pytest.mark.parametrize(("size", "stride"), [(1, 1), (1, 2), (3, 2), (4, 2), (5, 1)])
+@pytest.mark.parametrize("zeros", [(0, 0, 0, 0), (0, 1, 2, 3)])
+def test_products_of_windows_are_convolutions(rng, device, size, stride, zeros):
+    given = (rng.normal(size=shape).astype(np.float32) for shape in ((2, 3, 11, 8), (5, 3, size, size), (5,)))
+    values, weight, bias = (torch.from_numpy(each).to(device) for each in given)
+    padded = torch.nn.functional.pad(values, zeros).double()
+    expected = torch.nn.functional.conv2d(padded, weight.double(), bias.double(), stride)
+    found = convolve_windows(values, weight, bias, stride, zeros)
+    torch.testing.assert_close(found.double(), expected, rtol=0, atol=1e-4)
+    assert found.is_contiguous(memory_format=torch.channels_last)
 
 
 def test_numbers_have_more_digits_than_float16(rng, device):
@@ -54,7 +101,7 @@ def test_numbers_have_more_digits_than_float16(rng, device):
     weights = {"1.weight": torch.zeros(4, 3, 1, 1), "1.bias": torch.full((4,), 200.01)}
     nodes = [Node("convolution", (0,), 1), Node("rows", (1,), 2, shape=(-1,))]
     graph = OperatorGraph(2, 0, {"places": 2}, nodes, weights).to(device)
-    found = HalfGraph(graph)(torch.zeros(1, 3, 2, 2, device=device))["places"]
+    found = ProductGraph(graph, torch.float16)(torch.zeros(1, 3, 2, 2, device=device))["places"]
     torch.testing.assert_close(found, torch.full_like(found, 200.01), rtol=0, atol=1e-4)
 
 
