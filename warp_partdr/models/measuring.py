@@ -6,17 +6,29 @@ A girth is the length of a tape around a horizontal section: of its convex hull.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import NamedTuple
 
 import torch
 
 from ..body.posing import pose
 from ..body.rotations import rotation_between
-from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS, PARENTS, PART_NAMES, template
+from ..body.template import (
+    BONE_STARTS,
+    JOINT_NAMES,
+    LENGTH_NAMES,
+    LOCKED_PARTS,
+    NUM_PARTS,
+    PARENTS,
+    PART_NAMES,
+    template,
+)
+from ..interop.captured_call import call_as_graph
+from ..interop.layouts import Tensors
 from .growth import Growth
 from .model import Detailed, DetailedModel
 from .pose import end_joints, rest_turns
 from .registration import Registered
-from .surfaces import vertex_parts
 
 _LEFT_HIP, _RIGHT_HIP = PART_NAMES.index("left_hip"), PART_NAMES.index("right_hip")
 
@@ -29,7 +41,7 @@ _LEVELS = 9  # sections among which the widest or narrowest is looked for
 _CHEST, _WAIST, _HIPS, _THIGH = (0.75, 0.75), (0.2, 0.6), (-0.15, 0.15), (0.3, 0.5)
 
 
-def measure_ellipbody(body: Registered) -> tuple[torch.Tensor, ...]:
+def measure_ellipbody(body: Registered) -> Tensors:
     """Arguments of ``pose`` for the EllipBodies of detailed bodies, in their frame.
 
     Lengths and thicknesses are measured at rest, sides averaged. Each bone has the direction that it has in the
@@ -40,11 +52,22 @@ def measure_ellipbody(body: Registered) -> tuple[torch.Tensor, ...]:
         Orientation (B, 3, 3), position of the pelvis [m] (B, 3), local rotations (B, 20, 3, 3), ``LENGTH_NAMES`` [m]
         (B, 12), ``THICKNESS_NAMES`` [m] (B, 15).
     """
-    model, shape = body.model, body.shape
-    sizes = Growth(model, *vertex_parts(model), shape).measured(shape, body.stretches).exp()
+    return call_as_graph(_measure, (body.model,), (body.shape, body.stretches, *vars(body.detailed).values()))
+
+
+def _measure(
+    model: DetailedModel,
+    shape: torch.Tensor,
+    stretches: torch.Tensor,
+    vertices: torch.Tensor,
+    joints: torch.Tensor,
+    transforms: torch.Tensor,
+) -> Tensors:
+    rest = model.rest(shape, stretches=stretches)
+    sizes = Growth(model, shape).measured_at(rest).exp()
     lengths, thicknesses = sizes[:, : len(LENGTH_NAMES)], sizes[:, len(LENGTH_NAMES) :]
-    joints = model.landmarks(body.detailed, JOINT_NAMES)
-    orientation, rotations = _rotations(body, joints)
+    joints = model.landmarks(Detailed(vertices, joints, transforms), JOINT_NAMES)
+    orientation, rotations = _rotations(model, rest, transforms[..., :3, :3], joints)
     origin = joints.new_zeros(len(joints), 3)
     there = pose(orientation, origin, rotations, lengths, thicknesses, validate=False)
     return orientation, (joints - there.joints).mean(1), rotations, lengths, thicknesses
@@ -94,19 +117,47 @@ def measure_body(model: DetailedModel, rest: Detailed) -> torch.Tensor:
     )
 
 
-def _rotations(body: Registered, joints: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Orientation (B, 3, 3) and local rotations (B, 20, 3, 3) in which bones have the directions of these joints'."""
-    world = body.detailed.transforms[..., :3, :3]
-    turned = rest_turns(body.model, body.rest(), trunk_along=True)
-    carried = world[:, end_joints(body.model)] @ turned.mT
-    directions = torch.from_numpy(template().rest_directions).to(joints)
-    bones = joints[:, 1:] - joints[:, BONE_STARTS]
+def _rotations(
+    model: DetailedModel, rest: Detailed, world: torch.Tensor, joints: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Orientation (B, 3, 3) and local rotations (B, 20, 3, 3) in which bones have the directions of these joints'.
+
+    ``world`` are the rotations of the model's joints from rest, shape (B, J, 3, 3).
+    """
+    tables = _part_tables(model)
+    turned = rest_turns(model, rest, trunk_along=True)
+    carried = world[:, tables.end_joints] @ turned.mT
+    directions = tables.directions
+    bones = joints[:, 1:] - joints[:, tables.bone_starts]
     hips = directions[_LEFT_HIP] - directions[_RIGHT_HIP], bones[:, _LEFT_HIP] - bones[:, _RIGHT_HIP]
     orientation = rotation_between(world[:, 0] @ hips[0], hips[1]) @ world[:, 0]
     found = rotation_between((carried @ directions[..., None])[..., 0], bones) @ carried
-    found[:, list(LOCKED_PARTS)] = orientation[:, None]
-    above = torch.stack([orientation if parent < 0 else found[:, parent] for parent in PARENTS], dim=1)
+    found = torch.where(tables.locked, orientation[:, None], found)
+    above = torch.cat([found, orientation[:, None]], dim=1)[:, tables.parents]
     return orientation, above.mT @ found
+
+
+class _PartTables(NamedTuple):
+    """Numbers of the 20 parts on a model's device."""
+
+    end_joints: torch.Tensor  # (20,) int64
+    bone_starts: torch.Tensor  # (20,) int64
+    directions: torch.Tensor  # (20, 3) of bones at rest
+    locked: torch.Tensor  # (20, 1, 1) bool
+    parents: torch.Tensor  # (20,) int64; 20 is the pelvis
+
+
+@lru_cache(maxsize=8)
+def _part_tables(model: DetailedModel) -> _PartTables:
+    device = model.faces.device
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        return _PartTables(
+            torch.tensor(end_joints(model), device=device),
+            torch.tensor(BONE_STARTS, device=device),
+            torch.from_numpy(template().rest_directions).to(model.rest_vertices),
+            torch.tensor([part in LOCKED_PARTS for part in range(NUM_PARTS)], device=device)[:, None, None],
+            torch.tensor([NUM_PARTS if parent < 0 else parent for parent in PARENTS], device=device),
+        )
 
 
 def _edges(model: DetailedModel, parts: tuple[str, ...]) -> torch.Tensor:

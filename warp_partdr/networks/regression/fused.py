@@ -15,13 +15,13 @@ import torch.nn.functional as F
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_weights
 
-from ...interop.captured_step import CapturedStep
+from ...interop.captured_call import CapturedCall
 from ...interop.graph_cache import graphs
+from ...interop.layouts import Tensors
 from .label_network import EVEN_CHANNELS, LabelNetwork, ResidualBlock
 from .predicted import Predicted
 
 _MOST_CAPTURED = 1024  # people; of more, launches are short beside their work, and graphs would hold much memory
-_Inputs = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 _Known = tuple[list[torch.Tensor], list[int], LabelNetwork]
 _fused: WeakKeyDictionary[LabelNetwork, _Known] = WeakKeyDictionary()
 
@@ -32,14 +32,16 @@ def ask_fused(
     """Bodies on CUDA, from features in bfloat16. Inputs are those of ``forward``; few people are captured."""
     fused, inputs = fused_network(network), (shares, keypoints, conditions)
     if len(shares) <= _MOST_CAPTURED:
-        key = _Captured, fused, tuple([(each.shape, each.dtype) for each in inputs])
-        captured = graphs.find(key, shares.device, 0, lambda: _Captured(network, fused, inputs))
+        key = ask_fused, fused, tuple([(each.shape, each.dtype) for each in inputs])
+        make = lambda: CapturedCall(lambda held: ask_with(network, fused, held, half=True), inputs)  # noqa: E731
+        captured = graphs.find(key, shares.device, 0, make)
         if captured is not None:
-            return captured(inputs)
+            # A copy, because the next call fills the buffers again.
+            return captured(inputs).select(torch.arange(len(shares), device=shares.device))
     return ask_with(network, fused, inputs, half=True)
 
 
-def ask_with(network: LabelNetwork, encoder: LabelNetwork, inputs: _Inputs, *, half: bool) -> Predicted:
+def ask_with(network: LabelNetwork, encoder: LabelNetwork, inputs: Tensors, *, half: bool) -> Predicted:
     """Bodies of the inputs of ``forward``, from an encoder's ``features``, with ``half`` in bfloat16.
 
     Bodies are made of features in float32 all the same: three corrections in bfloat16 would add up their rounding.
@@ -47,21 +49,6 @@ def ask_with(network: LabelNetwork, encoder: LabelNetwork, inputs: _Inputs, *, h
     with torch.autocast(inputs[0].device.type, torch.bfloat16, enabled=half):
         features = encoder.features(*inputs)
     return network.bodies(features.float(), inputs[1])
-
-
-class _Captured:
-    """``ask_with``, of inputs in fixed buffers."""
-
-    def __init__(self, network: LabelNetwork, fused: LabelNetwork, inputs: _Inputs) -> None:
-        self._inputs = shares, keypoints, conditions = tuple([each.clone() for each in inputs])
-        held = shares, keypoints, conditions
-        self._step = CapturedStep(lambda: ask_with(network, fused, held, half=True), shares.device)
-
-    def __call__(self, inputs: _Inputs) -> Predicted:
-        """Copies of the results, for the next call fills the buffers again."""
-        torch._foreach_copy_(self._inputs, inputs)
-        self._step.replay()
-        return self._step.result.select(torch.arange(len(inputs[0]), device=inputs[0].device))
 
 
 def fused_network(network: LabelNetwork) -> LabelNetwork:

@@ -12,8 +12,11 @@ import torch
 from ...body.landmarks import landmark_points
 from ...body.parameters import BodyParameters
 from ...body.pose_prior import FREE_PARTS
+from ...body.posing import Posed
 from ...body.template import JOINT_NAMES
 from ...inputs.observation import Observation, resize_nearest
+from ...interop.captured_call import call_as_graph
+from ...interop.layouts import Tensors
 from ...models.clothes import CLOTHED
 from ...models.model import DetailedModel
 from ...models.pose import free_joints, pose_from_ellipbody
@@ -50,7 +53,7 @@ def gather_starts(
     if given is None:
         posed = start.posed()
         shape = shape_from_lengths(model, posed)
-        whole, translation = pose_from_ellipbody(model, posed, shape, trunk_along=True)
+        whole, translation = call_as_graph(_start_pose, (model,), (shape, *vars(posed).values()))
         rotations = whole[:, energy.drawn.turning]
     else:
         shape = given.shape
@@ -81,6 +84,11 @@ def gather_starts(
     )
     landmarks = energy.drawn.landmarks(energy.drawn.pose(starts, starts.at_rest()))
     return replace(starts, aims=replace(aims, depths=energy.drawn.depths(landmarks).detach()))
+
+
+def _start_pose(model: DetailedModel, shape: torch.Tensor, *posed: torch.Tensor) -> Tensors:
+    """Local rotations and translations of bodies with the pose of EllipBodies, from the tensors of ``Posed``."""
+    return pose_from_ellipbody(model, Posed(*posed), shape, trunk_along=True)
 
 
 def gather_aims(
