@@ -41,7 +41,7 @@ def call_as_graph(function: Callable[..., Tensors], options: tuple[Hashable, ...
     Args:
         function: Function of a module, which must not be a closure. It never waits for the device, and returns tensors.
         options: First arguments of the function.
-        tensors: Its further arguments, on one device.
+        tensors: Tensors on one device, which are its further arguments.
 
     Returns:
         The function's tensors. A later call does not change them.
