@@ -38,13 +38,15 @@ from ..tables import FigureTable
 
 _STEPS = (
     Step(mesh_stage, "gather_starts", "starts"),
-    Step(gather, "pose_from_ellipbody", "starts, poses"),
+    Step(gather, "shape_from_lengths", "starts, shapes"),
+    Step(gather, "call_as_graph", "starts, poses"),
     Step(gather, "gather_aims", "starts, keypoints and depths"),
     Step(gather, "gather_turn_uncertainties", "starts, uncertainty of turns"),
     Step(steps, "find_steps", "steps found or captured"),
     Step(CapturedStep, "replay", "steps"),
     Step(mesh_stage, "ungrown", "whole mesh"),
     Step(mesh_stage, "measure_parameters", "measured"),
+    Step(measuring, "call_as_graph", "measured, EllipBody"),
     Step(measuring, "Growth", "measured, growth set up"),
     Step(measuring, "_rotations", "measured, rotations"),
     Step(mesh_stage, "check_finite", "checked"),
