@@ -10,7 +10,7 @@ from dataclasses import replace
 import torch
 
 from ..cameras import Camera, Perspective, WeakPerspective
-from ..interop.replayed import replayed
+from ..interop.captured_call import call_as_graph
 from .parameters import BodyParameters
 from .posing import Posed
 from .rotations import rotation_between, rotation_from_6d, rotation_to_6d
@@ -86,7 +86,7 @@ def _rays(shift: torch.Tensor, lens: torch.Tensor) -> torch.Tensor:
 def turn_to_rays(parameters: BodyParameters, lens: torch.Tensor) -> BodyParameters:
     """Bodies that a camera along its axis would see so, turned to the ray through their pelvis, shortest way."""
     lens = lens.to(parameters.shift).expand(parameters.batch_size, 3)
-    (orientation,) = replayed(_turned_orientation, (parameters.orientation, _rays(parameters.shift, lens)))
+    (orientation,) = call_as_graph(_turned_orientation, (parameters.orientation, _rays(parameters.shift, lens)))
     return replace(parameters, orientation=orientation)
 
 

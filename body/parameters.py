@@ -140,6 +140,10 @@ class BodyParameters(Movable):
         """Select some of the bodies, by an index tensor or a slice."""
         return BodyParameters(**{name: tensor[index] for name, tensor in self.tensors().items()})
 
+    def split(self) -> list[BodyParameters]:
+        """Each of the bodies alone, B = 1, which takes less time than to select one after the other."""
+        return [BodyParameters(*own) for own in zip(*(each.split(1) for each in self.tensors().values()), strict=True)]
+
     @classmethod
     def joined(cls, those: Sequence[BodyParameters]) -> BodyParameters:
         """Join the bodies of several batches in one batch."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from ..interop.replayed import replayed
+from ..interop.captured_call import call_as_graph
 
 _TINY_ANGLE = 1e-4  # [rad]; below it Taylor's series are exact to float32 and need no division
 _TINY_LENGTH = 1e-6  # shorter columns have no direction
@@ -177,7 +177,7 @@ def rotation_to_axis_angle(rotation: torch.Tensor) -> torch.Tensor:
 
 def replayed_axis_angles(rotations: torch.Tensor) -> torch.Tensor:
     """``rotation_to_axis_angle`` of many rotations, whose operators a CUDA graph replays from the second call on."""
-    return replayed(_axis_angles, (rotations,))[0]
+    return call_as_graph(_axis_angles, (rotations,))[0]
 
 
 def _axis_angles(rotations: torch.Tensor) -> tuple[torch.Tensor]:

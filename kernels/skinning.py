@@ -50,14 +50,16 @@ def carry_vertices_adjoint(
 
 
 @wp.func
-def blend_maps(weights: SparseRows, maps: wp.array3d[float], b: int, v: int, column: int):
-    """A column of the map of a vertex."""
-    found = wp.vec3()
+def blend_maps(weights: SparseRows, maps: wp.array3d[float], b: int, v: int):
+    """The map of a vertex: columns of its turn as rows, and its move."""
+    columns, move = wp.mat33(), wp.vec3()
     for k in range(weights.starts[v], weights.starts[v + 1]):
         joint, weight = weights.columns[k], weights.values[k]
         for i in range(3):
-            found[i] += weight * maps[b, 4 * i + column, joint]
-    return found
+            for c in range(3):
+                columns[c, i] += weight * maps[b, 4 * i + c, joint]
+            move[i] += weight * maps[b, 4 * i + 3, joint]
+    return columns, move
 
 
 @wp.kernel
@@ -69,9 +71,9 @@ def blend_vertices(
 ):
     """One thread a vertex of a body."""
     b, v = wp.tid()
-    place = blend_maps(weights, maps, b, v, 3)
+    columns, place = blend_maps(weights, maps, b, v)
     for c in range(3):
-        place += rest[b, v][c] * blend_maps(weights, maps, b, v, c)
+        place += rest[b, v][c] * columns[c]
     carried[b, v] = place
 
 
@@ -84,10 +86,8 @@ def blend_vertices_adjoint(
 ):
     """One thread a vertex of a body."""
     b, v = wp.tid()
-    pull = wp.vec3()
-    for c in range(3):
-        pull[c] = wp.dot(blend_maps(weights, maps, b, v, c), adj_carried[b, v])
-    grad_rest[b, v] = pull
+    columns, _ = blend_maps(weights, maps, b, v)
+    grad_rest[b, v] = columns * adj_carried[b, v]
 
 
 @wp.kernel

@@ -94,3 +94,10 @@ def test_frozen_takes_names_of_parameters_alone(frozen, log_sizes):
     with pytest.raises(ValueError, match=r"^frozen: .*expected some of"):
         BodyParameters.mean(1).leaves(frozen, log_sizes=log_sizes)
     assert set(BodyParameters.mean(1).leaves(tuple(ROW)).tensors()) == set(ROW)
+
+
+def test_bodies_split_as_they_are_selected(device):
+    bodies = replace(BodyParameters.mean(3, device=device), log_scale=torch.arange(3.0, device=device))
+    for index, alone in enumerate(bodies.split()):
+        selected = bodies.select(slice(index, index + 1))
+        assert all(torch.equal(alone.tensors()[name], selected.tensors()[name]) for name in ROW)

@@ -14,7 +14,7 @@ from warp_partdr.interop.adam import Adam, cosine_share, descend
 @pytest.mark.parametrize("betas", [(0.9, 0.999), (0.7, 0.95)])
 def test_steps_equal_torchs_adam_to_the_bit(device, betas):
     rates, shares = (0.1, 0.03), (1.0, 0.7, 0.2)
-    ours, theirs = ([torch.linspace(-1, 2, n, device=device).requires_grad_() for n in (4, 7, 3)] for _ in range(2))
+    ours, theirs = ([torch.linspace(-1, 2, n, device=device).requires_grad_() for n in (4, 7, 3000)] for _ in range(2))
     adam = Adam([(ours[:2], rates[0]), (ours[2:], rates[1]), ([], 1.0)], betas=betas)
     groups = [{"params": theirs[:2], "lr": rates[0]}, {"params": theirs[2:], "lr": rates[1]}]
     expected = torch.optim.Adam(groups, betas=betas, capturable=device != "cpu", fused=device != "cpu")

@@ -18,7 +18,7 @@ from warp_partdr.body.template import LENGTH_NAMES, NUM_PARTS, THICKNESS_NAMES
 from warp_partdr.models.anny import anny, anny_shape
 from warp_partdr.models.growth import MEASURES, UNGROWN, Growth
 from warp_partdr.models.registration import Registered, RegistrationWeights, _MeasureLoss, register
-from warp_partdr.models.surfaces import skin_vertices, vertex_parts
+from warp_partdr.models.surfaces import skin_vertices
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "demos"))
 
@@ -93,12 +93,11 @@ def test_growth_is_seen_on_any_device(registered: Registered, device: str) -> No
 def test_growth_takes_the_residual_that_a_robust_fit_leaves(registered: Registered, device: str) -> None:
     """A measure that is off by r grows by r³ / (r² + d²), where d is the usual difference of people."""
     model, shape = registered.model, registered.shape
-    parts, areas = vertex_parts(model)
     posed = ellipbodies(device, longer={"lower leg": 1.02}, thicker={"head thickness": 1.3, "foot width": 0.8})
-    tailor = _MeasureLoss(model, posed, replace(QUICK_REGISTRATION, growth=True), parts, areas, shape, None)
+    tailor = _MeasureLoss(model, posed, replace(QUICK_REGISTRATION, growth=True), shape, None)
     for _ in range(12):
         tailor.grow(shape)
-    body = Growth(model, parts, areas, shape)
+    body = Growth(model, shape)
     off = body.demanded(posed.semi_axes) - body.measured(shape)
     wanted = off / (1 + (2 * body.spreads / off).square())
     got = body.measured(shape, tailor.stretches) - body.measured(shape)
@@ -126,7 +125,7 @@ def test_stretches_of_one_are_none_and_of_all_scale_the_body(device: str) -> Non
         assert (scaled.vertices - root - factor * (rest.vertices - root)).abs().max() < 1e-5
         assert (scaled.joints - root - factor * (rest.joints - root)).abs().max() < 1e-5
     # The measures of a body follow: lengths and thicknesses by the factor.
-    body = Growth(model, *vertex_parts(model), shape)
+    body = Growth(model, shape)
     grown = body.stretches(torch.full((1, len(MEASURES)), 1.3, device=device))
     assert (body.measured(shape, grown) - body.measured(shape)).sub(math.log(1.3)).abs().max() < 2e-4
 

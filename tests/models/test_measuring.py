@@ -18,7 +18,6 @@ from warp_partdr.models.measuring import measure_body, measure_ellipbody
 from warp_partdr.models.model import DetailedModel
 from warp_partdr.models.pose import pose_from_ellipbody
 from warp_partdr.models.registration import Registered, ungrown
-from warp_partdr.models.surfaces import vertex_parts
 
 # Two people, as shares from female to male, young to old, and so on.
 _PEOPLE = [[0.2, 0.6, 0.4, 0.6, 0.5, 0.5], [0.8, 0.5, 0.6, 0.3, 0.7, 0.4]]
@@ -30,7 +29,7 @@ def dressed(device: str, turns: float) -> tuple[DetailedModel, torch.Tensor, Reg
     shape = anny_shape(torch.tensor(_PEOPLE, device=device))
     vectors = turns * torch.randn(2, 20, 3, generator=torch.Generator().manual_seed(3)).to(device)
     vectors[:, list(LOCKED_PARTS)] = 0
-    sizes = Growth(model, *vertex_parts(model), shape).measured(shape).exp()
+    sizes = Growth(model, shape).measured(shape).exp()
     orientation = rotation_from_axis_angle(torch.tensor([[0.3, 2.0, -0.4], [0.0, 3.0, 0.2]], device=device))
     place = torch.tensor([[0.1, 0.2, 3.0], [0.0, -0.3, 4.0]], device=device)
     count = len(LENGTH_NAMES)
@@ -103,3 +102,15 @@ def test_girths_grow_with_the_body_and_have_a_gradient(device: str) -> None:
     (slopes,) = torch.autograd.grad(measure_body(model, rest).sum(), shape)
     assert slopes.isfinite().all()
     assert (slopes.abs().amax(1) > 1e-3).all()
+
+
+def test_bodies_split_as_they_are_selected(device: str) -> None:
+    _, _, body = dressed(device, 0.2)
+    body = replace(body, losses={"proj": torch.tensor([1.0, 2.0], device=device)})
+    for index, alone in enumerate(body.split()):
+        selected = body.select(slice(index, index + 1))
+        assert torch.equal(alone.losses["proj"], selected.losses["proj"])
+        for name in ("shape", "rotations", "translation", "stretches", "growth", "unexplained"):
+            assert torch.equal(getattr(alone, name), getattr(selected, name))
+        for name in vars(body.detailed):
+            assert torch.equal(getattr(alone.detailed, name), getattr(selected.detailed, name))

@@ -16,7 +16,6 @@ from warp_partdr.inputs.sample import Sample
 from warp_partdr.lab.evaluation.partbench.samples import LABELS, make_sample
 from warp_partdr.models.anny import anny
 from warp_partdr.models.growth import Growth
-from warp_partdr.models.surfaces import vertex_parts
 from warp_partdr.solve.ellipsoids.fitting import fit_body
 from warp_partdr.solve.ellipsoids.options import FitOptions
 from warp_partdr.solve.ellipsoids.result import FitResult
@@ -150,7 +149,7 @@ def test_ellipbody_is_measured_from_it(first):
     eye = torch.eye(3).expand(1, 20, 3, 3)
     torch.testing.assert_close(body.stretches, eye, atol=1e-5, rtol=0)
     assert (body.growth == 1).all()
-    growth = Growth(body.model, *vertex_parts(body.model), body.shape)
+    growth = Growth(body.model, body.shape)
     torch.testing.assert_close(growth.demanded(fit.posed.semi_axes), growth.measured(body.shape), atol=1e-5, rtol=0)
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import torch
 from torch.optim.adam import adam
+
+_PIECE = 1024  # numbers
 
 
 def cosine_share(step: int, iterations: int, last: float) -> float:
@@ -48,18 +51,7 @@ class Adam:
         self, groups: Iterable[tuple[list[torch.Tensor], float]], *, betas: tuple[float, float] = (0.9, 0.999)
     ) -> None:
         self._betas = betas
-        self._groups = [
-            (
-                tensors,
-                [torch.zeros_like(tensor) for tensor in tensors],
-                [torch.zeros_like(tensor) for tensor in tensors],
-                # ``adam`` counts the steps; on the device, so that a captured graph can count them, too
-                [torch.zeros((), device=tensor.device) for tensor in tensors],
-                rate,
-            )
-            for tensors, rate in groups
-            if tensors
-        ]
+        self._groups = [_Group.of(tensors, rate) for tensors, rate in groups if tensors]
 
     @torch.no_grad()
     def step(self, share: float | torch.Tensor) -> None:
@@ -68,13 +60,16 @@ class Adam:
         In a captured graph, the share must be a tensor on the device; a float would be the same at each replay.
         """
         beta1, beta2 = self._betas
-        for tensors, means, squares, counts, rate in self._groups:
+        for group in self._groups:
+            tensors = group.tensors
             grads = [torch.zeros_like(tensor) if tensor.grad is None else tensor.grad for tensor in tensors]
+            means, squares = _pieces(group.means), _pieces(group.squares)
             # On CUDA, one kernel replaces fifteen, which matters in a captured graph.
-            on_cuda = counts[0].is_cuda
+            on_cuda = tensors[0].is_cuda
             adam(
-                tensors, grads, means, squares, [], counts, capturable=on_cuda, fused=on_cuda, foreach=False,
-                lr=share * rate, amsgrad=False, beta1=beta1, beta2=beta2, weight_decay=0, eps=1e-8, maximize=False,
+                _pieces(tensors), _pieces(grads), means, squares, [], group.counts, capturable=on_cuda, fused=on_cuda,
+                foreach=False, lr=share * group.rate, amsgrad=False, beta1=beta1, beta2=beta2, weight_decay=0,
+                eps=1e-8, maximize=False,
             )  # fmt: skip
             for tensor in tensors:
                 tensor.grad = None
@@ -82,4 +77,29 @@ class Adam:
     @torch.no_grad()
     def restart(self) -> None:
         """Forget all steps."""
-        torch._foreach_zero_([state for _, *states, _ in self._groups for each in states for state in each])
+        torch._foreach_zero_([state for each in self._groups for state in (*each.means, *each.squares, *each.counts)])
+
+
+class _Group(NamedTuple):
+    """Tensors that share a learning rate, and what Adam knows of them."""
+
+    tensors: list[torch.Tensor]
+    means: list[torch.Tensor]  # of gradients
+    squares: list[torch.Tensor]
+    counts: list[torch.Tensor]  # of each piece's steps
+    rate: float
+
+    @classmethod
+    def of(cls, tensors: list[torch.Tensor], rate: float) -> _Group:
+        means, squares = ([torch.zeros_like(tensor) for tensor in tensors] for _ in range(2))
+        # ``adam`` counts the steps; on the device, so that a captured graph can count them, too
+        counts = [torch.zeros((), device=piece.device) for piece in _pieces(means)]
+        return cls(tensors, means, squares, counts, rate)
+
+
+def _pieces(tensors: list[torch.Tensor]) -> list[torch.Tensor]:
+    """Tensors, but vectors on CUDA in pieces: for each, a single block of the fused kernel takes its time."""
+    found: list[torch.Tensor] = []
+    for tensor in tensors:
+        found += tensor.split(_PIECE) if tensor.is_cuda and tensor.ndim == 1 else [tensor]
+    return found

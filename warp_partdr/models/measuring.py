@@ -13,13 +13,22 @@ import torch
 
 from ..body.posing import pose
 from ..body.rotations import rotation_between
-from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS, PARENTS, PART_NAMES, template
-from ..interop.replayed import replayed
+from ..body.template import (
+    BONE_STARTS,
+    JOINT_NAMES,
+    LENGTH_NAMES,
+    LOCKED_PARTS,
+    NUM_PARTS,
+    PARENTS,
+    PART_NAMES,
+    template,
+)
+from ..interop.captured_call import call_as_graph
+from ..interop.layouts import Tensors
 from .growth import Growth
 from .model import Detailed, DetailedModel, unique_pairs
 from .pose import end_joints, rest_turns
 from .registration import Registered
-from .surfaces import vertex_parts
 
 _LEFT_HIP, _RIGHT_HIP = PART_NAMES.index("left_hip"), PART_NAMES.index("right_hip")
 
@@ -32,7 +41,7 @@ _LEVELS = 9  # sections among which the widest or narrowest is looked for
 _CHEST, _WAIST, _HIPS, _THIGH = (0.75, 0.75), (0.2, 0.6), (-0.15, 0.15), (0.3, 0.5)
 
 
-def measure_ellipbody(body: Registered) -> tuple[torch.Tensor, ...]:
+def measure_ellipbody(body: Registered) -> Tensors:
     """Arguments of ``pose`` for the EllipBodies of detailed bodies, in their frame.
 
     Lengths and thicknesses are measured at rest, sides averaged. Each bone has the direction that it has in the
@@ -43,9 +52,7 @@ def measure_ellipbody(body: Registered) -> tuple[torch.Tensor, ...]:
         Orientation (B, 3, 3), position of the pelvis [m] (B, 3), local rotations (B, 20, 3, 3), ``LENGTH_NAMES`` [m]
         (B, 12), ``THICKNESS_NAMES`` [m] (B, 15).
     """
-    detailed = body.detailed
-    given = body.shape, body.stretches, detailed.vertices, detailed.joints, detailed.transforms
-    return replayed(_measure, given, body.model)
+    return call_as_graph(_measure, (body.shape, body.stretches, *vars(body.detailed).values()), body.model)
 
 
 def _measure(
@@ -55,13 +62,13 @@ def _measure(
     joints: torch.Tensor,
     transforms: torch.Tensor,
     model: DetailedModel,
-) -> tuple[torch.Tensor, ...]:
+) -> Tensors:
     """Compute ``measure_ellipbody`` from tensors of ``Registered`` and of its ``detailed``."""
-    sizes = Growth(model, *vertex_parts(model), shape).measured(shape, stretches).exp()
+    rest = model.rest(shape, stretches=stretches)
+    sizes = Growth(model, shape).measured_at(rest).exp()
     lengths, thicknesses = sizes[:, : len(LENGTH_NAMES)], sizes[:, len(LENGTH_NAMES) :]
     landmarks = model.landmarks(Detailed(vertices, joints, transforms), JOINT_NAMES)
-    rest = model.rest(shape, stretches=stretches)
-    orientation, rotations = _rotations(model, rest, transforms, landmarks)
+    orientation, rotations = _rotations(model, rest, transforms[..., :3, :3], landmarks)
     origin = landmarks.new_zeros(len(landmarks), 3)
     there = pose(orientation, origin, rotations, lengths, thicknesses, validate=False)
     return orientation, (landmarks - there.joints).mean(1), rotations, lengths, thicknesses
@@ -112,40 +119,45 @@ def measure_body(model: DetailedModel, rest: Detailed) -> torch.Tensor:
 
 
 def _rotations(
-    model: DetailedModel, rest: Detailed, transforms: torch.Tensor, joints: torch.Tensor
+    model: DetailedModel, rest: Detailed, world: torch.Tensor, joints: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Orientation (B, 3, 3) and local rotations (B, 20, 3, 3) in which bones have the directions of these joints'."""
-    world, known = transforms[..., :3, :3], _directions(model)
+    """Orientation (B, 3, 3) and local rotations (B, 20, 3, 3) in which bones have the directions of these joints'.
+
+    ``world`` are the rotations of the model's joints from rest, shape (B, J, 3, 3).
+    """
+    tables = _part_tables(model)
     turned = rest_turns(model, rest, trunk_along=True)
-    carried = world[:, known.ends] @ turned.mT
-    directions = known.rest
-    bones = joints[:, 1:] - joints[:, known.bone_starts]
+    carried = world[:, tables.end_joints] @ turned.mT
+    directions = tables.directions
+    bones = joints[:, 1:] - joints[:, tables.bone_starts]
     hips = directions[_LEFT_HIP] - directions[_RIGHT_HIP], bones[:, _LEFT_HIP] - bones[:, _RIGHT_HIP]
     orientation = rotation_between(world[:, 0] @ hips[0], hips[1]) @ world[:, 0]
     found = rotation_between((carried @ directions[..., None])[..., 0], bones) @ carried
-    found[:, known.locked] = orientation[:, None]
-    above = torch.stack([orientation if parent < 0 else found[:, parent] for parent in PARENTS], dim=1)
+    found = torch.where(tables.locked, orientation[:, None], found)
+    above = torch.cat([found, orientation[:, None]], dim=1)[:, tables.parents]
     return orientation, above.mT @ found
 
 
-class _Directions(NamedTuple):
-    """Constants of ``_rotations`` on a model's device, which a captured graph can't be sent."""
+class _PartTables(NamedTuple):
+    """Numbers of the 20 parts on a model's device."""
 
-    ends: torch.Tensor  # ``end_joints``, shape (20,)
-    rest: torch.Tensor  # directions of EllipBody's bones at rest, shape (20, 3)
-    bone_starts: torch.Tensor  # shape (20,)
-    locked: torch.Tensor  # ``LOCKED_PARTS``, shape (2,)
+    end_joints: torch.Tensor  # (20,) int64
+    bone_starts: torch.Tensor  # (20,) int64
+    directions: torch.Tensor  # (20, 3) of bones at rest
+    locked: torch.Tensor  # (20, 1, 1) bool
+    parents: torch.Tensor  # (20,) int64; 20 is the pelvis
 
 
-@lru_cache(maxsize=4)
-def _directions(model: DetailedModel) -> _Directions:
+@lru_cache(maxsize=8)
+def _part_tables(model: DetailedModel) -> _PartTables:
     device = model.faces.device
     with torch.inference_mode(False):  # kept for calls outside of it, too
-        return _Directions(
-            ends=torch.tensor(end_joints(model), device=device),
-            rest=torch.from_numpy(template().rest_directions).to(model.rest_vertices),
-            bone_starts=torch.tensor(BONE_STARTS, device=device),
-            locked=torch.tensor(LOCKED_PARTS, device=device),
+        return _PartTables(
+            torch.tensor(end_joints(model), device=device),
+            torch.tensor(BONE_STARTS, device=device),
+            torch.from_numpy(template().rest_directions).to(model.rest_vertices),
+            torch.tensor([part in LOCKED_PARTS for part in range(NUM_PARTS)], device=device)[:, None, None],
+            torch.tensor([NUM_PARTS if parent < 0 else parent for parent in PARENTS], device=device),
         )
 
 

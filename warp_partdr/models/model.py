@@ -54,6 +54,10 @@ class Detailed(Movable):
         """Some of the bodies."""
         return Detailed(*(tensor[index] for tensor in vars(self).values()))
 
+    def split(self) -> list[Detailed]:
+        """Each of the bodies alone."""
+        return [Detailed(*own) for own in zip(*(tensor.split(1) for tensor in vars(self).values()), strict=True)]
+
 
 @dataclass(frozen=True, eq=False)
 class DetailedModel(Movable):
@@ -183,8 +187,8 @@ class DetailedModel(Movable):
             turns = torch.eye(3, dtype=joints.dtype, device=joints.device).expand(*joints.shape, 3)
             placed = torch.cat([joints[:, :1], bones], dim=1)
             stretched = chain_joints(self.parents, turns, placed)[..., :3, 3]
-            carrying = self._part_joints
-            vertices = blend_skin(self.spread_weights, stretches, stretched[:, carrying], joints[:, carrying], vertices)
+            places, carrying = stretched[:, self._carrying], joints[:, self._carrying]
+            vertices = blend_skin(self.spread_weights, stretches, places, carrying, vertices)
             joints = stretched
         return vertices, joints
 
@@ -226,7 +230,7 @@ class DetailedModel(Movable):
         return torch.tensor(self.parents, device=self.faces.device)
 
     @cached_property
-    def _part_joints(self) -> torch.Tensor:
+    def _carrying(self) -> torch.Tensor:
         return torch.tensor(self.part_joints, device=self.faces.device)
 
     @cached_property

@@ -17,7 +17,7 @@ from ..body.rotations import (
     rotation_to_axis_angle,
 )
 from ..body.template import BONE_STARTS, JOINT_NAMES, NUM_PARTS, PARENTS, PART_NAMES, template
-from ..interop.replayed import replayed
+from ..interop.captured_call import call_as_graph
 from .model import Detailed, DetailedModel
 
 # Parts whose bone has another direction in a model's rest pose than in EllipBody's.
@@ -80,7 +80,7 @@ def pose_from_ellipbody(
     """
     if shape is None:
         shape = posed.rotations.new_zeros(len(posed.rotations), model.num_shapes)
-    rotations, translation = replayed(_pose_limbs, (posed.rotations, posed.joints, shape), model, trunk_along)
+    rotations, translation = call_as_graph(_pose_limbs, (posed.rotations, posed.joints, shape), model, trunk_along)
     return rotations, translation
 
 
@@ -137,7 +137,7 @@ def _turns_at_rest(model: DetailedModel, marks: torch.Tensor, trunk_along: bool)
 
     ``marks`` are where the landmarks ``_marks`` of bodies at rest lie, shape (B, L, 3).
     """
-    return replayed(_find_turns, (marks,), model, trunk_along)[0]
+    return call_as_graph(_find_turns, (marks,), model, trunk_along)[0]
 
 
 def _find_turns(marks: torch.Tensor, model: DetailedModel, trunk_along: bool) -> tuple[torch.Tensor]:

@@ -38,6 +38,7 @@ from ..tables import FigureTable
 
 _STEPS = (
     Step(mesh_stage, "gather_starts", "starts"),
+    Step(gather, "shape_from_lengths", "starts, shapes"),
     Step(gather, "pose_from_ellipbody", "starts, poses"),
     Step(gather, "gather_aims", "starts, keypoints and depths"),
     Step(gather, "gather_turn_uncertainties", "starts, uncertainty of turns"),
@@ -45,6 +46,7 @@ _STEPS = (
     Step(CapturedStep, "replay", "steps"),
     Step(mesh_stage, "ungrown", "whole mesh"),
     Step(mesh_stage, "measure_parameters", "measured"),
+    Step(measuring, "call_as_graph", "measured, EllipBody"),
     Step(measuring, "Growth", "measured, growth set up"),
     Step(measuring, "_rotations", "measured, rotations"),
     Step(mesh_stage, "check_finite", "checked"),

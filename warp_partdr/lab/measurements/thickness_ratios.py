@@ -13,7 +13,6 @@ import numpy as np
 from ...body.template import LENGTH_NAMES, THICKNESS_NAMES
 from ...models.anny import anny, anny_shape
 from ...models.growth import THICKNESS_RATIOS, Growth
-from ...models.surfaces import vertex_parts
 from ..options import tracked
 from ..silhouettes import measure_by_silhouettes
 from ..synthetic.people import PHENOTYPES
@@ -33,7 +32,7 @@ def measure_thickness_ratios(*, count: int = 100) -> Iterator[FigureTable]:
     phenotypes = np.random.default_rng(_SEED).uniform(low, high, (count, len(PHENOTYPES)))
     shapes = anny_shape(phenotypes)
     measured = np.log([measure_by_silhouettes(model, shape[None])[1] for shape in tracked([*shapes])])
-    body = Growth(model, *vertex_parts(model), shapes)
+    body = Growth(model, shapes)
     # The measures hold the ratios of now.
     assumed = np.log([THICKNESS_RATIOS[name][0] for name in THICKNESS_NAMES])
     ratios = measured - body.measured(shapes)[:, len(LENGTH_NAMES) :].numpy() + assumed

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ...inputs.keypoints import Keypoints2D
-from ...interop.replayed import replayed
+from ...interop.captured_call import call_as_graph
 from .asset import PeopleNetworks
 from .crops import Pyramid, TurnedCrops, crops_of_people, cut_crops, join_crops, work_on_crops
 from .heat import refine_landmarks
@@ -111,7 +111,7 @@ def read_landmarks(values: Mapping[str, torch.Tensor], size: int) -> torch.Tenso
     Returns:
         x and y from 0 to 1 across the crop, depth, visibility and presence from 0 to 1, shape (N, 39, 5), float64.
     """
-    return replayed(_read_landmarks, (values["landmarks"], values["heat"]), size)[0]
+    return call_as_graph(_read_landmarks, (values["landmarks"], values["heat"]), size)[0]
 
 
 def _read_landmarks(numbers: torch.Tensor, heat: torch.Tensor, size: int) -> tuple[torch.Tensor]:

@@ -17,8 +17,9 @@ import torch.nn.functional as F
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_weights
 
-from ...interop.captured_step import CapturedStep
+from ...interop.captured_call import CapturedCall
 from ...interop.graph_cache import graphs
+from ...interop.layouts import Tensors
 from ..window_products import convolve_windows
 from .label_network import EVEN_CHANNELS, LabelNetwork, ResidualBlock
 from .mirror import mean_with_images
@@ -26,29 +27,30 @@ from .predicted import Predicted
 
 _MOST_WINDOWS = 32  # pictures in float32, whose windows take up to 10 MB each
 _MOST_CAPTURED = 1024  # people; of more, launches are short beside their work, and graphs would hold much memory
-_Inputs = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 _Known = tuple[list[torch.Tensor], list[int], LabelNetwork]
 _fused: WeakKeyDictionary[LabelNetwork, dict[torch.dtype, _Known]] = WeakKeyDictionary()
 
 
-def is_fused(inputs: _Inputs, *, half: bool) -> bool:
+def is_fused(inputs: Tensors, *, half: bool) -> bool:
     """True if ``ask_fused`` answers such inputs faster than the network itself: on CUDA, in float32 for few people."""
     return inputs[0].is_cuda and (half or len(inputs[0]) <= _MOST_WINDOWS)
 
 
-def ask_fused(network: LabelNetwork, inputs: _Inputs, *, half: bool, images: bool) -> Predicted:
+def ask_fused(network: LabelNetwork, inputs: Tensors, *, half: bool, images: bool) -> Predicted:
     """Bodies on CUDA, as ``ask_with`` returns them; few people are captured."""
     fused = fused_network(network, torch.bfloat16 if half else torch.float32)
     if len(inputs[0]) <= _MOST_CAPTURED:
-        key = _Captured, fused, images, tuple([(each.shape, each.dtype) for each in inputs])
-        make = partial(_Captured, network, fused, inputs, half=half, images=images)
-        captured = graphs.find(key, inputs[0].device, 0, make)
+        key = ask_fused, fused, images, tuple([(each.shape, each.dtype) for each in inputs])
+        ask = partial(ask_with, network, fused, half=half, images=images)
+        captured = graphs.find(key, inputs[0].device, 0, lambda: CapturedCall(ask, inputs))
         if captured is not None:
-            return captured(inputs)
+            result = captured(inputs)
+            # A copy, because the next call fills the buffers again.
+            return result.select(torch.arange(len(result.shift), device=result.shift.device))
     return ask_with(network, fused, inputs, half=half, images=images)
 
 
-def ask_with(network: LabelNetwork, encoder: LabelNetwork, inputs: _Inputs, *, half: bool, images: bool) -> Predicted:
+def ask_with(network: LabelNetwork, encoder: LabelNetwork, inputs: Tensors, *, half: bool, images: bool) -> Predicted:
     """Bodies of the inputs of ``forward``, from an encoder's ``features``.
 
     Bodies are made of features in float32 all the same: three corrections in bfloat16 would add up their rounding.
@@ -64,25 +66,6 @@ def ask_with(network: LabelNetwork, encoder: LabelNetwork, inputs: _Inputs, *, h
         features = encoder.features(*inputs)
     bodies = network.bodies(features.float(), inputs[1])
     return mean_with_images(bodies) if images else bodies
-
-
-class _Captured:
-    """``ask_with``, of inputs in fixed buffers."""
-
-    def __init__(
-        self, network: LabelNetwork, fused: LabelNetwork, inputs: _Inputs, *, half: bool, images: bool
-    ) -> None:
-        self._inputs = shares, keypoints, conditions = tuple([each.clone() for each in inputs])
-        held = shares, keypoints, conditions
-        step = partial(ask_with, network, fused, held, half=half, images=images)
-        self._step = CapturedStep(step, shares.device)
-
-    def __call__(self, inputs: _Inputs) -> Predicted:
-        """Copies of the results, for the next call fills the buffers again."""
-        torch._foreach_copy_(self._inputs, inputs)
-        self._step.replay()
-        result = self._step.result
-        return result.select(torch.arange(len(result.shift), device=result.shift.device))
 
 
 def fused_network(network: LabelNetwork, dtype: torch.dtype = torch.bfloat16) -> LabelNetwork:

@@ -242,11 +242,9 @@ def _finish(
     if given is not None:
         rotations = given.whole(rotations[:, energy.drawn.turning])
     bodies = ungrown(model, shape, rotations, translation, terms)
-    numbers = {name: term.tolist() for name, term in terms.items()}
-    energies = [{name: values[index] for name, values in numbers.items()} for index in range(len(results))]
     origins = CropPositions(log_scale, found.shift, people.lens)
     try:
-        fits = mesh_fits(bodies, origins, bounded(found.clothes), results, energies)
+        fits = mesh_fits(bodies, origins, bounded(found.clothes), results)
     except ValueError as error:
         failed = f"learning_rate: {energy.options.learning_rate}; the mesh stage went astray ({error})"
         raise InputError(f"{failed}; expected a smaller rate, or smaller weights of its terms") from error
@@ -291,16 +289,15 @@ def mesh_fits(
     origins: CropPositions,
     clothes: torch.Tensor,
     results: Sequence[FitResult],
-    energies: Sequence[dict[str, float]],
 ) -> list[MeshFit]:
     """Place B detailed bodies where their cameras see them, and measure EllipBodies from them.
 
     Args:
-        bodies: Detailed bodies near the origin.
+        bodies: Detailed bodies near the origin, whose losses are the weighted terms of the energy. Without losses, the
+            fits keep the energies of the results.
         origins: Positions of the origin in the crops of the results.
         clothes: Thicknesses of clothes [m], shape (B, 8).
         results: Fits from which the stage went on.
-        energies: Weighted terms of each person by name; a person without terms keeps those of the result.
 
     Returns:
         Fit of each person.
@@ -311,18 +308,24 @@ def mesh_fits(
     measured, pelvises = measure_parameters(bodies, origins)
     placed, _ = place_bodies(measured, measured.posed(), origins.lens, REFERENCE_SIZE)
     bodies = bodies.moved(placed.joints[:, 0] - pelvises)
+    # Until here nothing waits for the device, which meanwhile takes the steps: each person's tensors can be told apart
+    # before they hold numbers.
+    people = list(zip(results, measured.split(), bodies.split(), clothes.split(1), strict=True))
     check_finite(vertices=bodies.detailed.vertices, scale=measured.log_scale.exp(), shift=measured.shift)
+    energies = _rows(bodies.losses, len(people))
     fits: list[MeshFit] = []
-    for index, (result, energy) in enumerate(zip(results, energies, strict=True)):
-        own = slice(index, index + 1)
-        ellipbody = replace(
-            result,
-            parameters=measured.select(own),
-            energy=energy or result.energy,
-            stage_seconds=dict(result.stage_seconds),
-        )
-        fits.append(MeshFit(result, bodies.select(own), ellipbody, clothes[own]))
+    for (result, parameters, body, own_clothes), energy in zip(people, energies, strict=True):
+        seconds = dict(result.stage_seconds)
+        ellipbody = replace(result, parameters=parameters, energy=energy or result.energy, stage_seconds=seconds)
+        fits.append(MeshFit(result, body, ellipbody, own_clothes))
     return fits
+
+
+def _rows(terms: dict[str, torch.Tensor], count: int) -> list[dict[str, float]]:
+    """Terms of each of so many people by name; the device is waited for once."""
+    if not terms:
+        return [{} for _ in range(count)]
+    return [dict(zip(terms, row, strict=True)) for row in torch.stack(list(terms.values()), dim=1).tolist()]
 
 
 def measure_parameters(bodies: Registered, origins: CropPositions) -> tuple[BodyParameters, torch.Tensor]:

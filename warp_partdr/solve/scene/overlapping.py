@@ -91,7 +91,7 @@ def _fit_overlapping(
         origins = CropPositions(*seen_at(pelvises, lens), lens)
         bodies = fit.bodies.moved(-pelvises)
         losses = {name: lens.new_tensor(len(lens) * [value]) for name, value in fit.energy.items()}
-        fits = mesh_fits(replace(bodies, losses=losses), origins, fit.clothes, results, len(lens) * [fit.energy])
+        fits = mesh_fits(replace(bodies, losses=losses), origins, fit.clothes, results)
     for each in fits:
         each.ellipbody.stage_seconds["mesh"] = fit.seconds["scene"] / len(fits)
     return fits
