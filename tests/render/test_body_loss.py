@@ -196,8 +196,7 @@ def test_compiled_losses_have_the_eager_gradients(device, renderer):
         return renderer.crop_loss(BodyParameters(*tensors), target).sum()
 
     torch._dynamo.reset()
-    whole = isinstance(renderer, RendererEllipsoids)  # a mesh is looked up in between
-    have = torch.autograd.grad(torch.compile(loss_of, fullgraph=whole, backend="aot_eager")(*leaves), leaves)
+    have = torch.autograd.grad(torch.compile(loss_of, fullgraph=True, backend="aot_eager")(*leaves), leaves)
     assert_near(list(have), list(torch.autograd.grad(loss_of(*leaves), leaves)))
 
 
@@ -409,8 +408,7 @@ def test_compiled_maps_are_the_eager_ones(device, renderer):
         return renderer.body_maps(tensors[:5], WeakPerspective(*tensors[5:]), (40, 40), validate=False)
 
     torch._dynamo.reset()
-    whole = isinstance(renderer, RendererEllipsoids)
-    have = torch.compile(maps_of, fullgraph=whole, backend="aot_eager")(*leaves)
+    have = torch.compile(maps_of, fullgraph=True, backend="aot_eager")(*leaves)
     want = maps_of(*leaves)
     assert torch.equal(have, want)
     assert_near(map_gradients(have, leaves), map_gradients(want, leaves))

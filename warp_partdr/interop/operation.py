@@ -103,12 +103,18 @@ class OperationWithTwin(Operation):
     def plain(self, inputs: Tensors) -> Tensors:
         """Compute the outputs by torch."""
 
+    def compiled(self, inputs: Tensors) -> Tensors:
+        """Compute the outputs under ``torch.compile``, which traces this: by torch, or by a custom operation."""
+        return self.plain(inputs)
+
     def differentiable_adjoint(self, inputs: Tensors, saved: Tensors, adjoints: Tensors) -> Gradients:
         """Compute gradients by torch, which have derivatives themselves."""
         return differentiate_again(self.plain, inputs, adjoints)
 
     def __call__(self, *inputs: torch.Tensor) -> Tensors:
         """Compute the outputs, by torch where kernels can't."""
+        if torch.compiler.is_compiling():
+            return self.compiled(inputs)
         return self.plain(inputs) if must_be_plain(*inputs) else _Applied.apply(self, *inputs)
 
 

@@ -58,7 +58,7 @@ class MapPasses(Recipe, Protocol):
 class Passes(MapPasses, Protocol):
     """A renderer's launches, with its options."""
 
-    kind: str  # of the custom operations: "mesh" or "ellipsoid"
+    kind: str  # of the custom operations: "mesh", "ellipsoid" or "body"
 
     @property
     def constants(self) -> Tensors:
@@ -94,9 +94,8 @@ _Image = TypeVar("_Image", bound=DrawnLater)
 def draw_picture(image: Callable[..., _Image], passes: Passes, inputs: Tensors, size: Size, num_maps: int) -> _Image:
     """Draw images, and maps of labels 1 to ``num_maps`` that carry gradients back to the inputs."""
     if torch.compiler.is_compiling():
-        given = inputs if num_maps else [tensor.detach() for tensor in inputs]
-        operation = getattr(torch.ops.warp_partdr, f"{passes.kind}_maps")  # removed where the picture is not used
-        maps, *images, _ = operation([*given, *passes.constants], [num_maps, *size], *passes.settings())
+        given = inputs if num_maps else tuple([tensor.detach() for tensor in inputs])
+        maps, *images = _draw_compiled(passes, given, size, num_maps)  # removed where the picture is not used
         return image(*images, maps if num_maps else None)
     if num_maps == 0:
         found: _Image = _draw_labels(image, passes, inputs, size)
@@ -104,9 +103,18 @@ def draw_picture(image: Callable[..., _Image], passes: Passes, inputs: Tensors, 
     return image(*_Maps(passes, size, num_maps)(*inputs))
 
 
-def draw_maps(passes: MapPasses, inputs: Tensors, size: Size, num_maps: int) -> torch.Tensor:
+def draw_maps(passes: Passes, inputs: Tensors, size: Size, num_maps: int) -> torch.Tensor:
     """Draw maps of labels 1 to ``num_maps``, shape (B, K, H, W), that carry gradients back to the inputs."""
+    if torch.compiler.is_compiling():
+        return _draw_compiled(passes, inputs, size, num_maps)[0]
     return _Maps(passes, size, num_maps)(*inputs)[-1]
+
+
+def _draw_compiled(passes: Passes, inputs: Tensors, size: Size, num_maps: int) -> Tensors:
+    """Draw maps, labels, depth and index of the nearest by a custom operation, which ``torch.compile`` takes whole."""
+    operation = getattr(torch.ops.warp_partdr, f"{passes.kind}_maps")
+    *pictures, _ = operation([*inputs, *passes.constants], [num_maps, *size], *passes.settings())
+    return tuple(pictures)
 
 
 @torch.no_grad()
@@ -131,13 +139,20 @@ def find_loss(
 ) -> tuple[torch.Tensor, _Image]:
     """L_seg of each body against label images (N, H, W), and the picture, drawn when it is first looked at."""
     size = (target.shape[1], target.shape[2])
+    loss, numbers = find_body_losses(passes, inputs, target)
     if torch.compiler.is_compiling():
-        needs_grad = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
-        operation = getattr(torch.ops.warp_partdr, f"{passes.kind}_label_loss")
-        loss, _ = operation([*inputs, *passes.constants], target.contiguous(), needs_grad, *passes.settings())
         return loss, draw_picture(image, passes, inputs, size, 0)
-    loss, numbers = find_label_loss(passes, inputs, target)
     return loss, image.later(partial(_draw_copy, passes, numbers, [tensor.shape for tensor in inputs], size))
+
+
+def find_body_losses(passes: Passes, inputs: Tensors, target: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """L_seg of each body, and ``Buffers.numbers``, as ``find_label_loss`` gives them, also under ``torch.compile``."""
+    if not torch.compiler.is_compiling():
+        return find_label_loss(passes, inputs, target)
+    needs_grad = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
+    operation = getattr(torch.ops.warp_partdr, f"{passes.kind}_label_loss")
+    loss, numbers = operation([*inputs, *passes.constants], target, needs_grad, *passes.settings())
+    return loss, numbers
 
 
 @torch.no_grad()
