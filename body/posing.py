@@ -322,7 +322,7 @@ def _find_bones(inputs: Tensors, locked: int) -> torch.Tensor:
 
 def _find_bones_adjoint(inputs: Tensors, adjoints: torch.Tensor, locked: int) -> torch.Tensor:
     shapes = tuple([each.shape for each in inputs])
-    given = split_blocks(adjoints, _posed_shapes(inputs[3].shape[0]))
+    given = split_blocks(adjoints.contiguous(), _posed_shapes(inputs[3].shape[0]))
     return find_together(_prepare_bones_adjoint, (*inputs, *given), shapes, locked, (False,) * len(given))
 
 
@@ -332,7 +332,7 @@ def _find_vertices(inputs: Tensors, subdivisions: int) -> torch.Tensor:
 
 def _find_vertices_adjoint(inputs: Tensors, adjoints: torch.Tensor, subdivisions: int) -> torch.Tensor:
     shapes = tuple([each.shape for each in inputs])
-    given = (*inputs[1:], *split_blocks(adjoints, _vertex_shapes(inputs, subdivisions)))
+    given = (*inputs[1:], *split_blocks(adjoints.contiguous(), _vertex_shapes(inputs, subdivisions)))
     return find_together(_prepare_vertices_adjoint, given, shapes, subdivisions)
 
 

@@ -81,7 +81,7 @@ def register_function(
 
     def backward(ctx: Any, adjoints: torch.Tensor) -> Any:
         inputs = ctx.saved_tensors
-        found = getattr(operations, derivative)(inputs, adjoints.contiguous(), ctx.number)
+        found = getattr(operations, derivative)(inputs, adjoints, ctx.number)
         return list(split_symbolic(found, [each.shape for each in inputs])), None
 
     def refuse(ctx: Any, *adjoints: Any) -> None:

@@ -71,12 +71,14 @@ class CapturedBodies:
 
     def replay(self) -> None:
         """Launch everything, on the stream that was current when this was made."""
-        if self._stream is None:
-            with launching():
+        with launching():
+            if self._stream is None:
                 run_slices(lambda part: wp.capture_launch(self._graphs[part.start]), self._slices)
-        else:
-            with launching(), torch.cuda.device(self._device):
+            elif torch.cuda.current_device() == self._device.index:  # to enter a device takes as long as the launch
                 wp.capture_launch(self._graphs[0], stream=self._stream)
+            else:
+                with torch.cuda.device(self._device):
+                    wp.capture_launch(self._graphs[0], stream=self._stream)
 
 
 _T = TypeVar("_T")

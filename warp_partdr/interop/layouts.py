@@ -13,7 +13,8 @@ Tensors = tuple[torch.Tensor, ...]
 
 def split_blocks(numbers: torch.Tensor, shapes: Shapes) -> Tensors:
     """Make views with these shapes of contiguous numbers, one after the other: copies into them are fast."""
-    return tuple([numbers.as_strided(*view) for view in _blocks(shapes)])
+    first = numbers.storage_offset()
+    return tuple([numbers.as_strided(shape, strides, first + start) for shape, strides, start in _blocks(shapes)])
 
 
 def split_rows(numbers: torch.Tensor, shapes: Shapes, first: int = 0) -> Tensors:

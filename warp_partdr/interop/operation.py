@@ -113,9 +113,19 @@ class OperationWithTwin(Operation):
 
     def __call__(self, *inputs: torch.Tensor) -> Tensors:
         """Compute the outputs, by torch where kernels can't."""
-        if torch.compiler.is_compiling():
+        if torch.compiler.is_compiling() and not _transforms_are_traced():
             return self.compiled(inputs)
         return self.plain(inputs) if must_be_plain(*inputs) else _Applied.apply(self, *inputs)
+
+
+def _transforms_are_traced() -> bool:
+    """True if ``torch.func`` is active where ``torch.compile`` traces."""
+    return _transforms_are_active()
+
+
+# The answer of the moment of tracing, where transforms are active as well, becomes a constant. This is what
+# torch.compiler.assume_constant_result does; it would import torch's compiler, which takes seconds.
+_transforms_are_traced._dynamo_marked_constant = True  # type: ignore[attr-defined]
 
 
 def must_be_plain(*tensors: torch.Tensor) -> bool:

@@ -212,7 +212,9 @@ def _check(
     like = ("centres", centres)
     check_tensor("axes", axes, (batch, count, 3, 3), dtypes=FLOATS, like=like)
     check_tensor("semi_axes", semi_axes, (batch, count, 3), dtypes=FLOATS, like=like)
-    intrinsics = check_camera(camera, batch, like).expand(batch, 4)
+    intrinsics = check_camera(camera, batch, like)
+    if intrinsics.shape[0] != batch:
+        intrinsics = intrinsics.expand(batch, 4)
     refuse_transforms(name, intrinsics)
     size = check_image_size(image_size, batch)
     if not 1 <= count <= MAX_PARTS:
