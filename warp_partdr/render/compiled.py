@@ -36,6 +36,7 @@ def _register(
         num_maps, height, width = shape
         passes = kind.of(same_memory(tensors[num_inputs:]), *settings)
         labels, depth, nearest, faults, _ = passes.draw(tuple(tensors[:num_inputs]), (height, width))
+        faults = faults.clone()  # it may lie in one block with the labels, and results must not share memory
         return label_maps(labels, num_maps, faults), labels, depth, nearest, faults
 
     def empty_maps(tensors: Sequence[Any], shape: Sequence[int], *settings: Any) -> Any:
@@ -43,7 +44,7 @@ def _register(
         batch = first.shape[0]
         labels = first.new_empty(batch, *size, dtype=torch.uint8)
         if nearest is None:
-            others = first.new_empty(0), first.new_empty(0)
+            others = labels.new_empty(0), labels.new_empty(0)
         else:
             others = first.new_empty(batch, *size), first.new_empty(batch, *size, dtype=nearest)
         return first.new_empty(batch, num_maps, *size), labels, *others, first.new_empty(batch)
