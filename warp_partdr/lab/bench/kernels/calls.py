@@ -12,8 +12,9 @@ from ....render.part_mesh import ellipbody_mesh
 from ....render.renderers import RendererEllipsoids, RendererMesh
 from ..renderers import GRADIENTS, LEVELS
 from ..scene import BenchScene
+from .compiled_steps import compiled_step, training_step
 from .peers import MeshView, ours
-from .plan import TORCH_BODY, TORCH_GRADIENT, TORCH_ITSELF, TORCH_LABELS, TORCH_POSE
+from .plan import COMPILED_STEP, TORCH_BODY, TORCH_GRADIENT, TORCH_ITSELF, TORCH_LABELS, TORCH_POSE, TORCH_STEP
 
 _Call = Callable[[], object]
 
@@ -81,4 +82,6 @@ CALLS_OF: dict[str, Callable[[BenchScene, str], _Call]] = {
     TORCH_BODY: _body,
     TORCH_LABELS: _labels,
     TORCH_POSE: _pose,
+    TORCH_STEP: training_step,
+    COMPILED_STEP: compiled_step,
 }

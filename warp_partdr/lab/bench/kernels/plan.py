@@ -20,6 +20,7 @@ LABELS, GRADIENT, REFINEMENT = "label image", "render, L_seg, gradient", "50 ite
 TORCH_GRADIENT, TORCH_REFINEMENT = "forward, backward in torch", "50 iterations in torch"
 TORCH_BODY = "from parameters: L_seg, gradient, in torch"
 TORCH_LABELS, TORCH_POSE = "label image in torch", "pose, gradient, in torch"
+TORCH_STEP, COMPILED_STEP = "training step in torch", "compiled step: the same by torch.compile"
 MINIMISE = "50 iterations, one target, with set-up"
 TORCH_ITSELF = "torch itself"  # an autograd function that finds nothing: what is left when rendering takes no time
 
@@ -47,9 +48,11 @@ def plan_kernels(device: str, *, quick: bool = False) -> KernelPlan:
     batches: tuple[int, ...] = (1, 16)
     middle = 16
     exact = mesh = labels = refined = batches
+    compiled: tuple[int, ...] = ()  # on the CPU, torch needs a C++ compiler
     if device != "cpu":
         batches, middle = (1, 8, 128, 1024), 128
         exact, mesh, labels, refined = (1, 128, 1024), (128,), (128,), (1, 1024)
+        compiled = (1, 128)
     targets = (
         *product([GRADIENT], [EXACT], exact, [size]),
         *product([GRADIENT], [MESH], mesh, [size]),
@@ -65,6 +68,7 @@ def plan_kernels(device: str, *, quick: bool = False) -> KernelPlan:
         *product([TORCH_GRADIENT], [EXACT, MESH], exact[1:], [size]),
         *product([TORCH_LABELS], [EXACT, MESH], exact, [size]),
         *product([TORCH_POSE], [""], exact, [size]),
+        *product([TORCH_STEP, COMPILED_STEP], [EXACT, MESH], compiled, [size]),
     )
     others = (
         *product([LABELS], [EXACT, *LEVELS], batches, [size]),
