@@ -11,6 +11,7 @@ import torch
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import pose
 from warp_partdr.body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d
+from warp_partdr.body.template import LOCKED_PARTS
 from warp_partdr.cameras import Camera, Perspective, WeakPerspective
 from warp_partdr.interop.graph_cache import set_graph_memory
 from warp_partdr.networks.regression.predicted import Predicted, posed_landmarks
@@ -185,6 +186,15 @@ def test_autocast_changes_no_bit(device):
     with torch.autocast(torch.device(device).type, dtype=torch.bfloat16):
         have = gradients(RENDERERS[0].crop_loss(leaves := given.leaves(), target), list(leaves.tensors().values()))
     assert all(torch.equal(one, other) for one, other in zip(have, want, strict=True))
+
+
+@renderers
+def test_parts_that_do_not_turn_change_no_loss(device, renderer):
+    given, target = bodies(0, device), targets(device, (48, 48))
+    turned = given.rotations.clone()
+    turned[:, list(LOCKED_PARTS)] += 0.5
+    want, have = renderer.crop_loss(given, target), renderer.crop_loss(replace(given, rotations=turned), target)
+    assert torch.equal(have, want)
 
 
 @renderers
