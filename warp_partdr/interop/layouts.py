@@ -11,6 +11,11 @@ Shapes = tuple[torch.Size, ...]  # each (B, ...)
 Tensors = tuple[torch.Tensor, ...]
 
 
+def as_floats(*tensors: torch.Tensor) -> Tensors:
+    """Tensors in float32; those that are so already stay as they are, for even to ask torch for it takes a while."""
+    return tuple([tensor if tensor.dtype is torch.float32 else tensor.float() for tensor in tensors])
+
+
 def split_blocks(numbers: torch.Tensor, shapes: Shapes) -> Tensors:
     """Make views with these shapes of contiguous numbers, one after the other: copies into them are fast."""
     first = numbers.storage_offset()

@@ -14,7 +14,7 @@ from ..cameras import Camera, WeakPerspective, check_camera
 from ..errors import check_whole
 from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tensor
 from ..interop.derivatives import refuse_transforms
-from ..interop.layouts import Tensors
+from ..interop.layouts import Tensors, as_floats
 from .body_passes import BodyPasses
 from .mesh import check_labels
 from .mesh_passes import MeshPasses
@@ -180,7 +180,7 @@ class BodyLoss:
             with torch.no_grad():
                 fixed = self.fixed(pose_parts(*parameters), camera)
         passes = fixed.body_passes(Seeing(camera.perspective, camera.near_plane, labels), intrinsics.device)
-        return passes, _as_floats(intrinsics[:, :2], intrinsics[:, 2:], *parameters)
+        return passes, as_floats(intrinsics[:, :2], intrinsics[:, 2:], *parameters)
 
     def crop_loss(
         self, bodies: CropBodies, target: torch.Tensor, *, part_labels: Sequence[int] = ALL_PARTS
@@ -209,7 +209,7 @@ class BodyLoss:
         locked = LOCKED_BITS if bodies.rotations.dim() == 3 else 0
         passes = self.body_passes(Seeing(False, WeakPerspective.near, labels, locked, size / 2), lengths.device)
         pelvis = _origin(lengths.shape[0], lengths.device)
-        inputs = _as_floats(
+        inputs = as_floats(
             bodies.log_scale, bodies.shift, bodies.orientation, pelvis, bodies.rotations, lengths, bodies.thicknesses
         )
         return find_body_losses(passes, inputs, target)[0]
@@ -229,7 +229,3 @@ def _check(name: str, parameters: Sequence[torch.Tensor], camera: Camera) -> dic
 def _origin(batch: int, device: torch.device) -> torch.Tensor:
     with torch.inference_mode(False):  # kept for calls outside of it, too
         return torch.zeros(batch, 3, device=device)
-
-
-def _as_floats(*tensors: torch.Tensor) -> Tensors:
-    return tuple([tensor.float() for tensor in tensors])

@@ -169,10 +169,10 @@ def _draw_labels(image: Any, passes: Passes, inputs: Tensors, size: Size) -> Any
     looked at more than labels before.
     """
     shapes = tuple([tensor.shape for tensor in inputs])
-    batch, pixels, device = shapes[0][0], shapes[0][0] * math.prod(size), inputs[0].device
+    num_bytes, pixels = 4 * sum([tensor.numel() for tensor in inputs]), shapes[0][0] * math.prod(size)
     key, graph = (passes, shapes, size), None
-    if 4 * batch * row_length(shapes) <= max(pixels, _FEW_BYTES) and key not in _looked_at:
-        graph = _find_graph(*key, device)
+    if num_bytes <= max(pixels, _FEW_BYTES) and not (_looked_at and key in _looked_at):
+        graph = _find_graph(*key, inputs[0].device)
     if graph is None:
         return image(*passes.draw(inputs, size)[:3])
     copied = graph(inputs)
