@@ -153,7 +153,7 @@ class LabelLoss(torch.autograd.Function):
     def backward(ctx: Any, grad_loss: torch.Tensor) -> Any:
         """Scale all gradients by one multiplication."""
         (numbers,) = ctx.saved_tensors
-        scaled = gradient_rows(numbers, len(grad_loss)) * grad_loss[:, None]
+        scaled = gradient_rows(numbers, grad_loss.shape[0]) * grad_loss.unsqueeze(1)
         views = row_views(tuple([tensor.shape for tensor in ctx.tensors]))
         needs = zip(views, ctx.needs_input_grad[2:], strict=True)
         gradients = tuple([scaled.as_strided(*view) if needed else None for view, needed in needs])
@@ -163,7 +163,8 @@ class LabelLoss(torch.autograd.Function):
 def gradient_rows(numbers: torch.Tensor, batch: int) -> torch.Tensor:
     """The gradients in ``Buffers.numbers``, shape (B, R)."""
     size = numbers.numel() // 2
-    return numbers[size:].view(batch, size // max(batch, 1))
+    length = size // max(batch, 1)
+    return numbers.as_strided((batch, length), (length, 1), numbers.storage_offset() + size)
 
 
 def launch_label_loss(
