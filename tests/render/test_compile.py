@@ -207,6 +207,43 @@ def test_compiled_losses_replay_one_captured_graph(device, renderer):
         torch.testing.assert_close(loss, loss_of(*leaves))
 
 
+def test_operations_keep_no_graph_on_a_side_stream(device):
+    """There, memory may be torch's own for a capture."""
+    if device == "cpu":
+        pytest.skip("the CPU has no streams")
+    (loss, arguments) = operations_of("ellipsoid", device)[1]
+    want = [loss(*arguments) for _ in range(3)][-1]
+    stream, before = torch.cuda.Stream(), len(graphs)
+    stream.wait_stream(torch.cuda.current_stream())
+    with torch.cuda.stream(stream):
+        have = [loss(*arguments) for _ in range(3)][-1]
+    torch.cuda.current_stream().wait_stream(stream)
+    assert len(graphs) == before
+    for one, other in zip(have, want, strict=True):
+        assert torch.equal(one, other)
+
+
+def test_reduced_overhead_gives_the_eager_numbers(device):
+    """Torch captures the operations in CUDA graphs of its own, and other work goes on between its replays."""
+    if device == "cpu":
+        pytest.skip("the CPU has no graphs of torch")
+    leaves, target = some_bodies(4, device, size=64)
+    for renderer in BODY_RENDERERS:
+
+        def loss_of(*tensors, renderer=renderer):
+            return renderer.crop_loss(BodyParameters(*tensors), target).sum()
+
+        torch._dynamo.reset()
+        compiled = torch.compile(loss_of, fullgraph=True, mode="reduce-overhead")
+        want = torch.autograd.grad(loss_of(*leaves), leaves)
+        for _ in range(6):
+            have = torch.autograd.grad(compiled(*leaves), leaves)
+            eager = torch.autograd.grad(loss_of(*leaves), leaves)
+            for one, again, other in zip(have, eager, want, strict=True):
+                torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-3)
+                torch.testing.assert_close(again, other, rtol=1e-4, atol=1e-3)
+
+
 def test_a_mesh_in_other_tensor_objects_is_captured_once(device):
     """Torch may wrap the mesh anew in each call."""
     (loss, arguments) = operations_of("mesh", device)[1]

@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import torch
 
 from .derivatives import raise_second_derivative
+from .graph_cache import graphs
 from .layouts import Shapes, Tensors, total_length
 
 _NAMESPACE = "warp_partdr"
+_DEFAULT_STREAM = 0  # CUDA's own number for it
 _library = torch.library.Library(_NAMESPACE, "FRAGMENT")
 
 Save = Callable[..., None]  # takes ctx, inputs and output, and saves what the gradient reads
@@ -25,15 +28,28 @@ def register(schema: str, function: Callable[..., Any], empty: Callable[..., Any
     """Register the custom operation ``torch.ops.warp_partdr.NAME``.
 
     Args:
-        schema: Name, arguments and results in torch's own words: "twice(Tensor vectors) -> Tensor".
+        schema: Name, arguments and results in torch's own words: "twice(Tensor[] vectors) -> Tensor". The first
+            argument is a list of tensors.
         function: Function that computes the results. They are new tensors, no two of which share memory.
         empty: Function that makes empty results of the same shapes, of which sizes may be symbols.
     """
     name = schema.partition("(")[0]
     _library.define(schema, tags=(torch.Tag.pt2_compliant_tag,))
-    for device in ("CPU", "CUDA"):
-        _library.impl(name, function, device)
+    _library.impl(name, function, "CPU")
+    _library.impl(name, partial(_call_on_cuda, function), "CUDA")
     torch.library.register_fake(f"{_NAMESPACE}::{name}", empty, lib=_library)
+
+
+def _call_on_cuda(function: Callable[..., Any], tensors: Sequence[torch.Tensor], *others: Any) -> Any:
+    """Call the function of an operation on CUDA, without captured graphs unless torch is on its default stream.
+
+    With ``mode="reduce-overhead"``, torch runs an operation on a stream of its own before it captures it, and takes
+    all memory from a pool that the capture uses again. What stays, such as our graphs' buffers, must not lie there.
+    """
+    if torch._C._cuda_getCurrentRawStream(tensors[0].device.index) == _DEFAULT_STREAM:
+        return function(tensors, *others)
+    with graphs.unused():
+        return function(tensors, *others)
 
 
 def register_gradient(name: str, backward: Callable[..., Any], save: Save | None = None) -> None:
