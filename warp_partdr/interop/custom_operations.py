@@ -24,7 +24,7 @@ _library = torch.library.Library(_NAMESPACE, "FRAGMENT")
 Save = Callable[..., None]  # takes ctx, inputs and output, and saves what the gradient reads
 
 
-def register(schema: str, function: Callable[..., Any], empty: Callable[..., Any]) -> None:
+def register_operation(schema: str, function: Callable[..., Any], empty: Callable[..., Any]) -> None:
     """Register the custom operation ``torch.ops.warp_partdr.NAME``.
 
     Args:
@@ -109,12 +109,12 @@ def register_function(
     def empty_adjoint(inputs: Any, adjoints: Any, number: int) -> Any:
         return inputs[0].new_empty(total_length(tuple([each.shape for each in inputs])))
 
-    register(
+    register_operation(
         f"{name}(Tensor[] inputs, int number) -> Tensor",
         lambda inputs, number: forward(tuple(inputs), number),
         empty,
     )
-    register(
+    register_operation(
         f"{derivative}(Tensor[] inputs, Tensor adjoints, int number) -> Tensor",
         lambda inputs, adjoints, number: adjoint(tuple(inputs), adjoints, number),
         empty_adjoint,

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from ..interop.arrays import same_memory
-from ..interop.custom_operations import register, register_gradient
+from ..interop.custom_operations import register_gradient, register_operation
 from ..interop.derivatives import once, raise_second_derivative
 from ..interop.layouts import row_length
 from ..interop.loss_graph import find_numbers
@@ -97,19 +97,19 @@ def _register(
         grads = once(kind.name, found, grad_loss, *inputs)
         return [*grads, *[None] * (ctx.num_tensors - num_inputs)], *[None] * 5
 
-    register(
+    register_operation(
         f"{name}_maps_backward(Tensor[] tensors, Tensor[] picture, {_SETTINGS}) -> Tensor[]",
         maps_backward,
         empty_gradients,
     )
     register_gradient(f"{name}_maps_backward", lambda ctx, *grads: raise_second_derivative(kind.drawing))
-    register(
+    register_operation(
         f"{name}_maps(Tensor[] tensors, SymInt[] shape, {_SETTINGS}) -> (Tensor, Tensor, Tensor, Tensor, Tensor)",
         maps,
         empty_maps,
     )
     register_gradient(f"{name}_maps", backward_maps, save_maps)
-    register(
+    register_operation(
         f"{name}_label_loss(Tensor[] tensors, Tensor target, bool needs_grad, {_SETTINGS}) -> (Tensor, Tensor)",
         loss,
         empty_loss,
