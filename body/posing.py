@@ -10,17 +10,17 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..interop.captured_function import call_captured
+from ..interop.captured_function import call_captured, find_together
 from ..interop.checks import check_numbers, check_tensor
+from ..interop.custom_operations import register_function, split_symbolic
 from ..interop.graph_cache import Launch
-from ..interop.layouts import Shapes, Tensors
+from ..interop.layouts import Shapes, Tensors, split_blocks
 from ..interop.movable import Movable
 from ..interop.operation import Gradients, OperationWithTwin, must_be_plain, split_missing
 from ..kernels import kinematics
 from . import plain_posing
 from .bone_launches import DTYPES, BoneLaunches, kinematic_arrays
 from .ellipbody import DEFAULT_SUBDIVISIONS, bone_tree
-from .icosphere import icosphere
 from .landmarks import landmark_points
 from .rotations import rotation_from_6d, rotation_from_axis_angle
 from .template import BODY_SHAPES, BODY_SIZES, NUM_JOINTS, NUM_PARTS
@@ -228,6 +228,10 @@ class _Bones(OperationWithTwin):
         global_orient, rotations = _as_matrices(global_orient, rotations, self.locked)
         return plain_posing.pose_bones_by_torch(global_orient, translation, rotations, lengths, thicknesses)
 
+    def compiled(self, inputs: Tensors) -> Tensors:
+        together = torch.ops.warp_partdr.pose_bones(list(inputs), self.locked)
+        return split_symbolic(together, _shapes_of_posed(inputs[3].shape[0]))
+
 
 @dataclass(frozen=True, eq=False)
 class _Vertices(OperationWithTwin):
@@ -236,8 +240,9 @@ class _Vertices(OperationWithTwin):
     subdivisions: int
 
     def forward(self, inputs: Tensors) -> tuple[Tensors, Tensors]:
-        shape = torch.Size((*inputs[0].shape[:2], len(icosphere(self.subdivisions)[0]), 3))
-        return call_captured(_prepare_vertices, inputs, (shape,), self.subdivisions), ()
+        return call_captured(
+            _prepare_vertices, inputs, _vertex_shapes(inputs, self.subdivisions), self.subdivisions
+        ), ()
 
     def adjoint(self, saved: Tensors, adjoints: Tensors) -> Gradients:
         centres, axes, semi_axes = saved
@@ -248,12 +253,24 @@ class _Vertices(OperationWithTwin):
         centres, axes, semi_axes = inputs
         return (plain_posing.place_vertices_by_torch(centres, axes, semi_axes, self.subdivisions),)
 
+    def compiled(self, inputs: Tensors) -> Tensors:
+        together = torch.ops.warp_partdr.place_vertices(list(inputs), self.subdivisions)
+        return split_symbolic(together, _vertex_shapes(inputs, self.subdivisions))
 
-@lru_cache(maxsize=32)
-def _posed_shapes(batch: int) -> Shapes:
+
+def _shapes_of_posed(batch: int) -> Shapes:
     """Shapes of the fields of ``Posed``."""
     fields = (NUM_JOINTS, 3), (NUM_PARTS, 3, 3), (NUM_PARTS, 3), (NUM_PARTS, 3, 3), (NUM_PARTS, 3)
     return tuple([torch.Size((batch, *shape)) for shape in fields])
+
+
+_posed_shapes = lru_cache(maxsize=32)(_shapes_of_posed)
+
+
+def _vertex_shapes(inputs: Tensors, subdivisions: int) -> Shapes:
+    """Shape of the vertices of ellipsoids."""
+    batch, count, _ = inputs[0].shape
+    return (torch.Size((batch, count, 10 * 4**subdivisions + 2, 3)),)
 
 
 def _prepare_bones(inputs: Tensors, outputs: Tensors, locked: int) -> Launch:
@@ -297,3 +314,29 @@ def _prepare_vertices_adjoint(inputs: Tensors, outputs: Tensors, subdivisions: i
 
 def _tree(like: torch.Tensor, subdivisions: int) -> kinematics.BoneTree:
     return bone_tree(wp.device_from_torch(like.device).alias, DTYPES[like.dtype]["s"], subdivisions)
+
+
+def _find_bones(inputs: Tensors, locked: int) -> torch.Tensor:
+    return find_together(_prepare_bones, inputs, _posed_shapes(inputs[3].shape[0]), locked)
+
+
+def _find_bones_adjoint(inputs: Tensors, adjoints: torch.Tensor, locked: int) -> torch.Tensor:
+    shapes = tuple([each.shape for each in inputs])
+    given = split_blocks(adjoints.contiguous(), _posed_shapes(inputs[3].shape[0]))
+    return find_together(_prepare_bones_adjoint, (*inputs, *given), shapes, locked, (False,) * len(given))
+
+
+def _find_vertices(inputs: Tensors, subdivisions: int) -> torch.Tensor:
+    return find_together(_prepare_vertices, inputs, _vertex_shapes(inputs, subdivisions), subdivisions)
+
+
+def _find_vertices_adjoint(inputs: Tensors, adjoints: torch.Tensor, subdivisions: int) -> torch.Tensor:
+    shapes = tuple([each.shape for each in inputs])
+    given = (*inputs[1:], *split_blocks(adjoints.contiguous(), _vertex_shapes(inputs, subdivisions)))
+    return find_together(_prepare_vertices_adjoint, given, shapes, subdivisions)
+
+
+register_function(
+    *("pose_bones", "pose"), lambda inputs, _: _shapes_of_posed(inputs[3].shape[0]), _find_bones, _find_bones_adjoint
+)
+register_function("place_vertices", "vertices", _vertex_shapes, _find_vertices, _find_vertices_adjoint)

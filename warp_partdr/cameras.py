@@ -62,7 +62,8 @@ class WeakPerspective(Movable):
     @property
     def intrinsics(self) -> torch.Tensor:
         """Intrinsics (f_x, f_y, c_x, c_y) for ``u = f_x X + c_x``, shape (B, 4)."""
-        return torch.cat([self.scale[:, None].expand(-1, 2), self.translation], dim=1)
+        focal = self.scale[:, None]
+        return torch.cat([focal, focal, self.translation], dim=1)
 
     def project(self, points: torch.Tensor) -> torch.Tensor:
         """Points in the camera frame [m], shape (B, N, 3), to (u [px], v [px], z [m])."""

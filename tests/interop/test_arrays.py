@@ -11,7 +11,7 @@ import pytest
 import torch
 import warp as wp
 
-from warp_partdr.interop.arrays import tensor_over, warp_arrays
+from warp_partdr.interop.arrays import same_memory, tensor_over, warp_arrays
 
 
 class Owner(np.ndarray):
@@ -48,3 +48,13 @@ def test_tensors_become_arrays_of_their_own_types():
     np.testing.assert_array_equal(vectors.numpy(), points)
     with pytest.raises(ValueError, match="zip"):
         warp_arrays([numbers, points], [None])
+
+
+def test_tensors_over_one_memory_become_one_object():
+    numbers = torch.arange(6, dtype=torch.int32)
+    (first,) = same_memory([numbers.view(2, 3)])
+    (again,) = same_memory([numbers.view(2, 3)])
+    assert again is first
+    (other,), (shape,), (part,) = same_memory([first.clone()]), same_memory([numbers]), same_memory([numbers[:3]])
+    assert len({id(tensor) for tensor in (first, other, shape, part)}) == 4
+    assert torch.equal(part, numbers[:3])

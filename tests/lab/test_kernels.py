@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from dataclasses import replace
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from subprocess import CompletedProcess
@@ -22,6 +23,7 @@ from warp_partdr.lab.bench.kernels import first_call, measure, peers, start
 from warp_partdr.lab.bench.kernels.chart import draw_kernel_chart
 from warp_partdr.lab.bench.kernels.measure import run_kernels
 from warp_partdr.lab.bench.kernels.plan import (
+    COMPILED_STEP,
     GRADIENT,
     GROUPS,
     KERNELS,
@@ -43,6 +45,7 @@ from warp_partdr.lab.bench.kernels.plan import (
 )
 from warp_partdr.lab.bench.kernels.report import copy_share, make_row
 from warp_partdr.lab.bench.kernels.runs import ExactRun, MeshRun, refined_once
+from warp_partdr.lab.bench.kernels.whole_steps import time_steps
 from warp_partdr.lab.bench.machine import about
 from warp_partdr.lab.bench.renderers import EXACT, MESH, PARTDR
 from warp_partdr.lab.bench.scene import BenchScene
@@ -115,6 +118,17 @@ def test_a_wrong_run_is_not_timed(device: str, what: str) -> None:
     setattr(run, what, lambda: None)
     with pytest.raises(AssertionError):
         run.check()
+
+
+def test_a_compiled_step_has_the_losses_of_the_loop(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is compared before it is timed. Torch's own backend of kernels in C++ would take most of a minute."""
+    monkeypatch.setattr(torch, "compile", partial(torch.compile, backend="aot_eager"))
+    torch._dynamo.reset()
+    scene = BenchScene.random(2, 32, device)
+    for name in (EXACT, EXACT + POSED, MESH):
+        timing, _ = time_steps(scene, COMPILED_STEP, name, 0.0)
+        assert timing.median > 0
+    assert COMPILED_STEP in {run[0] for run in plan_kernels("cuda").steps}
 
 
 def test_every_row_is_there(figures: dict[str, Any]) -> None:

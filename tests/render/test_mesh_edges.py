@@ -23,6 +23,7 @@ from helpers.pictures import (
 from warp_partdr.reference.coverage import dense_costs, target_costs
 from warp_partdr.reference.mesh_edges import mesh_edges_gradient
 from warp_partdr.render.mesh_passes import MeshPasses, mesh_passes
+from warp_partdr.render.part_mesh import mesh_constants
 
 SIZES = [(21, 34), (40, 32)]  # pixel by pixel, and four a word
 EDGES = {"gradient": "edges"}
@@ -135,6 +136,6 @@ def test_other_gradients_are_refused(device):
 def test_the_custom_operations_take_the_gradient_along(device, gradient):
     _, mesh = rectangle(device)
     for cull, perspective in ((False, True), (True, False)):
-        passes = mesh_passes(*replace(mesh, cull_backfaces=cull).constants, perspective, 0.0, 3.0, 1.0, gradient)
+        passes = mesh_passes(*mesh_constants(replace(mesh, cull_backfaces=cull)), perspective, 0.0, 3.0, 1.0, gradient)
         assert (passes.cull_backfaces, passes.perspective) == (cull, perspective)
         assert MeshPasses.of((mesh.faces, mesh.face_labels, mesh.edges), *passes.settings()) is passes

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -45,3 +47,29 @@ def tensor_over(array: np.ndarray) -> torch.Tensor:
     """
     tensor: torch.Tensor = wp.to_torch(wp.array(np.ascontiguousarray(array), copy=False, device="cpu"))
     return tensor
+
+
+def same_memory(tensors: Sequence[torch.Tensor]) -> tuple[torch.Tensor, ...]:
+    """Tensors over the same memory as these, and the same objects as in the last calls.
+
+    ``torch.compile`` may wrap a constant tensor anew in each call. What is kept for a tensor is found by the object.
+    """
+    return tuple([_first_over(_Memory.of(tensor)) for tensor in tensors])
+
+
+@dataclass(frozen=True)
+class _Memory:
+    """Memory of a tensor, which stays where it is while this is kept."""
+
+    place: tuple[int, torch.device, torch.dtype, torch.Size, tuple[int, ...]]
+    tensor: torch.Tensor = field(compare=False)
+
+    @classmethod
+    def of(cls, tensor: torch.Tensor) -> _Memory:
+        place = tensor.data_ptr(), tensor.device, tensor.dtype, tensor.shape, tensor.stride()
+        return cls(place, tensor)
+
+
+@lru_cache(maxsize=64)
+def _first_over(memory: _Memory) -> torch.Tensor:
+    return memory.tensor

@@ -45,10 +45,15 @@ def call_captured(prepare: Prepare, tensors: Tensors, outputs: Shapes, *options:
     Returns:
         The results, with the first input's dtype.
     """
+    return split_blocks(find_together(prepare, tensors, outputs, *options), outputs)
+
+
+def find_together(prepare: Prepare, tensors: Tensors, outputs: Shapes, *options: Hashable) -> torch.Tensor:
+    """Compute what ``call_captured`` returns in one tensor, one result after the other."""
     first = tensors[0]
     device, dtype, length = first.device, first.dtype, total_length(outputs)
     if length == 0:
-        return tuple([first.new_empty(shape) for shape in outputs])
+        return first.new_empty(0)
     size = sum([each.nbytes for each in tensors]) + first.element_size() * length
     if size <= (_MOST_ON_CPU if device.type == "cpu" else _MOST_ON_CUDA):
         inputs = tuple([(each.shape, each.dtype) for each in tensors])
@@ -56,7 +61,8 @@ def call_captured(prepare: Prepare, tensors: Tensors, outputs: Shapes, *options:
         graph = graphs.find(key, device, 2 * size, lambda: _Graph(*key))  # with what lies in between
         if graph is not None:
             return graph(tensors)
-    given, found = tuple([dense_rows(each) for each in tensors]), tuple([first.new_empty(shape) for shape in outputs])
+    given, together = tuple([dense_rows(each) for each in tensors]), first.new_empty(length)
+    found = split_blocks(together, outputs)
 
     def work(part: slice) -> None:
         prepare(tuple([each[part] for each in given]), tuple([each[part] for each in found]), *options)()
@@ -67,7 +73,7 @@ def call_captured(prepare: Prepare, tensors: Tensors, outputs: Shapes, *options:
         with on_torch_stream(device):
             work(slice(None))
         _launched.add(prepare)
-    return found
+    return together
 
 
 _launched: set[Prepare] = set()  # functions whose kernels are built; else each thread of a batch would build them
@@ -86,7 +92,6 @@ class _Graph:
         device: torch.device,
         shared: bool,
     ) -> None:
-        self._shapes = outputs
         self._inputs = [torch.empty(shape, dtype=own_dtype, device=device) for shape, own_dtype in inputs]
         self._found = torch.empty(total_length(outputs), dtype=dtype, device=device)
         found = split_blocks(self._found, outputs)
@@ -96,8 +101,8 @@ class _Graph:
 
         self._launches = CapturedBodies(prepare_part, inputs[0][0][0], device, shared=shared)
 
-    def __call__(self, tensors: Tensors) -> Tensors:
-        """Replay, and return copies of the results, because the next call fills the buffers again."""
+    def __call__(self, tensors: Tensors) -> torch.Tensor:
+        """Replay, and return a copy of the results, because the next call fills the buffers again."""
         torch._foreach_copy_(self._inputs, tensors)
         self._launches.replay()
-        return split_blocks(self._found.clone(), self._shapes)
+        return self._found.clone()

@@ -48,9 +48,7 @@ def check_tensor(
     if tensor.layout != torch.strided:
         raise ValueError(f"{name}: {tensor.layout}; expected a dense tensor")
     have = tensor.shape
-    if have != shape and (
-        len(have) != len(shape) or any(want not in (None, size) for want, size in zip(shape, have, strict=True))
-    ):
+    if have != shape and not _agree(shape, have):
         expected = ", ".join("*" if size is None else str(size) for size in shape)
         raise ValueError(f"{name}: shape {tuple(have)}; expected ({expected})")
     if tensor.dtype not in dtypes:
@@ -65,6 +63,16 @@ def check_tensor(
             raise ValueError(f"{name}: {tensor.dtype}; expected {other.dtype}, as {other_name}")
     if tensor.is_meta:
         raise ValueError(f"{name}: on meta; expected a device that holds numbers")
+
+
+def _agree(wanted: Sequence[int | None], sizes: Sequence[int]) -> bool:
+    """True if sizes are as wanted; None takes any."""
+    if len(wanted) != len(sizes):
+        return False
+    for want, size in zip(wanted, sizes, strict=True):  # noqa: SIM110  all() takes twice as long
+        if want is not None and want != size:
+            return False
+    return True
 
 
 def check_image_size(image_size: Sequence[SupportsIndex], batch: int = 1) -> tuple[int, int]:

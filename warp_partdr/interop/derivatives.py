@@ -11,6 +11,7 @@ from typing import Any
 import torch
 
 _is_wrapped = torch._C._functorch.is_functorch_wrapped_tensor
+_transforms_are_active = torch._C._are_functorch_transforms_active
 
 
 def is_transformed(*tensors: torch.Tensor | None) -> bool:
@@ -28,7 +29,9 @@ def refuse_transforms(name: str, *tensors: torch.Tensor | None) -> None:
         name: Name of the public function.
         tensors: Arguments of the function.
     """
-    if not torch.compiler.is_compiling() and is_transformed(*tensors):
+    if torch.compiler.is_compiling() or not _transforms_are_active():
+        return
+    if is_transformed(*tensors):
         raise NotImplementedError(
             f"{name}: called under torch.func; expected plain tensors: torch.autograd.grad or backward instead of "
             "grad and jacrev, and the batch dimension instead of vmap"

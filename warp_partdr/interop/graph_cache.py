@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
 from typing import Generic, NamedTuple, TypeVar
 
 import torch
@@ -71,12 +72,14 @@ class CapturedBodies:
 
     def replay(self) -> None:
         """Launch everything, on the stream that was current when this was made."""
-        if self._stream is None:
-            with launching():
+        with launching():
+            if self._stream is None:
                 run_slices(lambda part: wp.capture_launch(self._graphs[part.start]), self._slices)
-        else:
-            with launching(), torch.cuda.device(self._device):
+            elif torch.cuda.current_device() == self._device.index:  # to enter a device takes as long as the launch
                 wp.capture_launch(self._graphs[0], stream=self._stream)
+            else:
+                with torch.cuda.device(self._device):
+                    wp.capture_launch(self._graphs[0], stream=self._stream)
 
 
 _T = TypeVar("_T")
@@ -97,6 +100,7 @@ class GraphCache:
     def __init__(self) -> None:
         self._kept: OrderedDict[Hashable, _Kept[object]] = OrderedDict()
         self._lock = threading.Lock()
+        self._unused = threading.local()  # its ``flag`` is True within ``unused``
 
     def find(
         self, key: Hashable, device: torch.device, num_bytes: int, make: Callable[[], _T], *, at_once: bool = False
@@ -112,7 +116,7 @@ class GraphCache:
             make: Function that makes the graph with its buffers.
             at_once: True: make it at the first call, because it will be replayed many times.
         """
-        if device.type == "cuda" and torch.cuda.is_current_stream_capturing():
+        if device.type == "cuda" and (torch.cuda.is_current_stream_capturing() or hasattr(self._unused, "flag")):
             return None
         place = get_num_threads() if device.type == "cpu" else torch._C._cuda_getCurrentRawStream(device.index)
         key = threading.get_ident(), place, device, key
@@ -140,6 +144,15 @@ class GraphCache:
             self._kept[key] = _Kept(graph if fits else None, device, size if fits else 0, tried=True)
         self.shrink(device)
         return graph if fits else None
+
+    @contextmanager
+    def unused(self) -> Iterator[None]:
+        """Launch kernel by kernel within, on CUDA: neither make graphs nor replay them, in this thread."""
+        self._unused.flag = True
+        try:
+            yield
+        finally:
+            del self._unused.flag
 
     def shrink(self, device: torch.device | None = None, budget: int | None = None) -> None:
         """Free the least recently used graphs until the others keep to the budget, on one device or on each.

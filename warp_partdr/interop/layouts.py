@@ -11,9 +11,15 @@ Shapes = tuple[torch.Size, ...]  # each (B, ...)
 Tensors = tuple[torch.Tensor, ...]
 
 
+def as_floats(*tensors: torch.Tensor) -> Tensors:
+    """Tensors in float32; those that are so already stay as they are, for even to ask torch for it takes a while."""
+    return tuple([tensor if tensor.dtype is torch.float32 else tensor.float() for tensor in tensors])
+
+
 def split_blocks(numbers: torch.Tensor, shapes: Shapes) -> Tensors:
     """Make views with these shapes of contiguous numbers, one after the other: copies into them are fast."""
-    return tuple([numbers.as_strided(*view) for view in _blocks(shapes)])
+    first = numbers.storage_offset()
+    return tuple([numbers.as_strided(shape, strides, first + start) for shape, strides, start in _blocks(shapes)])
 
 
 def split_rows(numbers: torch.Tensor, shapes: Shapes, first: int = 0) -> Tensors:

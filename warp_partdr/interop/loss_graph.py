@@ -98,7 +98,7 @@ def find_label_loss(
         tensors for ``split_blocks``.
     """
     needs_grad = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
-    loss, numbers = _find_numbers(recipe, needs_grad, tensors, target)
+    loss, numbers = find_numbers(recipe, needs_grad, tensors, target)
     if needs_grad:
         loss = LabelLoss.apply(recipe.name, (loss, numbers), *tensors)
     return loss, numbers
@@ -106,15 +106,25 @@ def find_label_loss(
 
 def find_gradients(recipe: Recipe, tensors: Tensors, grad_maps: torch.Tensor) -> Tensors:
     """Compute gradients with respect to the inputs from the gradient with respect to part maps, (B, K, H, W)."""
-    _, numbers = _find_numbers(recipe, True, tensors, grad_maps.float())
+    _, numbers = find_numbers(recipe, True, tensors, grad_maps.float())
     return split_rows(numbers, tuple([tensor.shape for tensor in tensors]), numbers.numel() // 2)
 
 
 @torch.no_grad()
-def _find_numbers(
+def find_numbers(
     recipe: Recipe, needs_grad: bool, tensors: Tensors, target: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Compute loss and numbers, by a captured graph if memory has room and copying the target beats launching."""
+    """Compute loss and numbers, by a captured graph if memory has room and copying the target beats launching.
+
+    Args:
+        recipe: Recipe of the renderer.
+        needs_grad: True if the gradient is wanted.
+        tensors: Inputs of the loss, shapes (B, ...), on one device.
+        target: Target labels, or the gradient with respect to part maps, as in ``Buffers``.
+
+    Returns:
+        The loss of each body, shape (B,), and ``Buffers.numbers``, as new tensors.
+    """
     shapes = tuple([tensor.shape for tensor in tensors])
     key, device, graph = (recipe, shapes, target.shape, needs_grad), target.device, None
     grad_bytes = target.nbytes if target.dim() == 4 else 0
@@ -143,7 +153,7 @@ class LabelLoss(torch.autograd.Function):
     def backward(ctx: Any, grad_loss: torch.Tensor) -> Any:
         """Scale all gradients by one multiplication."""
         (numbers,) = ctx.saved_tensors
-        scaled = gradient_rows(numbers, len(grad_loss)) * grad_loss[:, None]
+        scaled = gradient_rows(numbers, grad_loss.shape[0]) * grad_loss.unsqueeze(1)
         views = row_views(tuple([tensor.shape for tensor in ctx.tensors]))
         needs = zip(views, ctx.needs_input_grad[2:], strict=True)
         gradients = tuple([scaled.as_strided(*view) if needed else None for view, needed in needs])
@@ -153,7 +163,8 @@ class LabelLoss(torch.autograd.Function):
 def gradient_rows(numbers: torch.Tensor, batch: int) -> torch.Tensor:
     """The gradients in ``Buffers.numbers``, shape (B, R)."""
     size = numbers.numel() // 2
-    return numbers[size:].view(batch, size // max(batch, 1))
+    length = size // max(batch, 1)
+    return numbers.as_strided((batch, length), (length, 1), numbers.storage_offset() + size)
 
 
 def launch_label_loss(

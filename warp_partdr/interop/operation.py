@@ -103,13 +103,29 @@ class OperationWithTwin(Operation):
     def plain(self, inputs: Tensors) -> Tensors:
         """Compute the outputs by torch."""
 
+    def compiled(self, inputs: Tensors) -> Tensors:
+        """Compute the outputs under ``torch.compile``, which traces this: by torch, or by a custom operation."""
+        return self.plain(inputs)
+
     def differentiable_adjoint(self, inputs: Tensors, saved: Tensors, adjoints: Tensors) -> Gradients:
         """Compute gradients by torch, which have derivatives themselves."""
         return differentiate_again(self.plain, inputs, adjoints)
 
     def __call__(self, *inputs: torch.Tensor) -> Tensors:
         """Compute the outputs, by torch where kernels can't."""
+        if torch.compiler.is_compiling() and not _transforms_are_traced():
+            return self.compiled(inputs)
         return self.plain(inputs) if must_be_plain(*inputs) else _Applied.apply(self, *inputs)
+
+
+def _transforms_are_traced() -> bool:
+    """True if ``torch.func`` is active where ``torch.compile`` traces."""
+    return _transforms_are_active()
+
+
+# The answer of the moment of tracing, where transforms are active as well, becomes a constant. This is what
+# torch.compiler.assume_constant_result does; it would import torch's compiler, which takes seconds.
+_transforms_are_traced._dynamo_marked_constant = True  # type: ignore[attr-defined]
 
 
 def must_be_plain(*tensors: torch.Tensor) -> bool:

@@ -15,14 +15,13 @@ from ..cameras import Camera, WeakPerspective, check_camera
 from ..errors import check_whole
 from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tensor
 from ..interop.derivatives import refuse_transforms
-from ..interop.layouts import Tensors
-from ..interop.loss_graph import find_label_loss
+from ..interop.layouts import Tensors, as_floats
 from .body_passes import BodyPasses
 from .mesh import check_labels
 from .mesh_passes import MeshPasses
 from .options import check_target
 from .part_mesh import MAX_LABEL
-from .pictures import draw_maps
+from .pictures import draw_maps, find_body_losses
 
 ALL_PARTS = tuple(range(1, NUM_PARTS + 1))
 
@@ -131,12 +130,10 @@ class BodyLoss:
         check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))
         check_image_size(target.shape[1:], len(lengths))
         check_target(target, ("lengths", lengths), len(lengths))
-        if torch.compiler.is_compiling():
-            return self.label_loss(pose_parts(*parameters), camera, target, part_labels=labels, validate=False)[0]
         passes, inputs = self._prepare_bodies(numbers, camera, labels, validate)
-        if validate and isinstance(passes.renderer, MeshPasses):
+        if validate and isinstance(passes.renderer, MeshPasses) and not torch.compiler.is_compiling():
             check_labels(target, passes.renderer.num_labels)
-        return find_label_loss(passes, inputs, target)[0]
+        return find_body_losses(passes, inputs, target)[0]
 
     def body_maps(
         self,
@@ -169,9 +166,6 @@ class BodyLoss:
         numbers = _check("body_maps", parameters, camera)
         size, labels = check_image_size(image_size, len(parameters[3])), tuple(part_labels)
         num_maps = check_whole("num_maps", num_maps, 1, MAX_LABEL)
-        if torch.compiler.is_compiling():
-            posed = pose_parts(*parameters)
-            return self.draw(posed, camera, size, part_labels=labels, num_maps=num_maps, validate=False).maps
         passes, inputs = self._prepare_bodies(numbers, camera, labels, validate)
         return draw_maps(passes, inputs, size, num_maps)
 
@@ -180,12 +174,14 @@ class BodyLoss:
     ) -> tuple[BodyPasses, Tensors]:
         """Launches and their inputs, from what ``_check`` returned."""
         *parameters, intrinsics = numbers.values()
-        if validate:
+        if validate and not torch.compiler.is_compiling():
             check_numbers(numbers, rotations=matrices_of(parameters), positive=BODY_SIZES)
-        with torch.no_grad():
-            fixed = self.fixed(pose_parts(*parameters), camera) if getattr(self, "subdivisions", 0) == "auto" else self
+        fixed = self
+        if getattr(self, "subdivisions", 0) == "auto":
+            with torch.no_grad():
+                fixed = self.fixed(pose_parts(*parameters), camera)
         passes = fixed.body_passes(Seeing(camera.perspective, camera.near_plane, labels), intrinsics.device)
-        return passes, _as_floats(intrinsics[:, :2], intrinsics[:, 2:], *parameters)
+        return passes, as_floats(intrinsics[:, :2], intrinsics[:, 2:], *parameters)
 
     def crop_loss(
         self, bodies: CropBodies, target: torch.Tensor, *, part_labels: Sequence[int] = ALL_PARTS
@@ -211,16 +207,13 @@ class BodyLoss:
         if target.shape[1] != size:
             raise ValueError(f"target: shape {tuple(target.shape)}; expected square crops, (B, S, S) or (1, S, S)")
         check_target(target, ("lengths", lengths), len(lengths))
-        if torch.compiler.is_compiling():
-            camera = bodies.camera(size)
-            return self.label_loss(bodies.posed(), camera, target, part_labels=labels, validate=False)[0]
         locked = LOCKED_BITS if bodies.rotations.dim() == 3 else 0
         passes = self.body_passes(Seeing(False, WeakPerspective.near, labels, locked, size / 2), lengths.device)
-        pelvis = _origin(len(lengths), lengths.device)
-        inputs = _as_floats(
+        pelvis = _origin(lengths.shape[0], lengths.device)
+        inputs = as_floats(
             bodies.log_scale, bodies.shift, bodies.orientation, pelvis, bodies.rotations, lengths, bodies.thicknesses
         )
-        return find_label_loss(passes, inputs, target)[0]
+        return find_body_losses(passes, inputs, target)[0]
 
 
 def _check(name: str, parameters: Sequence[torch.Tensor], camera: Camera) -> dict[str, torch.Tensor]:
@@ -233,11 +226,13 @@ def _check(name: str, parameters: Sequence[torch.Tensor], camera: Camera) -> dic
     return {**dict(zip(BODY_SHAPES, parameters, strict=True)), "camera": intrinsics}
 
 
-@cache  # never freed: a training step's captured graph goes on reading it
 def _origin(batch: int, device: torch.device) -> torch.Tensor:
+    if torch.compiler.is_compiling():  # which would warn of the cache
+        return torch.zeros(batch, 3, device=device)
+    return _kept_origin(batch, device)
+
+
+@cache  # never freed: a training step's captured graph goes on reading it
+def _kept_origin(batch: int, device: torch.device) -> torch.Tensor:
     with torch.inference_mode(False):  # kept for calls outside of it, too
         return torch.zeros(batch, 3, device=device)
-
-
-def _as_floats(*tensors: torch.Tensor) -> Tensors:
-    return tuple([tensor.float() for tensor in tensors])

@@ -21,7 +21,8 @@ from ..kernels import kinematics, turns
 from ..kernels.mesh import screen
 from .ellipsoid_passes import EllipsoidPasses
 from .mesh_passes import MeshPasses
-from .pictures import Picture, Size, draw_labels
+from .options import cached
+from .pictures import Picture, Settings, Size, draw_labels
 
 _SHAPES = ((NUM_PARTS, 3), (NUM_PARTS, 3, 3), (NUM_PARTS, 3), (4,))  # of centres, axes, semi-axes and camera
 
@@ -35,7 +36,27 @@ class BodyPasses:
     locked: int  # parts that keep their rest rotation, as bits
     half_size: float  # of the crop that the camera's numbers are of [px]; 0: they are in pixels
 
-    name, drawing = "body_label_loss", "body_maps"
+    kind, name, drawing = "body", "body_label_loss", "body_maps"
+
+    @classmethod
+    def of(
+        cls, constants: Sequence[torch.Tensor], integers: Sequence[int], gradient: Any, numbers: Sequence[float]
+    ) -> BodyPasses:
+        """Inverse of ``constants`` and ``settings``."""
+        subdivisions, locked, *integers = integers
+        half_size, *numbers = numbers
+        renderer = MeshPasses if constants else EllipsoidPasses
+        return body_passes(renderer.of(constants, integers, gradient, numbers), subdivisions, locked, half_size)
+
+    @property
+    def constants(self) -> Tensors:
+        """The mesh, if there is one."""
+        return self.renderer.constants
+
+    def settings(self) -> Settings:
+        """Options as custom operations take them."""
+        integers, gradient, numbers = self.renderer.settings()
+        return [self.subdivisions, self.locked, *integers], gradient, [self.half_size, *numbers]
 
     @property
     def modules(self) -> Sequence[ModuleType]:
@@ -123,6 +144,9 @@ class BodyPasses:
         batched = tuple([torch.Size((len(buffers.losses), *shape)) for shape in shapes])
         inner = Buffers.empty(self.renderer, batched, buffers.target, needs_grad=len(buffers.grads) > 0)
         return replace(inner, losses=buffers.losses)
+
+
+body_passes = cached(BodyPasses)  # the same object, which is a graph's key, for the same options
 
 
 def _seen(ellipsoids: Tensors) -> Any:

@@ -13,7 +13,7 @@ from ..cameras import Camera, check_camera
 from ..errors import check_type, check_whole
 from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tensor
 from ..interop.derivatives import refuse_transforms
-from ..interop.layouts import Tensors
+from ..interop.layouts import Tensors, as_floats
 from ..interop.movable import Movable
 from . import compiled as compiled  # registers the operations for torch.compile
 from .ellipsoid_passes import EllipsoidPasses, ellipsoid_passes
@@ -212,7 +212,9 @@ def _check(
     like = ("centres", centres)
     check_tensor("axes", axes, (batch, count, 3, 3), dtypes=FLOATS, like=like)
     check_tensor("semi_axes", semi_axes, (batch, count, 3), dtypes=FLOATS, like=like)
-    intrinsics = check_camera(camera, batch, like).expand(batch, 4)
+    intrinsics = check_camera(camera, batch, like)
+    if intrinsics.shape[0] != batch:
+        intrinsics = intrinsics.expand(batch, 4)
     refuse_transforms(name, intrinsics)
     size = check_image_size(image_size, batch)
     if not 1 <= count <= MAX_PARTS:
@@ -222,7 +224,7 @@ def _check(
         numbers = {"centres": centres, "axes": axes, "semi_axes": semi_axes, "camera": intrinsics}
         check_numbers(numbers, frames=("axes",), positive=("semi_axes",))
     passes = ellipsoid_passes(labels, camera.perspective, rule[0], camera.near_plane, *rule[1:])
-    return passes, (centres.float(), axes.float(), semi_axes.float(), intrinsics.float()), size
+    return passes, as_floats(centres, axes, semi_axes, intrinsics), size
 
 
 def check_part_labels(given: tuple[int, ...] | None, count: int) -> tuple[int, ...]:

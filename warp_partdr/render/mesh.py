@@ -14,7 +14,7 @@ from ..interop.derivatives import refuse_transforms
 from . import compiled as compiled  # registers the operations for torch.compile
 from .mesh_passes import MeshPasses, mesh_passes
 from .options import DEFAULT_DEPTH_WEIGHT, IGNORE_LABEL, MeshGradient, check_mesh_rule, check_target
-from .part_mesh import MAX_LABEL, PartMesh
+from .part_mesh import MAX_LABEL, PartMesh, mesh_constants
 from .pictures import DrawnLater, draw_picture, find_loss
 
 
@@ -179,4 +179,4 @@ def _project(
     if validate and not torch.compiler.is_compiling():
         check_numbers({**given, "projected vertices": screen})
     options = camera.perspective, camera.near_plane, *rule
-    return mesh_passes(*mesh.constants, *options), screen.float()
+    return mesh_passes(*mesh_constants(mesh), *options), screen.float()

@@ -99,11 +99,6 @@ class PartMesh(Movable):
             cull_backfaces=cull_backfaces,
         )
 
-    @property
-    def constants(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, int, bool]:
-        """The mesh as the first of ``mesh_passes``."""
-        return self.faces, self.face_labels, self.edges, self.num_labels, self.cull_backfaces
-
     def relabel(self, table: np.ndarray | Mapping[int, int]) -> PartMesh:
         """Show groups of parts: ``table[label]`` is the new label, as ``LabelSet.part_groups`` gives it.
 
@@ -155,6 +150,11 @@ class PartMesh(Movable):
                 torch.where(self.face_labels <= MAX_LABEL, self.face_labels + index * labels, self.face_labels)
             )
         return PartMesh(torch.cat(faces), torch.cat(shown).to(torch.uint8), torch.cat(edges), self.cull_backfaces)
+
+
+def mesh_constants(mesh: PartMesh) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, int, bool]:
+    """The mesh as the first of ``mesh_passes``; no property, because ``torch.compile`` traces none of a constant."""
+    return mesh.faces, mesh.face_labels, mesh.edges, mesh.num_labels, mesh.cull_backfaces
 
 
 def ellipbody_mesh(subdivisions: int = DEFAULT_SUBDIVISIONS, *, device: torch.device | str = "cpu") -> PartMesh:

@@ -58,7 +58,7 @@ class MapPasses(Recipe, Protocol):
 class Passes(MapPasses, Protocol):
     """A renderer's launches, with its options."""
 
-    kind: str  # of the custom operations: "mesh" or "ellipsoid"
+    kind: str  # of the custom operations: "mesh", "ellipsoid" or "body"
 
     @property
     def constants(self) -> Tensors:
@@ -94,9 +94,8 @@ _Image = TypeVar("_Image", bound=DrawnLater)
 def draw_picture(image: Callable[..., _Image], passes: Passes, inputs: Tensors, size: Size, num_maps: int) -> _Image:
     """Draw images, and maps of labels 1 to ``num_maps`` that carry gradients back to the inputs."""
     if torch.compiler.is_compiling():
-        given = inputs if num_maps else [tensor.detach() for tensor in inputs]
-        operation = getattr(torch.ops.warp_partdr, f"{passes.kind}_maps")  # removed where the picture is not used
-        maps, *images, _ = operation([*given, *passes.constants], [num_maps, *size], *passes.settings())
+        given = inputs if num_maps else tuple([tensor.detach() for tensor in inputs])
+        maps, *images = _draw_compiled(passes, given, size, num_maps)  # removed where the picture is not used
         return image(*images, maps if num_maps else None)
     if num_maps == 0:
         found: _Image = _draw_labels(image, passes, inputs, size)
@@ -104,9 +103,18 @@ def draw_picture(image: Callable[..., _Image], passes: Passes, inputs: Tensors, 
     return image(*_Maps(passes, size, num_maps)(*inputs))
 
 
-def draw_maps(passes: MapPasses, inputs: Tensors, size: Size, num_maps: int) -> torch.Tensor:
+def draw_maps(passes: Passes, inputs: Tensors, size: Size, num_maps: int) -> torch.Tensor:
     """Draw maps of labels 1 to ``num_maps``, shape (B, K, H, W), that carry gradients back to the inputs."""
+    if torch.compiler.is_compiling():
+        return _draw_compiled(passes, inputs, size, num_maps)[0]
     return _Maps(passes, size, num_maps)(*inputs)[-1]
+
+
+def _draw_compiled(passes: Passes, inputs: Tensors, size: Size, num_maps: int) -> Tensors:
+    """Draw maps, labels, depth and index of the nearest by a custom operation, which ``torch.compile`` takes whole."""
+    operation = getattr(torch.ops.warp_partdr, f"{passes.kind}_maps")
+    *pictures, _ = operation([*inputs, *passes.constants], [num_maps, *size], *passes.settings())
+    return tuple(pictures)
 
 
 @torch.no_grad()
@@ -114,8 +122,8 @@ def draw_labels(passes: MapPasses, inputs: Tensors, size: Size) -> tuple[torch.T
     """Draw labels alone, shape (B, H, W), uint8, and faults, by a captured graph where memory has room."""
     batch, device = inputs[0].shape[0], inputs[0].device
     if batch and (graph := _find_graph(passes, tuple([tensor.shape for tensor in inputs]), size, device)):
-        labels, faults, _ = graph(inputs)
-        return labels, faults
+        copied = graph(inputs)
+        return copied.labels, copied.faults
     labels, faults = torch.empty(batch, *size, dtype=torch.uint8, device=device), torch.empty(batch, device=device)
     given = tuple(map(contiguous, inputs))
 
@@ -131,13 +139,20 @@ def find_loss(
 ) -> tuple[torch.Tensor, _Image]:
     """L_seg of each body against label images (N, H, W), and the picture, drawn when it is first looked at."""
     size = (target.shape[1], target.shape[2])
+    loss, numbers = find_body_losses(passes, inputs, target)
     if torch.compiler.is_compiling():
-        needs_grad = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
-        operation = getattr(torch.ops.warp_partdr, f"{passes.kind}_label_loss")
-        loss, _ = operation([*inputs, *passes.constants], target.contiguous(), needs_grad, *passes.settings())
         return loss, draw_picture(image, passes, inputs, size, 0)
-    loss, numbers = find_label_loss(passes, inputs, target)
     return loss, image.later(partial(_draw_copy, passes, numbers, [tensor.shape for tensor in inputs], size))
+
+
+def find_body_losses(passes: Passes, inputs: Tensors, target: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """L_seg of each body, and ``Buffers.numbers``, as ``find_label_loss`` gives them, also under ``torch.compile``."""
+    if not torch.compiler.is_compiling():
+        return find_label_loss(passes, inputs, target)
+    needs_grad = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
+    operation = getattr(torch.ops.warp_partdr, f"{passes.kind}_label_loss")
+    loss, numbers = operation([*inputs, *passes.constants], target, needs_grad, *passes.settings())
+    return loss, numbers
 
 
 @torch.no_grad()
@@ -154,14 +169,14 @@ def _draw_labels(image: Any, passes: Passes, inputs: Tensors, size: Size) -> Any
     looked at more than labels before.
     """
     shapes = tuple([tensor.shape for tensor in inputs])
-    batch, pixels, device = shapes[0][0], shapes[0][0] * math.prod(size), inputs[0].device
+    num_bytes, pixels = 4 * sum([tensor.numel() for tensor in inputs]), shapes[0][0] * math.prod(size)
     key, graph = (passes, shapes, size), None
-    if 4 * batch * row_length(shapes) <= max(pixels, _FEW_BYTES) and key not in _looked_at:
-        graph = _find_graph(*key, device)
+    if num_bytes <= max(pixels, _FEW_BYTES) and not (_looked_at and key in _looked_at):
+        graph = _find_graph(*key, inputs[0].device)
     if graph is None:
         return image(*passes.draw(inputs, size)[:3])
-    labels, _, numbers = graph(inputs)
-    return image.later(partial(_draw_rest, key, numbers), labels=labels)
+    copied = graph(inputs)
+    return image.later(partial(_draw_rest, key, copied), labels=copied.labels)
 
 
 def _find_graph(passes: MapPasses, shapes: Shapes, size: Size, device: torch.device) -> _LabelsGraph | None:
@@ -175,34 +190,79 @@ _FEW_BYTES = 2**22  # that are copied as fast as a copy begins
 
 
 @torch.no_grad()
-def _draw_rest(key: tuple[Passes, Shapes, Size], numbers: torch.Tensor) -> Tensors:
+def _draw_rest(key: tuple[Passes, Shapes, Size], copied: _LabelsBlock) -> Tensors:
     """Draw what a labels' graph left out, and remember that it was wanted."""
     if len(_looked_at) >= _MOST_LOOKED_AT:
         _looked_at.clear()
     _looked_at.add(key)
     passes, shapes, size = key
-    return passes.draw(split_blocks(numbers, shapes), size)[:3]
+    return passes.draw(split_blocks(copied.numbers, shapes), size)[:3]
+
+
+class _LabelsBlock:
+    """Labels, faults and inputs of B bodies in one block of memory, which is copied at once.
+
+    Args:
+        batch: Number of bodies B.
+        size: Height and width of the pictures [px].
+        length: Numbers of a body's inputs.
+        memory: Block of bytes.
+    """
+
+    def __init__(self, batch: int, size: Size, length: int, memory: torch.Tensor) -> None:
+        self._shape, self._length, self.memory = (batch, *size), length, memory
+        height, width = size
+        self.labels = memory.as_strided(self._shape, (height * width, width, 1))
+
+    @classmethod
+    def empty(cls, batch: int, size: Size, length: int, device: torch.device) -> _LabelsBlock:
+        """Block that is to be filled."""
+        num_bytes = _aligned(batch * math.prod(size)) + 4 * batch * (1 + length)
+        return cls(batch, size, length, torch.empty(num_bytes, dtype=torch.uint8, device=device))
+
+    @property
+    def faults(self) -> torch.Tensor:
+        """Faults as in ``Picture``."""
+        return self._floats[: self._shape[0]]
+
+    @property
+    def numbers(self) -> torch.Tensor:
+        """Numbers of the inputs, for ``split_blocks``."""
+        return self._floats[self._shape[0] :]
+
+    @property
+    def _floats(self) -> torch.Tensor:
+        return self.memory[_aligned(math.prod(self._shape)) :].view(torch.float32)
+
+    def copy(self) -> _LabelsBlock:
+        """Copy of the block."""
+        batch, *size = self._shape
+        return _LabelsBlock(batch, (size[0], size[1]), self._length, self.memory.clone())
+
+
+def _aligned(num_bytes: int) -> int:
+    """The next multiple of 16 bytes, so that kernels can read what follows in the widest words."""
+    return -num_bytes // 16 * -16
 
 
 class _LabelsGraph:
-    """Label images by a captured graph in fixed buffers; returns copies of labels, faults and inputs."""
+    """Label images by a captured graph in fixed buffers; returns a copy of them."""
 
     def __init__(self, passes: MapPasses, shapes: Shapes, size: Size, device: torch.device) -> None:
         batch = shapes[0][0]
-        self._numbers = torch.empty(batch * row_length(shapes), device=device)
-        self._inputs = inputs = split_blocks(self._numbers, shapes)
-        self._labels = labels = torch.empty(batch, *size, dtype=torch.uint8, device=device)
-        self._faults = faults = torch.empty(batch, device=device)
+        self._block = block = _LabelsBlock.empty(batch, size, row_length(shapes), device)
+        self._inputs = inputs = split_blocks(block.numbers, shapes)
+        labels, faults = block.labels, block.faults
 
         def prepare(part: slice) -> Callable[[], None]:
             return passes.prepare_labels(tuple(tensor[part] for tensor in inputs), labels[part], faults[part])
 
         self._launches = CapturedBodies(prepare, batch, device)
 
-    def __call__(self, inputs: Tensors) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def __call__(self, inputs: Tensors) -> _LabelsBlock:
         torch._foreach_copy_(self._inputs, inputs)
         self._launches.replay()
-        return self._labels.clone(), self._faults.clone(), self._numbers.clone()
+        return self._block.copy()
 
 
 @dataclass

@@ -17,13 +17,13 @@ from ..body.posing import Posed
 from ..body.template import NUM_PARTS
 from ..cameras import Camera
 from .body_loss import ALL_PARTS, BodyLoss, Seeing
-from .body_passes import BodyPasses
+from .body_passes import BodyPasses, body_passes
 from .ellipsoid_passes import ellipsoid_passes
 from .ellipsoids import EllipsoidImage, check_part_labels, check_rule, draw_ellipsoids, ellipsoid_label_loss
 from .mesh import PartImage, draw_mesh, mesh_label_loss
 from .mesh_passes import mesh_passes
-from .options import DEFAULT_DEPTH_WEIGHT, Gradient, MeshGradient, check_mesh_rule
-from .part_mesh import PartMesh, ellipbody_mesh
+from .options import DEFAULT_DEPTH_WEIGHT, Gradient, MeshGradient, cached, check_mesh_rule
+from .part_mesh import PartMesh, ellipbody_mesh, mesh_constants
 from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
 
 
@@ -185,34 +185,41 @@ class RendererMesh(BodyLoss):
         level = self.fixed(posed, camera).subdivisions
         assert level != "auto"
         vertices = posed.vertices(level)
-        # Not traced: how a mesh is found is no arithmetic of tensors.
-        find = torch.compiler.disable(labelled_mesh) if torch.compiler.is_compiling() else labelled_mesh
-        return vertices, find(level, tuple(part_labels), vertices.device)
+        return vertices, labelled_mesh(level, tuple(part_labels), vertices.device)
 
 
 Renderer = RendererEllipsoids | RendererMesh
 
 
-@lru_cache(maxsize=64)
+@cached
 def _ellipsoid_body_passes(renderer: RendererEllipsoids, seeing: Seeing) -> BodyPasses:
     gradient, *numbers = check_rule(**renderer._rule)
     passes = ellipsoid_passes(seeing.part_labels, seeing.perspective, gradient, seeing.near_plane, *numbers)
-    return BodyPasses(passes, 0, seeing.locked, seeing.half_size)
+    return body_passes(passes, 0, seeing.locked, seeing.half_size)
 
 
-@lru_cache(maxsize=64)
+@cached
 def _mesh_body_passes(renderer: RendererMesh, seeing: Seeing, device: torch.device) -> BodyPasses:
     if renderer.subdivisions == "auto":
         raise ValueError("subdivisions: auto; expected 0 to 3, or the renderer that fixed(posed, camera) returns")
     rule = check_mesh_rule(**renderer._rule)
     mesh = labelled_mesh(renderer.subdivisions, seeing.part_labels, device)
     options = seeing.perspective, seeing.near_plane, *rule
-    passes = mesh_passes(*mesh.constants, *options)
-    return BodyPasses(passes, renderer.subdivisions, seeing.locked, seeing.half_size)
+    passes = mesh_passes(*mesh_constants(mesh), *options)
+    return body_passes(passes, renderer.subdivisions, seeing.locked, seeing.half_size)
+
+
+def labelled_mesh(level: int, part_labels: tuple[int, ...], device: torch.device) -> PartMesh:
+    """Mesh with its labels, cached, for its edges take a moment to find."""
+    return _labelled_mesh(level, part_labels, device)
+
+
+# Not traced: how a mesh is found is no arithmetic of tensors. This is what torch.compiler.assume_constant_result does;
+# it would import torch's compiler, which takes seconds.
+labelled_mesh._dynamo_marked_constant = True  # type: ignore[attr-defined]
 
 
 @lru_cache(maxsize=32)
-def labelled_mesh(level: int, part_labels: tuple[int, ...], device: torch.device) -> PartMesh:
-    """Mesh with its labels, cached, for its edges take a moment to find."""
+def _labelled_mesh(level: int, part_labels: tuple[int, ...], device: torch.device) -> PartMesh:
     mesh = ellipbody_mesh(level, device=device)
     return mesh if part_labels == ALL_PARTS else mesh.relabel(np.array([0, *part_labels], dtype=np.uint8))

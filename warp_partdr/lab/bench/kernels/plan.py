@@ -23,6 +23,7 @@ TORCH_BODY = "from parameters: L_seg, gradient, in torch"
 TORCH_LABELS, TORCH_POSE = "label image in torch", "pose, gradient, in torch"
 MINIMISE = "50 iterations, one target, with set-up"
 LOOP_STEP, WHOLE_STEP = "step, loop in Python", "whole step, TrainingStep"
+COMPILED_STEP = "compiled step: the loop, its loss by torch.compile"
 POSED = ", posed"  # end of a renderer's name: `posed` and `ellipsoid_label_loss`, else `crop_loss`
 TORCH_ITSELF = "torch itself"  # an autograd function that finds nothing: what is left when rendering takes no time
 
@@ -51,10 +52,12 @@ def plan_kernels(device: str, *, quick: bool = False) -> KernelPlan:
     batches: tuple[int, ...] = (1, 16)
     middle = 16
     exact = mesh = labels = refined = trained = batches
+    compiled: tuple[int, ...] = ()  # on the CPU, torch needs a C++ compiler
     if device != "cpu":
         batches, middle = (1, 8, 128, 1024), 128
         exact, mesh, labels, refined = (1, 128, 1024), (128,), (128,), (1, 1024)
         trained = (1, 8, 128)
+        compiled = (1, 128)
     targets = (
         *product([GRADIENT], [EXACT], exact, [size]),
         *product([GRADIENT], [MESH], mesh, [size]),
@@ -81,6 +84,10 @@ def plan_kernels(device: str, *, quick: bool = False) -> KernelPlan:
         (TORCH_REFINEMENT, EXACT, 1, size),
         *product([TORCH_GRADIENT], [COVERAGE, PARTDR], [middle], [size]),
     )
-    steps = tuple(product([LOOP_STEP, WHOLE_STEP], [EXACT, EXACT + POSED, MESH], trained, [size]))
+    drawn = [EXACT, EXACT + POSED, MESH]
+    steps = (
+        *product([LOOP_STEP, WHOLE_STEP], drawn, trained, [size]),
+        *product([COMPILED_STEP], drawn, compiled, [size]),
+    )
     left = tuple(row for row in others if row not in targets)
     return KernelPlan(device, size, targets, calls, left, steps, (1, middle), 0.4)

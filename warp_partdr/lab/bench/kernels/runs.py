@@ -24,7 +24,7 @@ from ....render.ellipsoids import ellipsoid_label_loss
 from ....render.mesh import mesh_label_loss
 from ....render.mesh_passes import mesh_passes
 from ....render.options import DEFAULT_DEPTH_WEIGHT, Gradient
-from ....render.part_mesh import ellipbody_mesh
+from ....render.part_mesh import ellipbody_mesh, mesh_constants
 from ....render.renderers import RendererEllipsoids
 from ....solve.ellipsoids.captured import CapturedRefinement
 from ....solve.ellipsoids.stepper import LEARNING_RATE
@@ -88,7 +88,7 @@ class MeshRun:
         self._mesh = mesh = ellipbody_mesh(subdivisions, device=device)
         self._points = scene.camera.project(scene.posed.vertices(subdivisions)).detach().contiguous()
         self._labels = torch.full_like(scene.targets, _POISON)
-        passes = mesh_passes(*mesh.constants, *(False, -math.inf, math.inf, DEFAULT_DEPTH_WEIGHT))
+        passes = mesh_passes(*mesh_constants(mesh), *(False, -math.inf, math.inf, DEFAULT_DEPTH_WEIGHT))
         faults = torch.empty(len(self._points), device=device)
         self.labels = passes.prepare_labels((self._points,), self._labels, faults)
         self._buffers = buffers = Buffers.empty(passes, (self._points.shape,), scene.targets, needs_grad=True)
