@@ -114,11 +114,10 @@ def map_weight(label: int):
 class LabelTarget:
     """L_seg (paper, eq. 6) against a label image; a wrong pixel misses one map and dirties another.
 
-    The last two members stay empty where nothing reads them.
+    The last member stays empty where nothing reads it.
     """
 
     target: wp.array3d[wp.uint8]  # (N, H, W), 255 = ignore
-    scale: wp.array[float]  # mesh: (B,) gradient of the loss itself
     extents: wp.array3d[wp.vec4i]  # (B, 3, L) where pixels are wrong, zeroed and then grown by ``note_wrong``
 
 
@@ -231,7 +230,7 @@ def pixel_gradient(map: wp.array[float], at: int, label: int, shows_it: bool):
 @wp.func
 def weight_of(g: LabelTarget, b: int, label: int):
     """Factor of ``pixel_gradient`` for a label."""
-    return map_weight(label) * g.scale[b]
+    return map_weight(label)
 
 
 @wp.func

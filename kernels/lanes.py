@@ -30,6 +30,16 @@ def wait_for_block():
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    __syncwarp();
+#endif
+""")
+def wait_for_lanes():
+    """Wait until all threads of the warp are here, and what they wrote can be read by each other."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     return 4;
 #else
     return 1;

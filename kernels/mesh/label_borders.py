@@ -11,8 +11,9 @@ from typing import Any
 import warp as wp
 
 from ..labels import QUAD, are_words, byte_of, excess_at, flat, load_word, overload_gradients, unequal_bytes
+from .forces import Forces, add_force, units_of
 from .rasterize import launch_bodies
-from .triangles import ImageArrays, MeshArrays, edge_values, load_triangle, make_edges, spoil_gradient, weights_3d
+from .triangles import ImageArrays, MeshArrays, edge_values, load_triangle, make_edges, weights_3d
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -26,7 +27,7 @@ def push_border_between(
     row: int,
     column: int,
     axis: int,  # of the next pixel: 0 to the right, 1 below
-    grad_vertices: wp.array3d[float],
+    forces: Forces,
 ):
     """Force of the border between a pixel and the next, which shows another label, on the face that carries it."""
     width = images.labels.shape[2]
@@ -51,9 +52,9 @@ def push_border_between(
     y = float(row) + wp.where(axis == 0, 0.5, 1.0)
     # Weights in the picture: there a face's points move by them, with perspective, too.
     weights = weights_3d(t, edge_values(make_edges(t), x, y), False)
-    shares = weights * (excess / (weights[0] + weights[1] + weights[2]))
+    shares = weights * (excess * units_of(forces, b) / (weights[0] + weights[1] + weights[2]))
     for i in range(3):
-        wp.atomic_add(grad_vertices, b, t.index[i], axis, shares[i])
+        add_force(forces, b, t.index[i], axis, shares[i])
 
 
 @wp.kernel
@@ -64,13 +65,11 @@ def push_label_borders(
     images: ImageArrays,
     each: int,  # words of four pixels that a thread looks at: one, or a row of them
     gradient: Any,
-    grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: x and y are added to
+    forces: Forces,  # MODIFIED: x and y are added to
 ):
     """Gradient in x and y from the borders of pixels with their neighbours to the right and below."""
     thread = wp.tid()
     b = first_body + thread // threads
-    if thread % threads == 0:
-        spoil_gradient(images, b, grad_vertices)
     height = images.labels.shape[1]
     width = images.labels.shape[2]
     quads = (width + QUAD - 1) // QUAD
@@ -89,19 +88,19 @@ def push_label_borders(
         if (to_right | to_below) != wp.uint32(0):
             for i in range(QUAD):
                 if column + i + 1 < width and byte_of(to_right, i) != 0:
-                    push_border_between(mesh, images, gradient, b, row, column + i, 0, grad_vertices)
+                    push_border_between(mesh, images, gradient, b, row, column + i, 0, forces)
                 if column + i < width and row + 1 < height and byte_of(to_below, i) != 0:
-                    push_border_between(mesh, images, gradient, b, row, column + i, 1, grad_vertices)
+                    push_border_between(mesh, images, gradient, b, row, column + i, 1, forces)
 
 
 overload_gradients(push_label_borders)
 
 
-def launch_push_label_borders(mesh: MeshArrays, images: ImageArrays, gradient: Any, grad: wp.array) -> None:
-    """Add the gradient to the vertices' ``grad``, by a LabelTarget or DenseGradient; images are contiguous."""
+def launch_push_label_borders(mesh: MeshArrays, images: ImageArrays, gradient: Any, forces: Any) -> None:
+    """Add to the forces on vertices, by a LabelTarget or DenseGradient; images are contiguous."""
     device = mesh.vertices.device
     batch, height, width = images.labels.shape
     quads = -(-width // int(QUAD))
     each = quads if device.is_cpu else 1  # a thread of the CPU takes as long to begin as a word
     inputs = [mesh, images, each, gradient]
-    launch_bodies(push_label_borders, batch, height * (quads // each), inputs, [grad], device)
+    launch_bodies(push_label_borders, batch, height * (quads // each), inputs, [forces], device)

@@ -26,6 +26,7 @@ from ..labels import (
     weight_of,
 )
 from ..lanes import LANES, deal, num_lanes, prefix_sum, shuffle
+from .forces import MIN_DELTA_Z, Forces, add_force, units_of
 from .rasterize import EMPTY_KEY, launch_bodies, row_lane_bits
 from .resolve import BLOCKS_ACROSS, BLOCKS_DOWN
 from .triangles import (
@@ -46,7 +47,7 @@ from .triangles import (
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-MIN_DELTA_Z = wp.constant(1.0e-4)  # [m]; equal depths would divide by zero in eq. 12
+_MIN_DELTA_Z = wp.constant(MIN_DELTA_Z)
 
 
 @wp.kernel
@@ -108,12 +109,11 @@ def push_depths(
     threads: int,  # of one body
     mesh: MeshArrays,
     lanes: int,  # threads that share a square: a warp, or one
-    depth_weight: float,  # the paper's lambda [m]
     images: ImageArrays,  # labels and faces
     hidden: wp.array3d[wp.uint32],  # ``hidden_blocks``
     gradient: Any,
     keys: wp.array3d[wp.uint64],  # (B, H, W) the hidden face that should be seen  MODIFIED: emptied
-    grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: z is added to
+    forces: Forces,  # MODIFIED: z is added to, but for its weight
 ):
     """Gradient in z (paper, eq. 12): the hidden face comes forward, the one that hides it goes back by as much.
 
@@ -157,13 +157,12 @@ def push_depths(
                 front = faces[at]
                 if key != EMPTY_KEY:
                     body_keys[at] = EMPTY_KEY
-                    push_pixel(mesh, depth_weight, gradient, b, row, column, width, key_face(key), front, grad_vertices)
+                    push_pixel(mesh, gradient, b, row, column, width, key_face(key), front, forces)
 
 
 @wp.func
 def push_pixel(
     mesh: MeshArrays,
-    depth_weight: float,
     gradient: Any,
     b: int,
     row: int,
@@ -171,14 +170,14 @@ def push_pixel(
     width: int,  # of the picture
     back_index: int,  # face that is hidden
     front_index: int,
-    grad_vertices: wp.array3d[float],
+    forces: Forces,
 ):
     """Gradient in z from one pixel."""
     label = int(mesh.face_labels[back_index])
     amount = pixel_gradient(pixels_of(gradient, b, label), row * width + column, label, False) * weight_of(
         gradient, b, label
     )
-    amount *= depth_weight
+    amount *= units_of(forces, b)
     if amount != 0.0:
         x = float(column) + 0.5
         y = float(row) + 0.5
@@ -186,19 +185,19 @@ def push_pixel(
         front = load_triangle(mesh, b, front_index)
         back_weights = weights_3d(back, edge_values(make_edges(back), x, y), mesh.perspective)
         front_weights = weights_3d(front, edge_values(make_edges(front), x, y), mesh.perspective)
-        delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), MIN_DELTA_Z)
+        delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), _MIN_DELTA_Z)
         amount *= wp.log(1.0 / delta_z + 1.0)
         # Moving the hidden face forward (z down) switches its map on: dA/dz < 0.
-        add_depth(grad_vertices, b, back, back_weights, -amount)
-        add_depth(grad_vertices, b, front, front_weights, amount)
+        add_depth(forces, b, back, back_weights, -amount)
+        add_depth(forces, b, front, front_weights, amount)
 
 
 @wp.func
-def add_depth(grad_vertices: wp.array3d[float], b: int, t: Triangle, weights: wp.vec3, amount: float):
+def add_depth(forces: Forces, b: int, t: Triangle, weights: wp.vec3, amount: float):
     """Share ``amount`` among a face's vertices, by how much each moves the point that is seen."""
     shares = weights * (amount / (weights[0] + weights[1] + weights[2]))
     for i in range(3):
-        wp.atomic_add(grad_vertices, b, t.index[i], 2, shares[i])
+        add_force(forces, b, t.index[i], 2, shares[i])
 
 
 overload_gradients(draw_hidden_faces, push_depths)
@@ -208,12 +207,11 @@ def launch_push_depths(
     mesh: MeshArrays,
     images: ImageArrays,
     gradient: Any,
-    depth_weight: float,
     keys: wp.array,
     hidden: wp.array,
-    grad: wp.array,
+    forces: Any,
 ) -> None:
-    """Add the z gradient to the vertices' ``grad``.
+    """Add to the forces on vertices in z.
 
     All images are contiguous. ``keys`` are a ``ZBuffer``'s, empty before and after; ``hidden`` are ``hidden_blocks``.
     """
@@ -223,5 +221,5 @@ def launch_push_depths(
     inputs = [mesh, bits, images.labels, gradient]
     launch_bodies(draw_hidden_faces, batch, faces << bits, inputs, [keys], device)
     lanes = num_lanes(device)
-    inputs = [mesh, lanes, depth_weight, images, hidden, gradient]
-    launch_bodies(push_depths, batch, math.prod(hidden.shape[1:]) * lanes, inputs, [keys, grad], device)
+    inputs = [mesh, lanes, images, hidden, gradient]
+    launch_bodies(push_depths, batch, math.prod(hidden.shape[1:]) * lanes, inputs, [keys, forces], device)

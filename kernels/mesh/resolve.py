@@ -22,8 +22,9 @@ from ..labels import (
     hidden_pixels,
     load_block,
     unequal_bytes,
+    write_word,
 )
-from ..lanes import LANES, ballot, highest_bit, lowest_bit, num_lanes, shuffle, sum_lanes
+from ..lanes import LANES, ballot, highest_bit, lowest_bit, num_lanes, shuffle, sum_lanes, wait_for_lanes
 from .rasterize import EMPTY_KEY, TILE_COLUMNS, TILE_ROWS, ZBuffer, launch_bodies
 from .triangles import ImageArrays, MeshArrays, key_depth, key_face
 
@@ -37,6 +38,45 @@ BLOCKS_DOWN = wp.constant(4)
 _COMPARE_LABELS_BOUNDS = (256, 4)
 
 
+@wp.func
+def resolve_tile(
+    mesh: MeshArrays,
+    keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
+    images: ImageArrays,  # OUTPUT
+    b: int,
+    tile_row: int,
+    tile: int,
+    lane: int,
+    lanes: int,  # threads that share a tile: a warp, or one
+):
+    """Split the keys of a tile into labels and, where something shows, face-index map and depth."""
+    height = keys.shape[1]
+    width = keys.shape[2]
+    rows = wp.min(TILE_ROWS, height - tile_row * TILE_ROWS)
+    body_keys = flat(keys[b])
+    body_labels = flat(images.labels[b])
+    for column in range(tile * TILE_COLUMNS + lane, wp.min((tile + 1) * TILE_COLUMNS, width), lanes):
+        top = tile_row * TILE_ROWS * width + column
+        # all loads of a tile's column first, so that their latencies overlap
+        found = wp.vector(EMPTY_KEY, length=TILE_ROWS, dtype=wp.uint64)
+        for k in range(TILE_ROWS):
+            if k < rows:
+                found[k] = body_keys[top + k * width]
+        for k in range(TILE_ROWS):
+            at = top + k * width
+            label = wp.uint8(0)
+            if found[k] != EMPTY_KEY:
+                body_keys[at] = EMPTY_KEY
+                face = key_face(found[k])
+                label = mesh.face_labels[face]
+                if images.face_index:
+                    flat(images.face_index[b])[at] = face
+                if images.depth:
+                    flat(images.depth[b])[at] = key_depth(found[k])
+            if k < rows:
+                body_labels[at] = label
+
+
 @wp.kernel
 def resolve_keys(
     first_body: int,
@@ -46,9 +86,9 @@ def resolve_keys(
     touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED: cleared
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
     faults: wp.array[float],  # (B,)  MODIFIED: 0 again
-    images: ImageArrays,  # all but the labels may be null  OUTPUT
+    images: ImageArrays,  # labels, which are 0; the others may be null  OUTPUT
 ):
-    """Split the keys into face-index map, depth and label image, where something shows."""
+    """Empty the z-buffer into the images."""
     thread = wp.tid()
     b = first_body + thread // threads
     if thread % threads == 0:
@@ -57,12 +97,8 @@ def resolve_keys(
         faults[b] = 0.0
     lane = (thread % threads) & (lanes - 1)
     tile_row = thread % threads // lanes
-    width = keys.shape[2]
     tiles = touched.shape[2]
-    rows = wp.min(TILE_ROWS, keys.shape[1] - tile_row * TILE_ROWS)
-    body_keys = flat(keys[b])
     body_touched = flat(touched[b])
-    body_labels = flat(images.labels[b])
     for first in range(0, tiles, lanes):
         show = bool(False)  # something, in this thread's tile
         if first + lane < tiles:
@@ -74,23 +110,45 @@ def resolve_keys(
         while waiting != wp.uint32(0):
             tile = first + lowest_bit(waiting)
             waiting &= waiting - wp.uint32(1)
-            for column in range(tile * TILE_COLUMNS + lane, wp.min((tile + 1) * TILE_COLUMNS, width), lanes):
-                top = tile_row * TILE_ROWS * width + column
-                # all loads of a tile's column first, so that their latencies overlap
-                found = wp.vector(EMPTY_KEY, length=TILE_ROWS, dtype=wp.uint64)
-                for k in range(TILE_ROWS):
-                    if k < rows:
-                        found[k] = body_keys[top + k * width]
-                for k in range(TILE_ROWS):
-                    if found[k] != EMPTY_KEY:
-                        at = top + k * width
-                        body_keys[at] = EMPTY_KEY
-                        face = key_face(found[k])
-                        body_labels[at] = mesh.face_labels[face]
-                        if images.face_index:
-                            flat(images.face_index[b])[at] = face
-                        if images.depth:
-                            flat(images.depth[b])[at] = key_depth(found[k])
+            resolve_tile(mesh, keys, images, b, tile_row, tile, lane, lanes)
+
+
+@wp.func
+def resolve_square(
+    mesh: MeshArrays,
+    touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED: cleared
+    keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
+    images: ImageArrays,  # OUTPUT
+    b: int,
+    first_tile: int,  # of four rows of tiles
+    tile: int,
+    lane: int,
+    lanes: int,  # threads that share a square: a warp, or one
+):
+    """Empty the z-buffer into one square of the images; false if nothing shows there."""
+    tiles = touched.shape[2]
+    body_touched = flat(touched[b])
+    rows = wp.min(BLOCKS_DOWN, touched.shape[1] - first_tile)
+    shows = wp.uint32(0)  # bits of the tiles in which something does
+    for k in range(BLOCKS_DOWN):
+        if k < rows:
+            if body_touched[(first_tile + k) * tiles + tile] != wp.uint8(0):
+                shows |= wp.uint32(1) << wp.uint32(k)
+    in_words = are_words(images.labels)
+    for k in range(rows):
+        if (shows >> wp.uint32(k)) & wp.uint32(1) == wp.uint32(1):
+            resolve_tile(mesh, keys, images, b, first_tile + k, tile, lane, lanes)
+        else:
+            for word in range(lane, TILE_ROWS * BLOCKS_ACROSS, lanes):
+                row = (first_tile + k) * TILE_ROWS + word // BLOCKS_ACROSS
+                column = tile * TILE_COLUMNS + word % BLOCKS_ACROSS * QUAD
+                if row < images.labels.shape[1] and column < images.labels.shape[2]:
+                    write_word(images.labels, b, row, column, wp.uint32(0), in_words)
+    wait_for_lanes()
+    if lane == 0:
+        for k in range(rows):
+            body_touched[(first_tile + k) * tiles + tile] = wp.uint8(0)
+    return shows != wp.uint32(0)
 
 
 @wp.func
@@ -133,14 +191,17 @@ def note_blocks(target: LabelTarget, b: int, kind: int, label: int, blocks: wp.u
 def compare_labels(
     first_body: int,
     threads: int,  # of one body
-    labels: wp.array3d[wp.uint8],  # (B, H, W)
-    target: LabelTarget,  # its extents are zeroed, as ``grow``  MODIFIED
+    mesh: MeshArrays,
     lanes: int,  # threads that share a square: a warp, or one
-    faults: wp.array[float],  # (B,) that spoil the loss, or null
+    touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED: cleared
+    keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
+    faults: wp.array[float],  # (B,)  MODIFIED: 0 again
+    images: ImageArrays,  # depth and face-index map may be null  OUTPUT
+    target: LabelTarget,  # its extents, if it has any, are zeroed, as ``grow``  MODIFIED
     hidden: wp.array3d[wp.uint32],  # ``hidden_blocks``, set where a part hides the target's  OUTPUT
     losses: wp.array2d[float],  # (B, squares)  OUTPUT
 ):
-    """L_seg (paper, eq. 6) from two label images, and where they differ."""
+    """Empty the z-buffer into the images; L_seg (paper, eq. 6), and where labels differ from the target's."""
     thread = wp.tid()
     b = first_body + thread // threads
     lane = (thread % threads) & (lanes - 1)
@@ -148,8 +209,11 @@ def compare_labels(
     across = hidden.shape[2]
     first_row = square // across * (BLOCKS_DOWN * QUAD)
     first_column = square % across * (BLOCKS_ACROSS * QUAD)
-    in_words = are_words(labels) and are_words(target.target)
-    shown_image = labels[b]
+    drawn = resolve_square(
+        mesh, touched, keys, images, b, square // across * BLOCKS_DOWN, square % across, lane, lanes
+    )
+    in_words = are_words(images.labels) and are_words(target.target)
+    shown_image = images.labels[b]
     expected_image = target.target[b]
     loss = int(0)
     hides = wp.uint32(0)
@@ -160,7 +224,9 @@ def compare_labels(
         block = turn * lanes + lane
         top = first_row + block // BLOCKS_ACROSS * QUAD
         left = first_column + block % BLOCKS_ACROSS * QUAD
-        shown = load_block(shown_image, top, left, in_words)
+        shown = Block()
+        if drawn:
+            shown = load_block(shown_image, top, left, in_words)
         expected = load_block(expected_image, top, left, in_words)
         different = wp.uint32(0)
         for k in range(QUAD):
@@ -177,7 +243,9 @@ def compare_labels(
                 loss += wp.bit_count(wrong[k] & shows & unequal_bytes(shown[k], IGNORED))
             hides |= ballot(hidden_here != wp.uint32(0)) << wp.uint32(turn * lanes)
             # one pair of labels after another, the same for all threads
-            pair = first_pair(shown, expected, wrong)
+            pair = wp.uint32(0)
+            if target.extents:
+                pair = first_pair(shown, expected, wrong)
             waiting = ballot(pair != wp.uint32(0))
             while waiting != wp.uint32(0):
                 pair = shuffle(pair, lowest_bit(waiting))
@@ -212,8 +280,10 @@ def compare_labels(
             note_blocks(target, b, HIDDEN, lane, behind, first_row, first_column)
     total = sum_lanes(float(loss))
     if lane == 0:
-        if square == 0 and faults:
+        if square == 0:
             total += faults[b]
+            images.faults[b] = faults[b]
+            faults[b] = 0.0
         losses[b, square] = total
         flat(hidden[b])[square] = hides
 
@@ -250,14 +320,17 @@ def launch_resolve_keys(mesh: MeshArrays, zbuffer: ZBuffer, images: ImageArrays,
 
 
 def launch_compare_labels(
-    labels: wp.array, target: Any, *, hidden: wp.array, losses: wp.array, faults: wp.array | None = None
+    mesh: MeshArrays, zbuffer: ZBuffer, images: ImageArrays, target: Any, *, hidden: wp.array, losses: wp.array
 ) -> None:
-    """Fill partial sums of the loss (B, squares), ``hidden_blocks``, and the LabelTarget's ``extents``.
+    """Empty a z-buffer into images, as ``launch_resolve_keys`` without background, and compare them with a target.
 
-    The losses of bodies with ``faults`` (B,) become NaN. Both images are contiguous. Labels from L on have no extent.
+    It fills partial sums of the loss (B, squares), ``hidden_blocks``, and the LabelTarget's ``extents``, unless they
+    are None. The losses of bodies with faults become NaN. Labels from L on have no extent.
     """
-    target.extents.zero_()
+    if target.extents is not None:
+        target.extents.zero_()
+    device = mesh.vertices.device
     batch, squares = losses.shape
-    lanes = num_lanes(labels.device)
-    inputs = [labels, target, lanes, faults]
-    launch_bodies(compare_labels, batch, squares * lanes, inputs, [hidden, losses], labels.device)
+    lanes = num_lanes(device)
+    inputs = [mesh, lanes, zbuffer.touched, zbuffer.keys, zbuffer.faults, images, target]
+    launch_bodies(compare_labels, batch, squares * lanes, inputs, [hidden, losses], device)

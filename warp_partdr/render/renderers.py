@@ -205,14 +205,17 @@ def _mesh_body_passes(renderer: RendererMesh, seeing: Seeing, device: torch.devi
     if renderer.subdivisions == "auto":
         raise ValueError("subdivisions: auto; expected 0 to 3, or the renderer that fixed(posed, camera) returns")
     rule = check_mesh_rule(**renderer._rule)
-    mesh = labelled_mesh(renderer.subdivisions, seeing.part_labels, device)
+    # Posed here, by rotations, so that no ellipsoid is its own mirror image, whose faces would be inside out.
+    mesh = labelled_mesh(renderer.subdivisions, seeing.part_labels, device, cull_backfaces=True)
     options = seeing.perspective, seeing.near_plane, *rule
     passes = mesh_passes(*mesh.constants, *options)
     return BodyPasses(passes, renderer.subdivisions, seeing.locked, seeing.half_size)
 
 
 @lru_cache(maxsize=32)
-def labelled_mesh(level: int, part_labels: tuple[int, ...], device: torch.device) -> PartMesh:
+def labelled_mesh(
+    level: int, part_labels: tuple[int, ...], device: torch.device, *, cull_backfaces: bool = False
+) -> PartMesh:
     """Mesh with its labels, cached, for its edges take a moment to find."""
-    mesh = ellipbody_mesh(level, device=device)
+    mesh = replace(ellipbody_mesh(level, device=device), cull_backfaces=cull_backfaces)
     return mesh if part_labels == ALL_PARTS else mesh.relabel(np.array([0, *part_labels], dtype=np.uint8))
