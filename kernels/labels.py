@@ -105,6 +105,14 @@ def unequal_bytes(a: wp.uint32, b: wp.uint32):
 
 
 @wp.func
+def first_bytes(count: int):
+    """Word of which the first ``count`` bytes, up to four, have all bits set."""
+    return wp.where(
+        count >= QUAD, wp.uint32(0xFFFFFFFF), (wp.uint32(1) << wp.uint32(8 * wp.clamp(count, 0, 3))) - wp.uint32(1)
+    )
+
+
+@wp.func
 def map_weight(label: int):
     """Weight of a label's map in L_seg: 0 for background and for IGNORE, which have no map."""
     return wp.where(label == 0 or label == IGNORE, 0.0, 1.0)

@@ -9,6 +9,7 @@ from typing import Any
 
 import warp as wp
 
+from ..labels import flat
 from .rasterize import launch_bodies
 
 wp.set_module_options({"enable_backward": False})
@@ -74,21 +75,21 @@ def find_largest(
 @wp.kernel
 def take_forces(
     first_body: int,
-    threads: int,  # of one body: V
+    threads: int,  # of one body: 3 V
     forces: Forces,  # MODIFIED: 0 again
     depth_weight: float,  # the paper's lambda [m], a factor of z
-    grad_vertices: wp.array2d[wp.vec3],  # (B, V)  OUTPUT
+    grad_vertices: wp.array3d[float],  # (B, V, 3)  OUTPUT
 ):
     """Gradient of the vertices; NaN for a body with a fault."""
     thread = wp.tid()
     b = first_body + thread // threads
-    vertex = thread % threads
-    force = wp.vec3()
-    for axis in range(3):
-        force[axis] = float(forces.sums[b, vertex, axis]) / units_of(forces, b)
-        forces.sums[b, vertex, axis] = wp.int64(0)
-    force[2] = force[2] * depth_weight
-    grad_vertices[b, vertex] = force + wp.vec3(forces.faults[b])
+    k = thread % threads
+    sums = flat(forces.sums[b])
+    force = float(sums[k]) / units_of(forces, b)
+    sums[k] = wp.int64(0)
+    if k % 3 == 2:
+        force *= depth_weight
+    flat(grad_vertices[b])[k] = force + forces.faults[b]
 
 
 def make_forces(
@@ -128,6 +129,6 @@ def launch_find_largest(maps: wp.array, forces: Any) -> None:
 
 
 def launch_take_forces(forces: Any, depth_weight: float, grad: wp.array) -> None:
-    """Fill the gradient of the vertices (B, V), and empty the forces."""
-    batch, vertices = grad.shape
-    launch_bodies(take_forces, batch, vertices, [forces, depth_weight], [grad], grad.device)
+    """Fill the gradient of the vertices (B, V, 3), contiguous, and empty the forces."""
+    batch, vertices, axes = grad.shape
+    launch_bodies(take_forces, batch, vertices * axes, [forces, depth_weight], [grad], grad.device)

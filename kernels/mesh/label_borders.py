@@ -10,9 +10,10 @@ from typing import Any
 
 import warp as wp
 
-from ..labels import QUAD, are_words, byte_of, excess_at, flat, load_word, overload_gradients, unequal_bytes
+from ..labels import QUAD, are_words, excess_at, first_bytes, flat, load_word, overload_gradients, unequal_bytes
+from ..lanes import deal, num_lanes, prefix_sum, shuffle
 from .forces import Forces, add_force, units_of
-from .rasterize import launch_bodies
+from .rasterize import SMALL_BLOCK, launch_bodies
 from .triangles import ImageArrays, MeshArrays, edge_values, load_triangle, make_edges, weights_3d
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
@@ -60,37 +61,47 @@ def push_border_between(
 @wp.kernel
 def push_label_borders(
     first_body: int,
-    threads: int,  # of one body
+    threads: int,  # of one body, a multiple of the lanes
     mesh: MeshArrays,
     images: ImageArrays,
+    lanes: int,  # threads that share borders: a warp, or one
     each: int,  # words of four pixels that a thread looks at: one, or a row of them
     gradient: Any,
     forces: Forces,  # MODIFIED: x and y are added to
 ):
-    """Gradient in x and y from the borders of pixels with their neighbours to the right and below."""
+    """Gradient in x and y from the borders of pixels with their neighbours to the right and below.
+
+    Each thread looks at a word, then all share the borders.
+    """
     thread = wp.tid()
     b = first_body + thread // threads
+    lane = (thread % threads) & (lanes - 1)
     height = images.labels.shape[1]
     width = images.labels.shape[2]
     quads = (width + QUAD - 1) // QUAD
-    row = thread % threads * each // quads
-    first = thread % threads * each % quads
     in_words = are_words(images.labels)
     picture = images.labels[b]
-    for quad in range(first, first + each):
-        column = quad * QUAD
-        here = load_word(picture, row, column, in_words)
-        below = load_word(picture, row + 1, column, in_words)
-        next_pixel = wp.uint32(flat(picture)[row * width + wp.min(column + QUAD, width - 1)])
-        right = (here >> wp.uint32(8)) | (next_pixel << wp.uint32(24))
-        to_right = unequal_bytes(here, right)
-        to_below = unequal_bytes(here, below)
-        if (to_right | to_below) != wp.uint32(0):
-            for i in range(QUAD):
-                if column + i + 1 < width and byte_of(to_right, i) != 0:
-                    push_border_between(mesh, images, gradient, b, row, column + i, 0, forces)
-                if column + i < width and row + 1 < height and byte_of(to_below, i) != 0:
-                    push_border_between(mesh, images, gradient, b, row, column + i, 1, forces)
+    first = thread % threads * each
+    for word in range(first, first + each):
+        row = word // quads
+        column = word % quads * QUAD
+        borders = wp.uint32(0)  # bit 7 of a pixel's byte: to its right, bit 6: below it
+        if row < height:
+            here = load_word(picture, row, column, in_words)
+            next_pixel = wp.uint32(flat(picture)[row * width + wp.min(column + QUAD, width - 1)])
+            right = (here >> wp.uint32(8)) | (next_pixel << wp.uint32(24))
+            borders = unequal_bytes(here, right) & first_bytes(width - 1 - column)
+            if row + 1 < height:
+                below = load_word(picture, row + 1, column, in_words)
+                borders |= (unequal_bytes(here, below) & first_bytes(width - column)) >> wp.uint32(1)
+        found = prefix_sum(wp.bit_count(borders))
+        total = int(shuffle(wp.uint32(found), lanes - 1))
+        for begin in range(0, total, lanes):
+            mine = deal(borders, found, word, begin + lane, lanes)
+            if begin + lane < total:
+                axis = 1 - mine[1] % 8 // 7
+                at = mine[0] % quads * QUAD + mine[1] // 8
+                push_border_between(mesh, images, gradient, b, mine[0] // quads, at, axis, forces)
 
 
 overload_gradients(push_label_borders)
@@ -100,7 +111,9 @@ def launch_push_label_borders(mesh: MeshArrays, images: ImageArrays, gradient: A
     """Add to the forces on vertices, by a LabelTarget or DenseGradient; images are contiguous."""
     device = mesh.vertices.device
     batch, height, width = images.labels.shape
-    quads = -(-width // int(QUAD))
+    quads, lanes = -(-width // int(QUAD)), num_lanes(device)
     each = quads if device.is_cpu else 1  # a thread of the CPU takes as long to begin as a word
-    inputs = [mesh, images, each, gradient]
-    launch_bodies(push_label_borders, batch, height * (quads // each), inputs, [forces], device)
+    threads = -(-height * quads // (each * lanes)) * lanes
+    launch_bodies(
+        push_label_borders, batch, threads, [mesh, images, lanes, each, gradient], [forces], device, SMALL_BLOCK
+    )

@@ -17,7 +17,7 @@ from .triangles import ImageArrays, MeshArrays, first_pixel
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 # On CUDA, threads a block and blocks a multiprocessor: some registers spill, but the memory's latency is hidden.
-_PUSH_EDGES_BOUNDS = (256, 3)
+_PUSH_EDGES_BOUNDS = (256, 4)
 
 # Threads on CUDA for one body: about one for each way of each scan line that a silhouette crosses, in a picture of
 # 256 x 256.
@@ -278,9 +278,9 @@ class SilhouetteList(NamedTuple):
 
     @classmethod
     def make(cls, batch: int, num_edges: int, device: str | wp.Device) -> Self:
-        """Allocate for a batch."""
+        """Allocate an empty list for a batch."""
         return cls(
-            counts=wp.empty((batch, _COUNT_STRIDE), dtype=wp.uint64, device=device),
+            counts=wp.zeros((batch, _COUNT_STRIDE), dtype=wp.uint64, device=device),
             silhouettes=wp.empty((batch, num_edges), dtype=wp.vec2i, device=device),
         )
 
@@ -288,10 +288,12 @@ class SilhouetteList(NamedTuple):
 def launch_push_edges(
     mesh: MeshArrays, images: ImageArrays, gradient: Any, max_distance: float, found: SilhouetteList, forces: Any
 ) -> None:
-    """Add to the forces on vertices in x and y, by a LabelTarget or DenseGradient; images are contiguous."""
+    """Add to the forces on vertices in x and y, by a LabelTarget or DenseGradient.
+
+    Images are contiguous; what is ``found`` is an empty list, whose counts are 0.
+    """
     device = mesh.vertices.device
     batch, height, width = images.labels.shape
-    found.counts.zero_()
     inputs = [mesh, wp.vec2i(width, height), gradient]
     launch_bodies(find_silhouettes, batch, mesh.edges.shape[0], inputs, [*found], device)
     threads = 1 if device.is_cpu else _LINE_THREADS

@@ -27,8 +27,15 @@ from ..labels import (
 )
 from ..lanes import LANES, deal, num_lanes, prefix_sum, shuffle
 from .forces import MIN_DELTA_Z, Forces, add_force, units_of
-from .rasterize import EMPTY_KEY, launch_bodies, row_lane_bits
-from .resolve import BLOCKS_ACROSS, BLOCKS_DOWN
+from .rasterize import (
+    BLOCKS_ACROSS,
+    EMPTY_KEY,
+    SMALL_BLOCK,
+    SQUARE_COLUMNS,
+    SQUARE_ROWS,
+    launch_bodies,
+    row_lane_bits,
+)
 from .triangles import (
     ImageArrays,
     MeshArrays,
@@ -48,6 +55,9 @@ from .triangles import (
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 _MIN_DELTA_Z = wp.constant(MIN_DELTA_Z)
+
+# On CUDA, threads a block and blocks a multiprocessor: some registers spill, but the memory's latency is hidden.
+_PUSH_DEPTHS_BOUNDS = (SMALL_BLOCK, 16)
 
 
 @wp.kernel
@@ -103,7 +113,7 @@ def draw_hidden_faces(
                     wp.atomic_min(body_keys, at, depth_key(depth, face))
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=_PUSH_DEPTHS_BOUNDS)
 def push_depths(
     first_body: int,
     threads: int,  # of one body
@@ -127,8 +137,8 @@ def push_depths(
     blocks = flat(hidden[b])[square]
     if blocks == wp.uint32(0):
         return
-    first_row = square // across * (BLOCKS_DOWN * QUAD)
-    first_column = square % across * (BLOCKS_ACROSS * QUAD)
+    first_row = square // across * SQUARE_ROWS
+    first_column = square % across * SQUARE_COLUMNS
     width = keys.shape[2]
     body_keys = flat(keys[b])
     faces = flat(images.face_index[b])
@@ -219,7 +229,7 @@ def launch_push_depths(
     batch, faces = images.labels.shape[0], mesh.faces.shape[0]
     bits = row_lane_bits(batch * faces, device)
     inputs = [mesh, bits, images.labels, gradient]
-    launch_bodies(draw_hidden_faces, batch, faces << bits, inputs, [keys], device)
+    launch_bodies(draw_hidden_faces, batch, faces << bits, inputs, [keys], device, SMALL_BLOCK)
     lanes = num_lanes(device)
     inputs = [mesh, lanes, images, hidden, gradient]
-    launch_bodies(push_depths, batch, math.prod(hidden.shape[1:]) * lanes, inputs, [keys, forces], device)
+    launch_bodies(push_depths, batch, math.prod(hidden.shape[1:]) * lanes, inputs, [keys, forces], device, SMALL_BLOCK)

@@ -25,68 +25,93 @@ from ..labels import (
     write_word,
 )
 from ..lanes import LANES, ballot, highest_bit, lowest_bit, num_lanes, shuffle, sum_lanes, wait_for_lanes
-from .rasterize import EMPTY_KEY, TILE_COLUMNS, TILE_ROWS, ZBuffer, launch_bodies
+from .rasterize import (
+    BLOCKS_ACROSS,
+    EMPTY_KEY,
+    SMALL_BLOCK,
+    SQUARE_COLUMNS,
+    SQUARE_ROWS,
+    ZBuffer,
+    launch_bodies,
+    num_squares,
+)
 from .triangles import ImageArrays, MeshArrays, key_depth, key_face
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-# Label images are compared in squares of 8 by 4 blocks of 4 x 4 pixels. On CUDA a warp has a square, a thread a block.
-BLOCKS_ACROSS = wp.constant(8)
-BLOCKS_DOWN = wp.constant(4)
-
 # On CUDA, threads a block and blocks a multiprocessor: enough threads to hide the memory's latency.
-_COMPARE_LABELS_BOUNDS = (256, 4)
+_BOUNDS = (SMALL_BLOCK, 16)
 
 
 @wp.func
-def resolve_tile(
+def resolve_square(
     mesh: MeshArrays,
+    touched: wp.array3d[wp.uint8],  # (B, squares down, squares across)  MODIFIED: cleared
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
-    images: ImageArrays,  # OUTPUT
+    images: ImageArrays,  # depth and face-index map may be null  OUTPUT
     b: int,
-    tile_row: int,
-    tile: int,
+    square: int,
     lane: int,
-    lanes: int,  # threads that share a tile: a warp, or one
+    lanes: int,  # threads that share a square: a warp, or one
 ):
-    """Split the keys of a tile into labels and, where something shows, face-index map and depth."""
+    """Split the keys of a square into labels and, where something shows, face-index map and depth.
+
+    It returns true if something may show there.
+    """
     height = keys.shape[1]
     width = keys.shape[2]
-    rows = wp.min(TILE_ROWS, height - tile_row * TILE_ROWS)
-    body_keys = flat(keys[b])
-    body_labels = flat(images.labels[b])
-    for column in range(tile * TILE_COLUMNS + lane, wp.min((tile + 1) * TILE_COLUMNS, width), lanes):
-        top = tile_row * TILE_ROWS * width + column
-        # all loads of a tile's column first, so that their latencies overlap
-        found = wp.vector(EMPTY_KEY, length=TILE_ROWS, dtype=wp.uint64)
-        for k in range(TILE_ROWS):
-            if k < rows:
-                found[k] = body_keys[top + k * width]
-        for k in range(TILE_ROWS):
-            at = top + k * width
-            label = wp.uint8(0)
-            if found[k] != EMPTY_KEY:
-                body_keys[at] = EMPTY_KEY
-                face = key_face(found[k])
-                label = mesh.face_labels[face]
-                if images.face_index:
-                    flat(images.face_index[b])[at] = face
-                if images.depth:
-                    flat(images.depth[b])[at] = key_depth(found[k])
-            if k < rows:
-                body_labels[at] = label
+    first_row = square // touched.shape[2] * SQUARE_ROWS
+    first_column = square % touched.shape[2] * SQUARE_COLUMNS
+    flags = flat(touched[b])
+    shows = flags[square] != wp.uint8(0)
+    if shows:
+        body_keys = flat(keys[b])
+        body_labels = flat(images.labels[b])
+        for column in range(first_column + lane, wp.min(first_column + SQUARE_COLUMNS, width), lanes):
+            top = first_row * width + column
+            rows = wp.min(SQUARE_ROWS, height - first_row)
+            # all loads of a column first, so that their latencies overlap
+            found = wp.vector(EMPTY_KEY, length=SQUARE_ROWS, dtype=wp.uint64)
+            for k in range(SQUARE_ROWS):
+                if k < rows:
+                    found[k] = body_keys[top + k * width]
+            labels = wp.vector(int(0), length=SQUARE_ROWS, dtype=int)
+            for k in range(SQUARE_ROWS):
+                if found[k] != EMPTY_KEY:
+                    labels[k] = int(mesh.face_labels[key_face(found[k])])
+            for k in range(SQUARE_ROWS):
+                at = top + k * width
+                if k < rows:
+                    body_labels[at] = wp.uint8(labels[k])
+                if found[k] != EMPTY_KEY:
+                    body_keys[at] = EMPTY_KEY
+                    if images.face_index:
+                        flat(images.face_index[b])[at] = key_face(found[k])
+                    if images.depth:
+                        flat(images.depth[b])[at] = key_depth(found[k])
+    else:
+        in_words = are_words(images.labels)
+        for word in range(lane, SQUARE_ROWS * BLOCKS_ACROSS, lanes):
+            row = first_row + word // BLOCKS_ACROSS
+            column = first_column + word % BLOCKS_ACROSS * QUAD
+            if row < height and column < width:
+                write_word(images.labels, b, row, column, wp.uint32(0), in_words)
+    wait_for_lanes()
+    if lane == 0:
+        flags[square] = wp.uint8(0)
+    return shows
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=_BOUNDS)
 def resolve_keys(
     first_body: int,
     threads: int,
     mesh: MeshArrays,
-    lanes: int,  # threads that share a row of tiles: a warp, or one
-    touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED: cleared
+    lanes: int,  # threads that share a square: a warp, or one
+    touched: wp.array3d[wp.uint8],  # (B, squares down, squares across)  MODIFIED: cleared
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
     faults: wp.array[float],  # (B,)  MODIFIED: 0 again
-    images: ImageArrays,  # labels, which are 0; the others may be null  OUTPUT
+    images: ImageArrays,  # all but the labels may be null  OUTPUT
 ):
     """Empty the z-buffer into the images."""
     thread = wp.tid()
@@ -96,59 +121,7 @@ def resolve_keys(
             images.faults[b] = faults[b]
         faults[b] = 0.0
     lane = (thread % threads) & (lanes - 1)
-    tile_row = thread % threads // lanes
-    tiles = touched.shape[2]
-    body_touched = flat(touched[b])
-    for first in range(0, tiles, lanes):
-        show = bool(False)  # something, in this thread's tile
-        if first + lane < tiles:
-            mine = tile_row * tiles + first + lane
-            show = body_touched[mine] != wp.uint8(0)
-            if show:
-                body_touched[mine] = wp.uint8(0)
-        waiting = ballot(show)
-        while waiting != wp.uint32(0):
-            tile = first + lowest_bit(waiting)
-            waiting &= waiting - wp.uint32(1)
-            resolve_tile(mesh, keys, images, b, tile_row, tile, lane, lanes)
-
-
-@wp.func
-def resolve_square(
-    mesh: MeshArrays,
-    touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED: cleared
-    keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
-    images: ImageArrays,  # OUTPUT
-    b: int,
-    first_tile: int,  # of four rows of tiles
-    tile: int,
-    lane: int,
-    lanes: int,  # threads that share a square: a warp, or one
-):
-    """Empty the z-buffer into one square of the images; false if nothing shows there."""
-    tiles = touched.shape[2]
-    body_touched = flat(touched[b])
-    rows = wp.min(BLOCKS_DOWN, touched.shape[1] - first_tile)
-    shows = wp.uint32(0)  # bits of the tiles in which something does
-    for k in range(BLOCKS_DOWN):
-        if k < rows:
-            if body_touched[(first_tile + k) * tiles + tile] != wp.uint8(0):
-                shows |= wp.uint32(1) << wp.uint32(k)
-    in_words = are_words(images.labels)
-    for k in range(rows):
-        if (shows >> wp.uint32(k)) & wp.uint32(1) == wp.uint32(1):
-            resolve_tile(mesh, keys, images, b, first_tile + k, tile, lane, lanes)
-        else:
-            for word in range(lane, TILE_ROWS * BLOCKS_ACROSS, lanes):
-                row = (first_tile + k) * TILE_ROWS + word // BLOCKS_ACROSS
-                column = tile * TILE_COLUMNS + word % BLOCKS_ACROSS * QUAD
-                if row < images.labels.shape[1] and column < images.labels.shape[2]:
-                    write_word(images.labels, b, row, column, wp.uint32(0), in_words)
-    wait_for_lanes()
-    if lane == 0:
-        for k in range(rows):
-            body_touched[(first_tile + k) * tiles + tile] = wp.uint8(0)
-    return shows != wp.uint32(0)
+    resolve_square(mesh, touched, keys, images, b, thread % threads // lanes, lane, lanes)
 
 
 @wp.func
@@ -187,13 +160,13 @@ def note_blocks(target: LabelTarget, b: int, kind: int, label: int, blocks: wp.u
     grow(target.extents, b, kind, label, reach)
 
 
-@wp.kernel(launch_bounds=_COMPARE_LABELS_BOUNDS)
+@wp.kernel(launch_bounds=_BOUNDS)
 def compare_labels(
     first_body: int,
     threads: int,  # of one body
     mesh: MeshArrays,
     lanes: int,  # threads that share a square: a warp, or one
-    touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED: cleared
+    touched: wp.array3d[wp.uint8],  # (B, squares down, squares across)  MODIFIED: cleared
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
     faults: wp.array[float],  # (B,)  MODIFIED: 0 again
     images: ImageArrays,  # depth and face-index map may be null  OUTPUT
@@ -207,11 +180,9 @@ def compare_labels(
     lane = (thread % threads) & (lanes - 1)
     square = thread % threads // lanes
     across = hidden.shape[2]
-    first_row = square // across * (BLOCKS_DOWN * QUAD)
-    first_column = square % across * (BLOCKS_ACROSS * QUAD)
-    drawn = resolve_square(
-        mesh, touched, keys, images, b, square // across * BLOCKS_DOWN, square % across, lane, lanes
-    )
+    first_row = square // across * SQUARE_ROWS
+    first_column = square % across * SQUARE_COLUMNS
+    drawn = resolve_square(mesh, touched, keys, images, b, square, lane, lanes)
     in_words = are_words(images.labels) and are_words(target.target)
     shown_image = images.labels[b]
     expected_image = target.target[b]
@@ -288,11 +259,6 @@ def compare_labels(
         flat(hidden[b])[square] = hides
 
 
-def num_squares(height: int, width: int) -> tuple[int, int]:
-    """Squares that cover a picture: down and across."""
-    return -(-height // int(BLOCKS_DOWN * QUAD)), -(-width // int(BLOCKS_ACROSS * QUAD))
-
-
 def hidden_blocks(shape: tuple[int, ...], device: str | wp.Device) -> wp.array:
     """Bits for blocks of images (B, H, W) in which a hidden part may have to come forward, all of them set.
 
@@ -307,16 +273,15 @@ def launch_resolve_keys(mesh: MeshArrays, zbuffer: ZBuffer, images: ImageArrays,
 
     Without ``background`` these two keep their values where nothing shows, which the gradient never reads.
     """
-    images.labels.zero_()
     if background and images.depth is not None:
         images.depth.fill_(wp.inf)
     if background and images.face_index is not None:
         images.face_index.fill_(-1)  # paper, eq. 8
     device = mesh.vertices.device
-    batch, tile_rows, _ = zbuffer.touched.shape
+    batch, down, across = zbuffer.touched.shape
     lanes = num_lanes(device)
     outputs = [zbuffer.touched, zbuffer.keys, zbuffer.faults, images]
-    launch_bodies(resolve_keys, batch, tile_rows * lanes, [mesh, lanes], outputs, device)
+    launch_bodies(resolve_keys, batch, down * across * lanes, [mesh, lanes], outputs, device, SMALL_BLOCK)
 
 
 def launch_compare_labels(
@@ -324,13 +289,11 @@ def launch_compare_labels(
 ) -> None:
     """Empty a z-buffer into images, as ``launch_resolve_keys`` without background, and compare them with a target.
 
-    It fills partial sums of the loss (B, squares), ``hidden_blocks``, and the LabelTarget's ``extents``, unless they
-    are None. The losses of bodies with faults become NaN. Labels from L on have no extent.
+    It fills partial sums of the loss (B, squares) and ``hidden_blocks``, and grows the LabelTarget's ``extents``, which
+    are 0, unless they are None. The losses of bodies with faults become NaN. Labels from L on have no extent.
     """
-    if target.extents is not None:
-        target.extents.zero_()
     device = mesh.vertices.device
     batch, squares = losses.shape
     lanes = num_lanes(device)
     inputs = [mesh, lanes, zbuffer.touched, zbuffer.keys, zbuffer.faults, images, target]
-    launch_bodies(compare_labels, batch, squares * lanes, inputs, [hidden, losses], device)
+    launch_bodies(compare_labels, batch, squares * lanes, inputs, [hidden, losses], device, SMALL_BLOCK)

@@ -181,8 +181,8 @@ def test_labels_are_compared_at_any_width_and_address(device, size, offset, labe
 
     labels, target = image_at(offset), LabelTarget()
     target.target = wp.from_torch(image_at(1 - offset).copy_(torch.from_numpy(wanted)))
-    target.extents = wp.full((2, NUM_EXTENTS, labels_end), wp.vec4i(99), dtype=wp.vec4i, device=device)
-    squares = resolve.num_squares(height, width)
+    target.extents = wp.zeros((2, NUM_EXTENTS, labels_end), dtype=wp.vec4i, device=device)
+    squares = rasterize.num_squares(height, width)
     hidden = resolve.hidden_blocks((2, *size), wp.get_device(device))
     losses = wp.full((2, squares[0] * squares[1]), np.nan, dtype=wp.float32, device=device)
     mesh, images = MeshArrays(), ImageArrays()  # of a face for each label
@@ -191,8 +191,8 @@ def test_labels_are_compared_at_any_width_and_address(device, size, offset, labe
     images.labels, images.faults = wp.from_torch(labels), wp.full(2, np.nan, dtype=wp.float32, device=device)
     zbuffer = rasterize.ZBuffer.make(2, *size, wp.get_device(device))
     zbuffer.keys.assign(np.where(shown > 0, shown, rasterize.EMPTY_KEY))
-    tiles = np.pad(shown, ((0, 0), (0, -height % 4), (0, -width % 32))).reshape(2, -(-height // 4), 4, -1, 32)
-    zbuffer.touched.assign(tiles.any((2, 4)))
+    padded = np.pad(shown, ((0, 0), (0, -height % 16), (0, -width % 32)))
+    zbuffer.touched.assign(padded.reshape(2, squares[0], 16, squares[1], 32).any((2, 4)))
     resolve.launch_compare_labels(mesh, zbuffer, images, target, hidden=hidden, losses=losses)
     assert np.array_equal(labels.cpu().numpy(), shown)
     assert (zbuffer.keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()

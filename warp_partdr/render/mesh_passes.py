@@ -25,6 +25,21 @@ from .options import MeshGradient, cached
 from .pictures import Picture, Settings, Size
 
 
+@dataclass(frozen=True)
+class _Scratch:
+    """Scratch of a gradient's launches.
+
+    Attributes:
+        keys: Keys of a ``ZBuffer``, empty before and after.
+        hidden: Blocks in which something is hidden, as ``hidden_blocks`` makes them.
+        silhouettes: List of silhouettes, which is empty before.
+    """
+
+    keys: wp.array
+    hidden: wp.array
+    silhouettes: push_xy.SilhouetteList
+
+
 @dataclass(frozen=True, eq=False)
 class MeshPasses:
     """The mesh renderer's ``Passes``; its input are vertices on the screen."""
@@ -89,16 +104,16 @@ class MeshPasses:
         def work(part: slice) -> None:
             images = [*(image[part] for image in picture[:3]), picture.faults[part].clone()]  # forces may have faults
             shape, device = tuple(images[0].shape), wp.device_from_torch(vertices.device)
-            keys, hidden = rasterize.empty_keys(shape, device), resolve.hidden_blocks(shape, device)
+            scratch = self._scratch(shape, rasterize.empty_keys(shape, device))
             maps = warp_array(grad_maps[part])
-            self._prepare_gradient(vertices[part], images, maps, grad_vertices[part], keys, hidden)()
+            self._prepare_gradient(vertices[part], images, maps, grad_vertices[part], scratch)()
 
         launch_bodies_on(vertices.device, work, vertices.shape[0], self.modules)
         return (grad_vertices,)
 
     def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
         """One sum for each square of pixels."""
-        return math.prod(resolve.num_squares(height, width))
+        return math.prod(rasterize.num_squares(height, width))
 
     def prepare(self, buffers: Buffers) -> Launch:
         """Launches of loss and gradient for all bodies of the buffers."""
@@ -110,24 +125,26 @@ class MeshPasses:
             images = _labels_alone(images[0], images[3])
         mesh, pictures = self._arrays(vertices), _image_arrays(images)
         zbuffer = rasterize.ZBuffer.make(batch, height, width, mesh.vertices.device)
-        scratch = zbuffer.keys, resolve.hidden_blocks(shape, mesh.vertices.device)
+        scratch = self._scratch(shape, zbuffer.keys)
         draw = partial(rasterize.launch_draw_faces, mesh, zbuffer)
         if buffers.of_maps:
             split = partial(resolve.launch_resolve_keys, mesh, zbuffer, pictures, background=False)
-            push = self._prepare_gradient(vertices, images, warp_array(buffers.target), buffers.grads[0], *scratch)
-            return _in_turn(draw, split, push)
+            push = self._prepare_gradient(vertices, images, warp_array(buffers.target), buffers.grads[0], scratch)
+            return _in_turn(draw, split, scratch.silhouettes.counts.zero_, push)
         target = LabelTarget()
         target.target = warp_array(buffers.target.expand(batch, -1, -1))  # a view: what is written later is seen
-        if buffers.grads and self.gradient == "partdr":
-            extents = torch.empty((batch, NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
-            target.extents = warp_array(extents, wp.vec4i)
         losses = warp_array(buffers.losses)
         compare = partial(
-            resolve.launch_compare_labels, mesh, zbuffer, pictures, target, hidden=scratch[1], losses=losses
+            resolve.launch_compare_labels, mesh, zbuffer, pictures, target, hidden=scratch.hidden, losses=losses
         )
         if not buffers.grads:
             return _in_turn(draw, compare)
-        return _in_turn(draw, compare, self._prepare_gradient(vertices, images, target, buffers.grads[0], *scratch))
+        if self.gradient == "partdr":
+            extents = torch.empty((batch, NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
+            target.extents = warp_array(extents, wp.vec4i)
+            clear = _in_turn(scratch.silhouettes.counts.zero_, target.extents.zero_)
+            draw = partial(launch_side_by_side, draw, clear)
+        return _in_turn(draw, compare, self._prepare_gradient(vertices, images, target, buffers.grads[0], scratch))
 
     def _prepare_raster(
         self, vertices: torch.Tensor, images: Sequence[torch.Tensor], background: bool = True
@@ -145,8 +162,7 @@ class MeshPasses:
         images: Sequence[torch.Tensor],
         given: Any,
         grad_vertices: torch.Tensor,
-        keys: wp.array,
-        hidden: wp.array,
+        scratch: _Scratch,
     ) -> Launch:
         """Launch that fills ``grad_vertices``.
 
@@ -155,17 +171,15 @@ class MeshPasses:
             images: Images and faults of these bodies.
             given: Loss gradient: a LabelTarget, or an array of the gradient with respect to part maps, (B, K, H, W).
             grad_vertices: Gradient of the vertices, shape (B, V, 3). It is filled.
-            keys: Keys of a ``ZBuffer``, empty before and after.
-            hidden: Scratch array that ``hidden_blocks`` makes.
+            scratch: Scratch arrays, with no silhouettes yet.
         """
-        mesh, pictures = arrays = self._arrays(vertices), _image_arrays(images)
-        num_edges = self.edges.shape[0]
+        _, pictures = arrays = self._arrays(vertices), _image_arrays(images)
         maps = given if isinstance(given, wp.array) else None
         gradients = [given] if maps is None else _of_each_map(maps)
         size = pictures.labels.shape[1:]
-        pushed = forces.make_forces(size, vertices.shape[1], num_edges, pictures.faults, maps)
+        pushed = forces.make_forces(size, vertices.shape[1], len(self.edges), pictures.faults, maps)
         bound = [] if maps is None else [partial(forces.launch_find_largest, maps, pushed)]
-        take = partial(forces.launch_take_forces, pushed, self.depth_weight, warp_array(grad_vertices, wp.vec3))
+        take = partial(forces.launch_take_forces, pushed, self.depth_weight, warp_array(grad_vertices))
         if self.gradient == "edges":
             push_borders = partial(label_borders.launch_push_label_borders, *arrays, gradients[0], pushed)
             return _in_turn(*bound, push_borders, take)
@@ -174,18 +188,26 @@ class MeshPasses:
             *arrays,
             gradients[0],
             max_distance=self.max_distance,
-            found=push_xy.SilhouetteList.make(len(vertices), num_edges, mesh.vertices.device),
+            found=scratch.silhouettes,
             forces=pushed,
         )
 
         def push_all_depths() -> None:
             if self.depth_weight != 0.0:
                 for gradient in gradients:
-                    push_z.launch_push_depths(*arrays, gradient, keys=keys, hidden=hidden, forces=pushed)
+                    push_z.launch_push_depths(
+                        *arrays, gradient, keys=scratch.keys, hidden=scratch.hidden, forces=pushed
+                    )
 
         # They add to other components of the forces.
         push = partial(launch_side_by_side, push_edges, push_all_depths)
         return _in_turn(*bound, push, take)
+
+    def _scratch(self, shape: tuple[int, ...], keys: wp.array) -> _Scratch:
+        """Scratch for pictures (B, H, W), with the keys of a z-buffer."""
+        hidden = resolve.hidden_blocks(shape, keys.device)
+        num_edges = len(self.edges) if self.gradient == "partdr" else 0
+        return _Scratch(keys, hidden, push_xy.SilhouetteList.make(shape[0], num_edges, keys.device))
 
     @cached_property
     def _constant_arrays(self) -> tuple[wp.array, ...]:
