@@ -107,9 +107,7 @@ def unequal_bytes(a: wp.uint32, b: wp.uint32):
 @wp.func
 def first_bytes(count: int):
     """Word of which the first ``count`` bytes, up to four, have all bits set."""
-    return wp.where(
-        count >= QUAD, wp.uint32(0xFFFFFFFF), (wp.uint32(1) << wp.uint32(8 * wp.clamp(count, 0, 3))) - wp.uint32(1)
-    )
+    return wp.where(count >= QUAD, ~wp.uint32(0), (wp.uint32(1) << wp.uint32(8 * wp.clamp(count, 0, 3))) - wp.uint32(1))
 
 
 @wp.func

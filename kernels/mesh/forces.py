@@ -7,6 +7,7 @@ in an integer of 64 bits, and far smaller than what a float leaves out.
 import math
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from ..labels import flat
@@ -18,9 +19,9 @@ MIN_DELTA_Z = 1.0e-4  # [m]; equal depths would divide by zero in eq. 12
 
 _SUM_BITS = 62
 _MOST = wp.constant(2.0**_SUM_BITS)  # [units]
-_EXPONENT = wp.constant(wp.uint32(0x7F800000))
+_EXPONENT = wp.constant(0x7F800000)  # of a float: its bits, all of them for what is no number
 _LEAST = wp.constant(2.0**-80)  # bound of a loss gradient below which forces lose digits, so that units are a float
-_LARGEST_OF_LABELS = 2.0  # of ``pixel_gradient``
+_LARGEST_OF_LABELS = int(np.float32(2.0).view(np.int32))  # of ``pixel_gradient``
 _EACH = 64  # numbers of the maps for a thread on CUDA
 
 
@@ -29,7 +30,7 @@ class Forces:
     """Forces on the vertices of B bodies."""
 
     sums: wp.array3d[wp.int64]  # (B, V, 3) [units], 0 between launches
-    largest: wp.array[float]  # (B,) bound of the loss gradient of a pixel
+    largest: wp.array[int]  # (B,) bound of the loss gradient of a pixel: a float's bits
     faults: wp.array[float]  # (B,) as in ``ImageArrays``; NaN, too, where a force is no number
     units: float  # of a force of 1 if the loss gradient is below 1
 
@@ -37,9 +38,9 @@ class Forces:
 @wp.func
 def units_of(forces: Forces, b: int):
     """Units of a force of 1 on a body, a power of two; NaN if the loss gradient has no bound."""
-    largest = forces.largest[b]
-    power = wp.cast(wp.cast(largest, wp.uint32) & _EXPONENT, wp.float32)  # of two, at most ``largest``
-    return wp.where(largest < wp.inf, forces.units / (2.0 * wp.max(power, _LEAST)), wp.nan)
+    exponent = forces.largest[b] & _EXPONENT
+    power = wp.cast(exponent, wp.float32)  # of two, at most the bound
+    return wp.where(exponent < _EXPONENT, forces.units / (2.0 * wp.max(power, _LEAST)), wp.nan)
 
 
 @wp.func
@@ -51,23 +52,32 @@ def add_force(forces: Forces, b: int, vertex: int, axis: int, count: float):
         forces.faults[b] = wp.nan  # all who find one write the same
 
 
+@wp.func_native("""
+    // Bits of floats without a sign are in the order of their values; NaN comes last. Compilers know this loop.
+    int largest = 0;
+    for (int at = first; at < size; at += step) {
+        const int bits = ((const int*)values)[at] & 0x7FFFFFFF;
+        largest = bits > largest ? bits : largest;
+    }
+    return largest;
+""")
+def largest_magnitude(values: wp.uint64, first: int, size: int, step: int) -> int:  # type: ignore[empty-body]
+    """Bits of the largest magnitude of every ``step``-th of an array's floats; more than infinity's if one is NaN."""
+    ...
+
+
 @wp.kernel
 def find_largest(
     first_body: int,
     threads: int,  # of one body
     maps: wp.array4d[float],  # (B, K, H, W) loss gradient
-    largest: wp.array[float],  # (B,), zeroed  MODIFIED: largest of the magnitudes; infinity if one is no number
+    largest: wp.array[int],  # (B,) bits of floats, zeroed  MODIFIED: the largest of the magnitudes
 ):
     """Bound of a loss gradient with respect to part maps."""
     thread = wp.tid()
     b = first_body + thread // threads
-    body = maps[b]
-    size = body.shape[0] * body.shape[1] * body.shape[2]
-    values = wp.array(ptr=body.ptr, shape=(size,), dtype=float)
-    mine = float(0.0)
-    for at in range(thread % threads, size, threads):
-        value = wp.abs(values[at])
-        mine = wp.max(mine, wp.where(value < wp.inf, value, wp.inf))
+    size = maps.shape[1] * maps.shape[2] * maps.shape[3]
+    mine = largest_magnitude(maps[b].ptr, thread % threads, size, threads)
     if mine > largest[b]:  # it only grows, so a stale value is safe
         wp.atomic_max(largest, b, mine)
 
@@ -75,7 +85,8 @@ def find_largest(
 @wp.kernel
 def take_forces(
     first_body: int,
-    threads: int,  # of one body: 3 V
+    threads: int,  # of one body
+    each: int,  # numbers that a thread takes
     forces: Forces,  # MODIFIED: 0 again
     depth_weight: float,  # the paper's lambda [m], a factor of z
     grad_vertices: wp.array3d[float],  # (B, V, 3)  OUTPUT
@@ -83,13 +94,15 @@ def take_forces(
     """Gradient of the vertices; NaN for a body with a fault."""
     thread = wp.tid()
     b = first_body + thread // threads
-    k = thread % threads
+    first = thread % threads * each
     sums = flat(forces.sums[b])
-    force = float(sums[k]) / units_of(forces, b)
-    sums[k] = wp.int64(0)
-    if k % 3 == 2:
-        force *= depth_weight
-    flat(grad_vertices[b])[k] = force + forces.faults[b]
+    gradient = flat(grad_vertices[b])
+    fault = forces.faults[b]
+    force = 1.0 / units_of(forces, b)
+    for k in range(first, first + each):
+        weight = wp.where(k % 3 == 2, depth_weight, 1.0)
+        gradient[k] = float(sums[k]) * force * weight + fault
+        sums[k] = wp.int64(0)
 
 
 def make_forces(
@@ -108,7 +121,7 @@ def make_forces(
     forces = Forces()
     forces.sums = wp.zeros((batch, num_vertices, 3), dtype=wp.int64, device=device)
     forces.faults = faults
-    forces.largest = wp.full(batch, _LARGEST_OF_LABELS, dtype=float, device=device)
+    forces.largest = wp.full(batch, _LARGEST_OF_LABELS, dtype=int, device=device)
     labels = 1 if maps is None else maps.shape[1]  # that may come forward at one pixel
     # All forces that one vertex can get, from a loss gradient below 1. In the plane: each edge ends there, is crossed
     # by all lines, and each line's pixels pull either way, over distances of 1, 1, 2, 3, ... In depth: all pixels push
@@ -130,5 +143,6 @@ def launch_find_largest(maps: wp.array, forces: Any) -> None:
 
 def launch_take_forces(forces: Any, depth_weight: float, grad: wp.array) -> None:
     """Fill the gradient of the vertices (B, V, 3), contiguous, and empty the forces."""
-    batch, vertices, axes = grad.shape
-    launch_bodies(take_forces, batch, vertices * axes, [forces, depth_weight], [grad], grad.device)
+    batch, size = grad.shape[0], math.prod(grad.shape[1:])
+    each = size if grad.device.is_cpu else 1
+    launch_bodies(take_forces, batch, size // max(each, 1), [each, forces, depth_weight], [grad], grad.device)

@@ -11,9 +11,9 @@ from typing import Any
 import warp as wp
 
 from ..labels import QUAD, are_words, excess_at, first_bytes, flat, load_word, overload_gradients, unequal_bytes
-from ..lanes import deal, num_lanes, prefix_sum, shuffle
+from ..lanes import ballot, deal, num_lanes, prefix_sum, shuffle
 from .forces import Forces, add_force, units_of
-from .rasterize import SMALL_BLOCK, launch_bodies
+from .rasterize import launch_bodies
 from .triangles import ImageArrays, MeshArrays, edge_values, load_triangle, make_edges, weights_3d
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
@@ -29,6 +29,7 @@ def push_border_between(
     column: int,
     axis: int,  # of the next pixel: 0 to the right, 1 below
     forces: Forces,
+    units: float,  # ``units_of`` the forces
 ):
     """Force of the border between a pixel and the next, which shows another label, on the face that carries it."""
     width = images.labels.shape[2]
@@ -53,7 +54,7 @@ def push_border_between(
     y = float(row) + wp.where(axis == 0, 0.5, 1.0)
     # Weights in the picture: there a face's points move by them, with perspective, too.
     weights = weights_3d(t, edge_values(make_edges(t), x, y), False)
-    shares = weights * (excess * units_of(forces, b) / (weights[0] + weights[1] + weights[2]))
+    shares = weights * (excess * units / (weights[0] + weights[1] + weights[2]))
     for i in range(3):
         add_force(forces, b, t.index[i], axis, shares[i])
 
@@ -81,27 +82,32 @@ def push_label_borders(
     quads = (width + QUAD - 1) // QUAD
     in_words = are_words(images.labels)
     picture = images.labels[b]
-    first = thread % threads * each
-    for word in range(first, first + each):
-        row = word // quads
-        column = word % quads * QUAD
-        borders = wp.uint32(0)  # bit 7 of a pixel's byte: to its right, bit 6: below it
+    units = units_of(forces, b)
+    row = thread % threads * each // quads
+    first = thread % threads * each % quads
+    for quad in range(first, first + each):
+        column = quad * QUAD
+        to_right = wp.uint32(0)
+        to_below = wp.uint32(0)
         if row < height:
             here = load_word(picture, row, column, in_words)
+            below = load_word(picture, row + 1, column, in_words)
             next_pixel = wp.uint32(flat(picture)[row * width + wp.min(column + QUAD, width - 1)])
             right = (here >> wp.uint32(8)) | (next_pixel << wp.uint32(24))
-            borders = unequal_bytes(here, right) & first_bytes(width - 1 - column)
-            if row + 1 < height:
-                below = load_word(picture, row + 1, column, in_words)
-                borders |= (unequal_bytes(here, below) & first_bytes(width - column)) >> wp.uint32(1)
-        found = prefix_sum(wp.bit_count(borders))
-        total = int(shuffle(wp.uint32(found), lanes - 1))
-        for begin in range(0, total, lanes):
-            mine = deal(borders, found, word, begin + lane, lanes)
-            if begin + lane < total:
-                axis = 1 - mine[1] % 8 // 7
-                at = mine[0] % quads * QUAD + mine[1] // 8
-                push_border_between(mesh, images, gradient, b, mine[0] // quads, at, axis, forces)
+            to_right = unequal_bytes(here, right)
+            to_below = unequal_bytes(here, below)
+        if ballot((to_right | to_below) != wp.uint32(0)) != wp.uint32(0):
+            to_right &= first_bytes(width - 1 - column)
+            to_below &= wp.where(row + 1 < height, first_bytes(width - column), wp.uint32(0))
+            borders = to_right | (to_below >> wp.uint32(1))  # bit 7 of a pixel's byte: to its right, bit 6: below it
+            found = prefix_sum(wp.bit_count(borders))
+            total = int(shuffle(wp.uint32(found), lanes - 1))
+            for begin in range(0, total, lanes):
+                mine = deal(borders, found, row * quads + quad, begin + lane, lanes)
+                if begin + lane < total:
+                    axis = 1 - mine[1] % 8 // 7
+                    at = mine[0] % quads * QUAD + mine[1] // 8
+                    push_border_between(mesh, images, gradient, b, mine[0] // quads, at, axis, forces, units)
 
 
 overload_gradients(push_label_borders)
@@ -114,6 +120,4 @@ def launch_push_label_borders(mesh: MeshArrays, images: ImageArrays, gradient: A
     quads, lanes = -(-width // int(QUAD)), num_lanes(device)
     each = quads if device.is_cpu else 1  # a thread of the CPU takes as long to begin as a word
     threads = -(-height * quads // (each * lanes)) * lanes
-    launch_bodies(
-        push_label_borders, batch, threads, [mesh, images, lanes, each, gradient], [forces], device, SMALL_BLOCK
-    )
+    launch_bodies(push_label_borders, batch, threads, [mesh, images, lanes, each, gradient], [forces], device)

@@ -42,9 +42,6 @@ _ONE_THREAD_EACH = 1 << 19  # faces
 # On CUDA, threads a block and blocks a multiprocessor: enough threads to hide the memory's latency.
 _DRAW_FACES_BOUNDS = (256, 5)
 
-# Threads a block where warps work for times that differ: those that are done leave room for others.
-SMALL_BLOCK = 64
-
 _MAX_THREADS = 2**31 - 2**16  # of a launch
 
 
@@ -142,9 +139,8 @@ def launch_bodies(
     inputs: list[Any],
     outputs: list[Any],
     device: wp.Device,
-    block_dim: int = 256,
 ) -> None:
-    """Launch ``threads`` for each body, ``block_dim`` a block on CUDA.
+    """Launch ``threads`` for each body.
 
     In one dimension, which a kernel splits in 32 bits by its first two arguments: Warp's own split takes 64-bit
     divisions. A batch of more threads than that takes several launches.
@@ -152,7 +148,7 @@ def launch_bodies(
     at_once = max(_MAX_THREADS // max(threads, 1), 1)
     for first in range(0, batch, at_once):
         dim = min(batch - first, at_once) * threads
-        wp.launch(kernel, dim, [first, threads, *inputs], outputs, device=device, block_dim=block_dim)
+        wp.launch(kernel, dim, [first, threads, *inputs], outputs, device=device)
 
 
 def row_lane_bits(count: int, device: wp.Device) -> int:

@@ -22,25 +22,22 @@ from ..labels import (
     hidden_pixels,
     load_block,
     unequal_bytes,
-    write_word,
 )
 from ..lanes import LANES, ballot, highest_bit, lowest_bit, num_lanes, shuffle, sum_lanes, wait_for_lanes
 from .rasterize import (
     BLOCKS_ACROSS,
     EMPTY_KEY,
-    SMALL_BLOCK,
     SQUARE_COLUMNS,
     SQUARE_ROWS,
     ZBuffer,
     launch_bodies,
-    num_squares,
 )
 from .triangles import ImageArrays, MeshArrays, key_depth, key_face
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 # On CUDA, threads a block and blocks a multiprocessor: enough threads to hide the memory's latency.
-_BOUNDS = (SMALL_BLOCK, 16)
+_BOUNDS = (256, 4)
 
 
 @wp.func
@@ -48,15 +45,15 @@ def resolve_square(
     mesh: MeshArrays,
     touched: wp.array3d[wp.uint8],  # (B, squares down, squares across)  MODIFIED: cleared
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
-    images: ImageArrays,  # depth and face-index map may be null  OUTPUT
+    images: ImageArrays,  # labels, which are 0; depth and face-index map may be null  OUTPUT
     b: int,
     square: int,
     lane: int,
     lanes: int,  # threads that share a square: a warp, or one
 ):
-    """Split the keys of a square into labels and, where something shows, face-index map and depth.
+    """Split the keys of a square into labels, face-index map and depth where something shows.
 
-    It returns true if something may show there.
+    It returns true if something may show in the square.
     """
     height = keys.shape[1]
     width = keys.shape[2]
@@ -66,39 +63,30 @@ def resolve_square(
     shows = flags[square] != wp.uint8(0)
     if shows:
         body_keys = flat(keys[b])
-        body_labels = flat(images.labels[b])
         for column in range(first_column + lane, wp.min(first_column + SQUARE_COLUMNS, width), lanes):
             top = first_row * width + column
             rows = wp.min(SQUARE_ROWS, height - first_row)
             # all loads of a column first, so that their latencies overlap
             found = wp.vector(EMPTY_KEY, length=SQUARE_ROWS, dtype=wp.uint64)
+            nearest = EMPTY_KEY
             for k in range(SQUARE_ROWS):
                 if k < rows:
                     found[k] = body_keys[top + k * width]
-            labels = wp.vector(int(0), length=SQUARE_ROWS, dtype=int)
-            for k in range(SQUARE_ROWS):
-                if found[k] != EMPTY_KEY:
-                    labels[k] = int(mesh.face_labels[key_face(found[k])])
-            for k in range(SQUARE_ROWS):
-                at = top + k * width
-                if k < rows:
-                    body_labels[at] = wp.uint8(labels[k])
-                if found[k] != EMPTY_KEY:
-                    body_keys[at] = EMPTY_KEY
-                    if images.face_index:
-                        flat(images.face_index[b])[at] = key_face(found[k])
-                    if images.depth:
-                        flat(images.depth[b])[at] = key_depth(found[k])
-    else:
-        in_words = are_words(images.labels)
-        for word in range(lane, SQUARE_ROWS * BLOCKS_ACROSS, lanes):
-            row = first_row + word // BLOCKS_ACROSS
-            column = first_column + word % BLOCKS_ACROSS * QUAD
-            if row < height and column < width:
-                write_word(images.labels, b, row, column, wp.uint32(0), in_words)
-    wait_for_lanes()
-    if lane == 0:
-        flags[square] = wp.uint8(0)
+                    nearest = wp.min(nearest, found[k])
+            if nearest != EMPTY_KEY:
+                for k in range(SQUARE_ROWS):
+                    if found[k] != EMPTY_KEY:
+                        at = top + k * width
+                        body_keys[at] = EMPTY_KEY
+                        face = key_face(found[k])
+                        flat(images.labels[b])[at] = mesh.face_labels[face]
+                        if images.face_index:
+                            flat(images.face_index[b])[at] = face
+                        if images.depth:
+                            flat(images.depth[b])[at] = key_depth(found[k])
+        wait_for_lanes()  # for their labels, and until they have read the flag
+        if lane == 0:
+            flags[square] = wp.uint8(0)
     return shows
 
 
@@ -111,7 +99,7 @@ def resolve_keys(
     touched: wp.array3d[wp.uint8],  # (B, squares down, squares across)  MODIFIED: cleared
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
     faults: wp.array[float],  # (B,)  MODIFIED: 0 again
-    images: ImageArrays,  # all but the labels may be null  OUTPUT
+    images: ImageArrays,  # labels, which are 0; the others may be null  OUTPUT
 ):
     """Empty the z-buffer into the images."""
     thread = wp.tid()
@@ -169,9 +157,9 @@ def compare_labels(
     touched: wp.array3d[wp.uint8],  # (B, squares down, squares across)  MODIFIED: cleared
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
     faults: wp.array[float],  # (B,)  MODIFIED: 0 again
-    images: ImageArrays,  # depth and face-index map may be null  OUTPUT
+    images: ImageArrays,  # labels, which are 0; depth and face-index map may be null  OUTPUT
     target: LabelTarget,  # its extents, if it has any, are zeroed, as ``grow``  MODIFIED
-    hidden: wp.array3d[wp.uint32],  # ``hidden_blocks``, set where a part hides the target's  OUTPUT
+    hidden: wp.array3d[wp.uint32],  # (B, squares, 32) pixels of each block in which a part hides the target's  OUTPUT
     losses: wp.array2d[float],  # (B, squares)  OUTPUT
 ):
     """Empty the z-buffer into the images; L_seg (paper, eq. 6), and where labels differ from the target's."""
@@ -179,7 +167,7 @@ def compare_labels(
     b = first_body + thread // threads
     lane = (thread % threads) & (lanes - 1)
     square = thread % threads // lanes
-    across = hidden.shape[2]
+    across = touched.shape[2]
     first_row = square // across * SQUARE_ROWS
     first_column = square % across * SQUARE_COLUMNS
     drawn = resolve_square(mesh, touched, keys, images, b, square, lane, lanes)
@@ -187,7 +175,6 @@ def compare_labels(
     shown_image = images.labels[b]
     expected_image = target.target[b]
     loss = int(0)
-    hides = wp.uint32(0)
     surplus = wp.uint32(0)  # blocks of the label whose number is the lane's
     missing = wp.uint32(0)
     behind = wp.uint32(0)
@@ -199,20 +186,19 @@ def compare_labels(
         if drawn:
             shown = load_block(shown_image, top, left, in_words)
         expected = load_block(expected_image, top, left, in_words)
+        pixels = wp.uint32(0)  # in which a part hides the target's
         different = wp.uint32(0)
         for k in range(QUAD):
             different |= shown[k] ^ expected[k]
         if ballot(different != wp.uint32(0)) != wp.uint32(0):  # most squares are background, and should be
             wrong = Block()
-            hidden_here = wp.uint32(0)
             for k in range(QUAD):
                 shows = unequal_bytes(shown[k], wp.uint32(0))
                 wants = unequal_bytes(expected[k], wp.uint32(0))
                 wrong[k] = unequal_bytes(shown[k], expected[k]) & unequal_bytes(expected[k], IGNORED)
-                hidden_here |= hidden_pixels(shown[k], expected[k])
+                pixels |= hidden_pixels(shown[k], expected[k]) >> wp.uint32(k)
                 loss += wp.bit_count(wrong[k] & wants)
                 loss += wp.bit_count(wrong[k] & shows & unequal_bytes(shown[k], IGNORED))
-            hides |= ballot(hidden_here != wp.uint32(0)) << wp.uint32(turn * lanes)
             # one pair of labels after another, the same for all threads
             pair = wp.uint32(0)
             if target.extents:
@@ -242,6 +228,8 @@ def compare_labels(
                             note_blocks(target, b, HIDDEN, target_label, blocks, first_row, first_column)
                 pair = first_pair(shown, expected, wrong)
                 waiting = ballot(pair != wp.uint32(0))
+        if hidden:
+            hidden[b, square, block] = pixels
     if lane > 0:
         if surplus != wp.uint32(0):
             note_blocks(target, b, SURPLUS, lane, surplus, first_row, first_column)
@@ -256,22 +244,13 @@ def compare_labels(
             images.faults[b] = faults[b]
             faults[b] = 0.0
         losses[b, square] = total
-        flat(hidden[b])[square] = hides
-
-
-def hidden_blocks(shape: tuple[int, ...], device: str | wp.Device) -> wp.array:
-    """Bits for blocks of images (B, H, W) in which a hidden part may have to come forward, all of them set.
-
-    A word has those of a square; shape (B, squares down, squares across).
-    """
-    batch, height, width = shape
-    return wp.full((batch, *num_squares(height, width)), 0xFFFFFFFF, dtype=wp.uint32, device=device)
 
 
 def launch_resolve_keys(mesh: MeshArrays, zbuffer: ZBuffer, images: ImageArrays, *, background: bool = True) -> None:
     """Empty a z-buffer into label image and, unless None, depth, face-index map and faults, all of them contiguous.
 
-    Without ``background`` these two keep their values where nothing shows, which the gradient never reads.
+    The label image is 0 before. Without ``background``, depth and face-index map keep their values where nothing shows,
+    which the gradient never reads.
     """
     if background and images.depth is not None:
         images.depth.fill_(wp.inf)
@@ -281,19 +260,20 @@ def launch_resolve_keys(mesh: MeshArrays, zbuffer: ZBuffer, images: ImageArrays,
     batch, down, across = zbuffer.touched.shape
     lanes = num_lanes(device)
     outputs = [zbuffer.touched, zbuffer.keys, zbuffer.faults, images]
-    launch_bodies(resolve_keys, batch, down * across * lanes, [mesh, lanes], outputs, device, SMALL_BLOCK)
+    launch_bodies(resolve_keys, batch, down * across * lanes, [mesh, lanes], outputs, device)
 
 
 def launch_compare_labels(
-    mesh: MeshArrays, zbuffer: ZBuffer, images: ImageArrays, target: Any, *, hidden: wp.array, losses: wp.array
+    mesh: MeshArrays, zbuffer: ZBuffer, images: ImageArrays, target: Any, *, hidden: wp.array | None, losses: wp.array
 ) -> None:
     """Empty a z-buffer into images, as ``launch_resolve_keys`` without background, and compare them with a target.
 
-    It fills partial sums of the loss (B, squares) and ``hidden_blocks``, and grows the LabelTarget's ``extents``, which
-    are 0, unless they are None. The losses of bodies with faults become NaN. Labels from L on have no extent.
+    It fills partial sums of the loss (B, squares) and, unless None, ``hidden`` (B, squares, 32). It grows the
+    LabelTarget's ``extents``, which are 0, unless they are None. The losses of bodies with faults become NaN. Labels
+    from L on have no extent.
     """
     device = mesh.vertices.device
     batch, squares = losses.shape
     lanes = num_lanes(device)
     inputs = [mesh, lanes, zbuffer.touched, zbuffer.keys, zbuffer.faults, images, target]
-    launch_bodies(compare_labels, batch, squares * lanes, inputs, [hidden, losses], device, SMALL_BLOCK)
+    launch_bodies(compare_labels, batch, squares * lanes, inputs, [hidden, losses], device)

@@ -154,7 +154,7 @@ def test_a_z_buffer_serves_again_and_what_nobody_asked_for_stays(device):
     for seed in (1, 2):
         points, mesh = projected_bodies(seed, size, device, subdivisions=1, batch=2)
         want = draw_on_screen(points, mesh, size)
-        labels, depth = torch.full_like(want.labels, 77), torch.full_like(want.depth, -5.0)
+        labels, depth = torch.zeros_like(want.labels), torch.full_like(want.depth, -5.0)
         images = ImageArrays()
         images.labels, images.depth = wp.from_torch(labels), wp.from_torch(depth)
         rasterize.launch_draw_faces(arrays_of(points, mesh), zbuffer)
@@ -183,12 +183,13 @@ def test_labels_are_compared_at_any_width_and_address(device, size, offset, labe
     target.target = wp.from_torch(image_at(1 - offset).copy_(torch.from_numpy(wanted)))
     target.extents = wp.zeros((2, NUM_EXTENTS, labels_end), dtype=wp.vec4i, device=device)
     squares = rasterize.num_squares(height, width)
-    hidden = resolve.hidden_blocks((2, *size), wp.get_device(device))
+    hidden = wp.empty((2, squares[0] * squares[1], 32), dtype=wp.uint32, device=device)
     losses = wp.full((2, squares[0] * squares[1]), np.nan, dtype=wp.float32, device=device)
     mesh, images = MeshArrays(), ImageArrays()  # of a face for each label
     mesh.face_labels = wp.array(np.arange(labels_end), dtype=wp.uint8, device=device)
     mesh.vertices = wp.empty((2, 0), dtype=wp.vec3, device=device)
     images.labels, images.faults = wp.from_torch(labels), wp.full(2, np.nan, dtype=wp.float32, device=device)
+    labels.zero_()
     zbuffer = rasterize.ZBuffer.make(2, *size, wp.get_device(device))
     zbuffer.keys.assign(np.where(shown > 0, shown, rasterize.EMPTY_KEY))
     padded = np.pad(shown, ((0, 0), (0, -height % 16), (0, -width % 32)))
@@ -201,11 +202,11 @@ def test_labels_are_compared_at_any_width_and_address(device, size, offset, labe
     wrong = (shown != wanted) & (wanted != 255)
     costs = ((shown > 0).astype(int) + (wanted > 0)) * wrong
     np.testing.assert_allclose(losses.numpy().sum(1), costs.sum((1, 2)), rtol=1e-5)
-    blocks = np.unpackbits(hidden.numpy().view(np.uint8), axis=-1, bitorder="little").reshape(2, *squares, 4, 8)
-    hides = np.zeros((2, 16 * squares[0], 32 * squares[1]), dtype=bool)
-    hides[:, :height, :width] = wrong & (shown > 0) & (wanted > 0)
-    hides = hides.reshape(2, squares[0], 4, 4, squares[1], 8, 4).any((3, 6))
-    assert (blocks.transpose(0, 1, 3, 2, 4) == hides).all()
+    rows, columns = np.arange(4)[:, None], np.arange(4)  # of a block's pixel, whose bit is 7 - row of byte column
+    hides = (hidden.numpy().reshape(2, *squares, 4, 8, 1, 1) >> (8 * columns + 7 - rows).astype(np.uint32)) & 1
+    hides = hides.transpose(0, 1, 3, 5, 2, 4, 6).reshape(2, 16 * squares[0], 32 * squares[1])
+    assert np.array_equal(hides[:, :height, :width], wrong & (shown > 0) & (wanted > 0))
+    assert hides.sum() == hides[:, :height, :width].sum()
     for b in range(2):
         for label in range(1, labels_end):
             missing, surplus = (wrong[b] & (image[b] == label) for image in (wanted, shown))
@@ -308,12 +309,11 @@ def test_hidden_pixels_serve_again(device):
     gradient = DenseGradient()
     gradient.maps = wp.from_torch(torch.randn(2, 20, *size, device=device))
     keys = rasterize.empty_keys((2, *size), wp.get_device(device))
-    hidden = resolve.hidden_blocks((2, *size), wp.get_device(device))
     forces = make_forces(size, points.shape[1], len(mesh.edges), wp.zeros(2, dtype=float, device=device))
     sums = []
     for label in (4, 7, 4, 7):
         gradient.label = label
-        push_z.launch_push_depths(arrays_of(points, mesh), images, gradient, keys=keys, hidden=hidden, forces=forces)
+        push_z.launch_push_depths(arrays_of(points, mesh), images, gradient, keys=keys, hidden=None, forces=forces)
         assert (keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
         sums.append(forces.sums.numpy().copy())
     assert np.abs(sums[0]).max() > 0

@@ -18,6 +18,7 @@ from ..interop.layouts import Tensors
 from ..interop.loss_graph import Buffers
 from ..interop.streams import launch_bodies_on
 from ..kernels.labels import NUM_EXTENTS, DenseGradient, LabelTarget
+from ..kernels.lanes import LANES
 from ..kernels.launch import launch_side_by_side
 from ..kernels.mesh import forces, label_borders, push_xy, push_z, rasterize, resolve
 from ..kernels.mesh.triangles import ImageArrays, MeshArrays
@@ -31,7 +32,7 @@ class _Scratch:
 
     Attributes:
         keys: Keys of a ``ZBuffer``, empty before and after.
-        hidden: Blocks in which something is hidden, as ``hidden_blocks`` makes them.
+        hidden: Pixels in which a part hides the target's, shape (B, squares, 32), uint32.
         silhouettes: List of silhouettes, which is empty before.
     """
 
@@ -126,25 +127,25 @@ class MeshPasses:
         mesh, pictures = self._arrays(vertices), _image_arrays(images)
         zbuffer = rasterize.ZBuffer.make(batch, height, width, mesh.vertices.device)
         scratch = self._scratch(shape, zbuffer.keys)
-        draw = partial(rasterize.launch_draw_faces, mesh, zbuffer)
+        zeroed = pictures.labels, scratch.silhouettes.counts
         if buffers.of_maps:
             split = partial(resolve.launch_resolve_keys, mesh, zbuffer, pictures, background=False)
             push = self._prepare_gradient(vertices, images, warp_array(buffers.target), buffers.grads[0], scratch)
-            return _in_turn(draw, split, scratch.silhouettes.counts.zero_, push)
+            return _in_turn(_draw(mesh, zbuffer, *zeroed), split, push)
         target = LabelTarget()
         target.target = warp_array(buffers.target.expand(batch, -1, -1))  # a view: what is written later is seen
+        if buffers.grads and self.gradient == "partdr":
+            extents = torch.empty((batch, NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
+            target.extents = warp_array(extents, wp.vec4i)
+            zeroed = *zeroed, target.extents
         losses = warp_array(buffers.losses)
         compare = partial(
             resolve.launch_compare_labels, mesh, zbuffer, pictures, target, hidden=scratch.hidden, losses=losses
         )
         if not buffers.grads:
-            return _in_turn(draw, compare)
-        if self.gradient == "partdr":
-            extents = torch.empty((batch, NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
-            target.extents = warp_array(extents, wp.vec4i)
-            clear = _in_turn(scratch.silhouettes.counts.zero_, target.extents.zero_)
-            draw = partial(launch_side_by_side, draw, clear)
-        return _in_turn(draw, compare, self._prepare_gradient(vertices, images, target, buffers.grads[0], scratch))
+            return _in_turn(_draw(mesh, zbuffer, pictures.labels), compare)
+        push = self._prepare_gradient(vertices, images, target, buffers.grads[0], scratch)
+        return _in_turn(_draw(mesh, zbuffer, *zeroed), compare, push)
 
     def _prepare_raster(
         self, vertices: torch.Tensor, images: Sequence[torch.Tensor], background: bool = True
@@ -153,8 +154,8 @@ class MeshPasses:
         mesh, pictures = self._arrays(vertices), _image_arrays(images)
         batch, height, width = images[0].shape
         zbuffer = rasterize.ZBuffer.make(batch, height, width, mesh.vertices.device)
-        draw = partial(rasterize.launch_draw_faces, mesh, zbuffer)
-        return _in_turn(draw, partial(resolve.launch_resolve_keys, mesh, zbuffer, pictures, background=background))
+        split = partial(resolve.launch_resolve_keys, mesh, zbuffer, pictures, background=background)
+        return _in_turn(_draw(mesh, zbuffer, pictures.labels), split)
 
     def _prepare_gradient(
         self,
@@ -205,9 +206,11 @@ class MeshPasses:
 
     def _scratch(self, shape: tuple[int, ...], keys: wp.array) -> _Scratch:
         """Scratch for pictures (B, H, W), with the keys of a z-buffer."""
-        hidden = resolve.hidden_blocks(shape, keys.device)
+        batch, height, width = shape
+        squares = math.prod(rasterize.num_squares(height, width))
+        hidden = wp.empty((batch, squares, int(LANES)), dtype=wp.uint32, device=keys.device)
         num_edges = len(self.edges) if self.gradient == "partdr" else 0
-        return _Scratch(keys, hidden, push_xy.SilhouetteList.make(shape[0], num_edges, keys.device))
+        return _Scratch(keys, hidden, push_xy.SilhouetteList.make(batch, num_edges, keys.device))
 
     @cached_property
     def _constant_arrays(self) -> tuple[wp.array, ...]:
@@ -234,6 +237,12 @@ def _in_turn(*launches: Launch) -> Launch:
             launch()
 
     return launch_all
+
+
+def _draw(mesh: MeshArrays, zbuffer: rasterize.ZBuffer, *zeroed: wp.array) -> Launch:
+    """Launch that draws into a z-buffer and, beside that, fills arrays with zeros."""
+    clear = _in_turn(*(array.zero_ for array in zeroed))
+    return partial(launch_side_by_side, partial(rasterize.launch_draw_faces, mesh, zbuffer), clear)
 
 
 def _of_each_map(grad_maps: wp.array) -> list[DenseGradient]:
