@@ -15,8 +15,6 @@ from .rasterize import launch_bodies
 
 wp.set_module_options({"enable_backward": False})
 
-MIN_DELTA_Z = 1.0e-4  # [m]; equal depths would divide by zero in eq. 12
-
 _SUM_BITS = 62
 _MOST = wp.constant(2.0**_SUM_BITS)  # [units]
 _EXPONENT = wp.constant(0x7F800000)  # of a float: its bits, all of them for what is no number
@@ -106,7 +104,13 @@ def take_forces(
 
 
 def make_forces(
-    size: tuple[int, int], num_vertices: int, num_edges: int, faults: wp.array, maps: wp.array | None = None
+    size: tuple[int, int],
+    num_vertices: int,
+    num_edges: int,
+    faults: wp.array,
+    *,
+    depth_slope: float,
+    maps: wp.array | None = None,
 ) -> Any:
     """Forces of B bodies, 0, for a LabelTarget, or for a gradient with respect to part maps.
 
@@ -115,6 +119,7 @@ def make_forces(
         num_vertices: Number of a body's vertices, V.
         num_edges: Number of a body's edges.
         faults: Faults of the picture, shape (B,).
+        depth_slope: Largest slope of a face's depth, for a loss gradient of 1 and a weight of 1.
         maps: Gradient with respect to part maps (B, K, H, W). ``launch_find_largest`` looks at its numbers.
     """
     batch, device = len(faults), faults.device
@@ -128,7 +133,7 @@ def make_forces(
     # it, as part of the face that is hidden and of the one that hides it.
     lines = max(size)
     in_plane = 2 * num_edges * lines * (2 + math.log(lines))
-    in_depth = 2 * labels * math.prod(size) * math.log(1 / MIN_DELTA_Z + 1)
+    in_depth = 2 * labels * math.prod(size) * depth_slope
     forces.units = 2.0 ** (_SUM_BITS - math.ceil(math.log2(max(in_plane, in_depth))))
     return forces
 

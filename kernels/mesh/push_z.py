@@ -28,7 +28,7 @@ from ..labels import (
     weight_of,
 )
 from ..lanes import LANES, ballot, deal, num_lanes, prefix_sum, shuffle
-from .forces import MIN_DELTA_Z, Forces, add_force, units_of
+from .forces import Forces, add_force, units_of
 from .rasterize import (
     BLOCKS_ACROSS,
     EMPTY_KEY,
@@ -56,7 +56,8 @@ from .triangles import (
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-_MIN_DELTA_Z = wp.constant(MIN_DELTA_Z)
+MIN_DELTA_Z = wp.constant(1.0e-4)  # [m]; equal depths would divide by zero in eq. 12
+MAX_SLOPE = math.log(1.0 / MIN_DELTA_Z + 1.0)  # of a face's depth by eq. 12, but for the loss gradient and its weight
 
 # On CUDA, threads a block and blocks a multiprocessor: some registers spill, but the memory's latency is hidden.
 _PUSH_DEPTHS_BOUNDS = (256, 4)
@@ -216,7 +217,7 @@ def push_pixel(
         front = load_triangle(mesh, b, front_index)
         back_weights = weights_3d(back, edge_values(make_edges(back), x, y), mesh.perspective)
         front_weights = weights_3d(front, edge_values(make_edges(front), x, y), mesh.perspective)
-        delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), _MIN_DELTA_Z)
+        delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), MIN_DELTA_Z)
         amount *= wp.log(1.0 / delta_z + 1.0)
         # Moving the hidden face forward (z down) switches its map on: dA/dz < 0.
         add_depth(forces, b, back, back_weights, -amount)

@@ -309,7 +309,8 @@ def test_hidden_pixels_serve_again(device):
     gradient = DenseGradient()
     gradient.maps = wp.from_torch(torch.randn(2, 20, *size, device=device))
     keys = rasterize.empty_keys((2, *size), wp.get_device(device))
-    forces = make_forces(size, points.shape[1], len(mesh.edges), wp.zeros(2, dtype=float, device=device))
+    faults = wp.zeros(2, dtype=float, device=device)
+    forces = make_forces(size, points.shape[1], len(mesh.edges), faults, depth_slope=push_z.MAX_SLOPE)
     sums = []
     for label in (4, 7, 4, 7):
         gradient.label = label

@@ -127,7 +127,7 @@ class MeshPasses:
         mesh, pictures = self._arrays(vertices), _image_arrays(images)
         zbuffer = rasterize.ZBuffer.make(batch, height, width, mesh.vertices.device)
         scratch = self._scratch(shape, zbuffer.keys)
-        zeroed = pictures.labels, scratch.silhouettes.counts
+        zeroed = [pictures.labels, scratch.silhouettes.counts]
         if buffers.of_maps:
             split = partial(resolve.launch_resolve_keys, mesh, zbuffer, pictures, background=False)
             push = self._prepare_gradient(vertices, images, warp_array(buffers.target), buffers.grads[0], scratch)
@@ -137,7 +137,7 @@ class MeshPasses:
         if buffers.grads and self.gradient == "partdr":
             extents = torch.empty((batch, NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
             target.extents = warp_array(extents, wp.vec4i)
-            zeroed = *zeroed, target.extents
+            zeroed.append(target.extents)
         losses = warp_array(buffers.losses)
         compare = partial(
             resolve.launch_compare_labels, mesh, zbuffer, pictures, target, hidden=scratch.hidden, losses=losses
@@ -178,7 +178,8 @@ class MeshPasses:
         maps = given if isinstance(given, wp.array) else None
         gradients = [given] if maps is None else _of_each_map(maps)
         size = pictures.labels.shape[1:]
-        pushed = forces.make_forces(size, vertices.shape[1], len(self.edges), pictures.faults, maps)
+        counts = vertices.shape[1], len(self.edges)
+        pushed = forces.make_forces(size, *counts, pictures.faults, depth_slope=push_z.MAX_SLOPE, maps=maps)
         bound = [] if maps is None else [partial(forces.launch_find_largest, maps, pushed)]
         take = partial(forces.launch_take_forces, pushed, self.depth_weight, warp_array(grad_vertices))
         if self.gradient == "edges":
