@@ -105,6 +105,12 @@ def unequal_bytes(a: wp.uint32, b: wp.uint32):
 
 
 @wp.func
+def first_bytes(count: int):
+    """Word of which the first ``count`` bytes, up to four, have all bits set."""
+    return wp.where(count >= QUAD, ~wp.uint32(0), (wp.uint32(1) << wp.uint32(8 * wp.clamp(count, 0, 3))) - wp.uint32(1))
+
+
+@wp.func
 def map_weight(label: int):
     """Weight of a label's map in L_seg: 0 for background and for IGNORE, which have no map."""
     return wp.where(label == 0 or label == IGNORE, 0.0, 1.0)
@@ -114,11 +120,10 @@ def map_weight(label: int):
 class LabelTarget:
     """L_seg (paper, eq. 6) against a label image; a wrong pixel misses one map and dirties another.
 
-    The last two members stay empty where nothing reads them.
+    The last member stays empty where nothing reads it.
     """
 
     target: wp.array3d[wp.uint8]  # (N, H, W), 255 = ignore
-    scale: wp.array[float]  # mesh: (B,) gradient of the loss itself
     extents: wp.array3d[wp.vec4i]  # (B, 3, L) where pixels are wrong, zeroed and then grown by ``note_wrong``
 
 
@@ -231,7 +236,7 @@ def pixel_gradient(map: wp.array[float], at: int, label: int, shows_it: bool):
 @wp.func
 def weight_of(g: LabelTarget, b: int, label: int):
     """Factor of ``pixel_gradient`` for a label."""
-    return map_weight(label) * g.scale[b]
+    return map_weight(label)
 
 
 @wp.func

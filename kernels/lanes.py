@@ -30,6 +30,16 @@ def wait_for_block():
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    __syncwarp();
+#endif
+""")
+def wait_for_lanes():
+    """Wait until all threads of the warp are here, and what they wrote can be read by each other."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     return 4;
 #else
     return 1;
@@ -140,20 +150,27 @@ def highest_bit(bits: wp.uint32) -> int:  # type: ignore[empty-body]
     ...
 
 
-@wp.func
-def nth_bit(bits: wp.uint32, n: int):
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    int index = 0;
+    for (int half = 16; half > 0; half /= 2) {
+        const int count = __popc(bits & ((1u << half) - 1));
+        if (n >= count) {
+            n -= count;
+            bits >>= half;
+            index += half;
+        }
+    }
+    return index;
+#else
+    for (; n > 0; --n)
+        bits &= bits - 1;
+    return __builtin_ctz(bits | 0x80000000u);
+#endif
+""")
+def nth_bit(bits: wp.uint32, n: int) -> int:  # type: ignore[empty-body]
     """Index of the bit before which n others are set."""
-    index = int(0)
-    left = n
-    rest = bits
-    for i in range(5):
-        half = 16 >> i
-        count = wp.bit_count(rest & ((wp.uint32(1) << wp.uint32(half)) - wp.uint32(1)))
-        if left >= count:
-            left -= count
-            rest = rest >> wp.uint32(half)
-            index += half
-    return index
+    ...
 
 
 @wp.func

@@ -10,9 +10,11 @@ from typing import Any
 
 import warp as wp
 
-from ..labels import QUAD, are_words, byte_of, excess_at, flat, load_word, overload_gradients, unequal_bytes
+from ..labels import QUAD, are_words, excess_at, first_bytes, flat, load_word, overload_gradients, unequal_bytes
+from ..lanes import ballot, deal, num_lanes, prefix_sum, shuffle
+from .forces import Forces, add_force, units_of
 from .rasterize import launch_bodies
-from .triangles import ImageArrays, MeshArrays, edge_values, load_triangle, make_edges, spoil_gradient, weights_3d
+from .triangles import ImageArrays, MeshArrays, edge_values, load_triangle, make_edges, weights_3d
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -26,7 +28,8 @@ def push_border_between(
     row: int,
     column: int,
     axis: int,  # of the next pixel: 0 to the right, 1 below
-    grad_vertices: wp.array3d[float],
+    forces: Forces,
+    units: float,  # ``units_of`` the forces
 ):
     """Force of the border between a pixel and the next, which shows another label, on the face that carries it."""
     width = images.labels.shape[2]
@@ -51,57 +54,70 @@ def push_border_between(
     y = float(row) + wp.where(axis == 0, 0.5, 1.0)
     # Weights in the picture: there a face's points move by them, with perspective, too.
     weights = weights_3d(t, edge_values(make_edges(t), x, y), False)
-    shares = weights * (excess / (weights[0] + weights[1] + weights[2]))
+    shares = weights * (excess * units / (weights[0] + weights[1] + weights[2]))
     for i in range(3):
-        wp.atomic_add(grad_vertices, b, t.index[i], axis, shares[i])
+        add_force(forces, b, t.index[i], axis, shares[i])
 
 
 @wp.kernel
 def push_label_borders(
     first_body: int,
-    threads: int,  # of one body
+    threads: int,  # of one body, a multiple of the lanes
     mesh: MeshArrays,
     images: ImageArrays,
+    lanes: int,  # threads that share borders: a warp, or one
     each: int,  # words of four pixels that a thread looks at: one, or a row of them
     gradient: Any,
-    grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: x and y are added to
+    forces: Forces,  # MODIFIED: x and y are added to
 ):
-    """Gradient in x and y from the borders of pixels with their neighbours to the right and below."""
+    """Gradient in x and y from the borders of pixels with their neighbours to the right and below.
+
+    Each thread looks at a word, then all share the borders.
+    """
     thread = wp.tid()
     b = first_body + thread // threads
-    if thread % threads == 0:
-        spoil_gradient(images, b, grad_vertices)
+    lane = (thread % threads) & (lanes - 1)
     height = images.labels.shape[1]
     width = images.labels.shape[2]
     quads = (width + QUAD - 1) // QUAD
-    row = thread % threads * each // quads
-    first = thread % threads * each % quads
     in_words = are_words(images.labels)
     picture = images.labels[b]
+    units = units_of(forces, b)
+    row = thread % threads * each // quads
+    first = thread % threads * each % quads
     for quad in range(first, first + each):
         column = quad * QUAD
-        here = load_word(picture, row, column, in_words)
-        below = load_word(picture, row + 1, column, in_words)
-        next_pixel = wp.uint32(flat(picture)[row * width + wp.min(column + QUAD, width - 1)])
-        right = (here >> wp.uint32(8)) | (next_pixel << wp.uint32(24))
-        to_right = unequal_bytes(here, right)
-        to_below = unequal_bytes(here, below)
-        if (to_right | to_below) != wp.uint32(0):
-            for i in range(QUAD):
-                if column + i + 1 < width and byte_of(to_right, i) != 0:
-                    push_border_between(mesh, images, gradient, b, row, column + i, 0, grad_vertices)
-                if column + i < width and row + 1 < height and byte_of(to_below, i) != 0:
-                    push_border_between(mesh, images, gradient, b, row, column + i, 1, grad_vertices)
+        to_right = wp.uint32(0)
+        to_below = wp.uint32(0)
+        if row < height:
+            here = load_word(picture, row, column, in_words)
+            below = load_word(picture, row + 1, column, in_words)
+            next_pixel = wp.uint32(flat(picture)[row * width + wp.min(column + QUAD, width - 1)])
+            right = (here >> wp.uint32(8)) | (next_pixel << wp.uint32(24))
+            to_right = unequal_bytes(here, right)
+            to_below = unequal_bytes(here, below)
+        if ballot((to_right | to_below) != wp.uint32(0)) != wp.uint32(0):
+            to_right &= first_bytes(width - 1 - column)
+            to_below &= wp.where(row + 1 < height, first_bytes(width - column), wp.uint32(0))
+            borders = to_right | (to_below >> wp.uint32(1))  # bit 7 of a pixel's byte: to its right, bit 6: below it
+            found = prefix_sum(wp.bit_count(borders))
+            total = int(shuffle(wp.uint32(found), lanes - 1))
+            for begin in range(0, total, lanes):
+                mine = deal(borders, found, row * quads + quad, begin + lane, lanes)
+                if begin + lane < total:
+                    axis = 1 - mine[1] % 8 // 7
+                    at = mine[0] % quads * QUAD + mine[1] // 8
+                    push_border_between(mesh, images, gradient, b, mine[0] // quads, at, axis, forces, units)
 
 
 overload_gradients(push_label_borders)
 
 
-def launch_push_label_borders(mesh: MeshArrays, images: ImageArrays, gradient: Any, grad: wp.array) -> None:
-    """Add the gradient to the vertices' ``grad``, by a LabelTarget or DenseGradient; images are contiguous."""
+def launch_push_label_borders(mesh: MeshArrays, images: ImageArrays, gradient: Any, forces: Any) -> None:
+    """Add to the forces on vertices, by a LabelTarget or DenseGradient; images are contiguous."""
     device = mesh.vertices.device
     batch, height, width = images.labels.shape
-    quads = -(-width // int(QUAD))
+    quads, lanes = -(-width // int(QUAD)), num_lanes(device)
     each = quads if device.is_cpu else 1  # a thread of the CPU takes as long to begin as a word
-    inputs = [mesh, images, each, gradient]
-    launch_bodies(push_label_borders, batch, height * (quads // each), inputs, [grad], device)
+    threads = -(-height * quads // (each * lanes)) * lanes
+    launch_bodies(push_label_borders, batch, threads, [mesh, images, lanes, each, gradient], [forces], device)

@@ -10,13 +10,14 @@ import warp as wp
 
 from ..labels import MISSING, SURPLUS, all_wrong, extent, flat, overload_gradients, pixel_gradient, pixels_of, weight_of
 from ..lanes import AT_ONCE, at_once
+from .forces import Forces, add_force, units_of
 from .rasterize import launch_bodies
-from .triangles import ImageArrays, MeshArrays, first_pixel, spoil_gradient
+from .triangles import ImageArrays, MeshArrays, first_pixel
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 # On CUDA, threads a block and blocks a multiprocessor: some registers spill, but the memory's latency is hidden.
-_PUSH_EDGES_BOUNDS = (256, 3)
+_PUSH_EDGES_BOUNDS = (256, 4)
 
 # Threads on CUDA for one body: about one for each way of each scan line that a silhouette crosses, in a picture of
 # 256 x 256.
@@ -168,7 +169,7 @@ def push_edges(
     silhouettes: wp.array2d[wp.vec2i],  # (B, E)
     max_distance: float,  # [px] pixels farther from the edge do nothing; the paper's rule: inf
     gradient: Any,
-    grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: x and y are added to
+    forces: Forces,  # MODIFIED: x and y are added to
 ):
     """Gradient in x and y (paper, eq. 10 and 11), along each pixel row and column that an edge crosses.
 
@@ -177,8 +178,6 @@ def push_edges(
     """
     thread = wp.tid()
     b = first_body + thread // threads
-    if thread % threads == 0:
-        spoil_gradient(images, b, grad_vertices)
     found = silhouettes[b]
     count = int(counts[b, 0] >> wp.uint64(32))
     lines = int(counts[b, 0] & wp.uint64(0xFFFFFFFF))
@@ -203,8 +202,8 @@ def push_edges(
         columns = lines_between(p0[0], p1[0], wrong[2], wrong[3], size[0])
         wrong = extent(gradient, b, wp.where(outward, MISSING, SURPLUS), label)
         asked = pixels_of(gradient, b, label)
-        pull_x = wp.vec2()  # of either end
-        pull_y = wp.vec2()
+        # an edge of a face that is seen edge-on counts half, for the face has another where the part ends as well
+        factor = units_of(forces, b) * weight_of(gradient, b, label) * 0.5 * float(wp.abs(sides))
         while task < end and line < rows[1] + columns[1]:
             axis = wp.where(line < rows[1], 0, 1)  # 0: along a row, x moves; 1: along a column, y moves
             across = wp.where(axis == 0, rows[0] + line, columns[0] + line - rows[1])
@@ -256,18 +255,11 @@ def push_edges(
                 pull = reach_out(picture, depth, asked, label, edge_depth, at, step * pitch, left, distance)
             else:
                 pull = draw_in(picture, asked, label, at, step * pitch, left, distance)
-            pull *= float(-inward)
-            ends_pull = wp.vec2(w0 * pull, w1 * pull)  # by how much either moves the crossing
-            pull_x += wp.where(axis == 0, ends_pull, wp.vec2())
-            pull_y += wp.where(axis == 0, wp.vec2(), ends_pull)
-
-        # an edge of a face that is seen edge-on counts half, for the face has another where the part ends as well
-        factor = weight_of(gradient, b, label) * 0.5 * float(wp.abs(sides))
-        for k in range(2):
-            if pull_x[k] != 0.0:
-                wp.atomic_add(grad_vertices, b, ends[k], 0, factor * pull_x[k])
-            if pull_y[k] != 0.0:
-                wp.atomic_add(grad_vertices, b, ends[k], 1, factor * pull_y[k])
+            if pull != 0.0:
+                pull *= float(-inward) * factor
+                # either end, by how much it moves the crossing
+                add_force(forces, b, ends[0], axis, w0 * pull)
+                add_force(forces, b, ends[1], axis, w1 * pull)
 
 
 overload_gradients(find_silhouettes, push_edges)
@@ -286,21 +278,23 @@ class SilhouetteList(NamedTuple):
 
     @classmethod
     def make(cls, batch: int, num_edges: int, device: str | wp.Device) -> Self:
-        """Allocate for a batch."""
+        """Allocate an empty list for a batch."""
         return cls(
-            counts=wp.empty((batch, _COUNT_STRIDE), dtype=wp.uint64, device=device),
+            counts=wp.zeros((batch, _COUNT_STRIDE), dtype=wp.uint64, device=device),
             silhouettes=wp.empty((batch, num_edges), dtype=wp.vec2i, device=device),
         )
 
 
 def launch_push_edges(
-    mesh: MeshArrays, images: ImageArrays, gradient: Any, max_distance: float, found: SilhouetteList, grad: wp.array
+    mesh: MeshArrays, images: ImageArrays, gradient: Any, max_distance: float, found: SilhouetteList, forces: Any
 ) -> None:
-    """Add the x and y gradient to the vertices' ``grad``, by a LabelTarget or DenseGradient; images are contiguous."""
+    """Add to the forces on vertices in x and y, by a LabelTarget or DenseGradient.
+
+    Images are contiguous; what is ``found`` is an empty list, whose counts are 0.
+    """
     device = mesh.vertices.device
     batch, height, width = images.labels.shape
-    found.counts.zero_()
     inputs = [mesh, wp.vec2i(width, height), gradient]
     launch_bodies(find_silhouettes, batch, mesh.edges.shape[0], inputs, [*found], device)
     threads = 1 if device.is_cpu else _LINE_THREADS
-    launch_bodies(push_edges, batch, threads, [mesh, images, *found, max_distance, gradient], [grad], device)
+    launch_bodies(push_edges, batch, threads, [mesh, images, *found, max_distance, gradient], [forces], device)

@@ -12,6 +12,8 @@ import warp as wp
 from ..labels import (
     HIDDEN,
     QUAD,
+    DenseGradient,
+    LabelTarget,
     are_words,
     expected_block,
     extent,
@@ -25,9 +27,17 @@ from ..labels import (
     target_label_at,
     weight_of,
 )
-from ..lanes import LANES, deal, num_lanes, prefix_sum, shuffle
-from .rasterize import EMPTY_KEY, launch_bodies, row_lane_bits
-from .resolve import BLOCKS_ACROSS, BLOCKS_DOWN
+from ..lanes import LANES, ballot, deal, num_lanes, prefix_sum, shuffle
+from .forces import Forces, add_force, units_of
+from .rasterize import (
+    BLOCKS_ACROSS,
+    EMPTY_KEY,
+    SQUARE_COLUMNS,
+    SQUARE_ROWS,
+    launch_bodies,
+    num_squares,
+    row_lane_bits,
+)
 from .triangles import (
     ImageArrays,
     MeshArrays,
@@ -47,6 +57,10 @@ from .triangles import (
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 MIN_DELTA_Z = wp.constant(1.0e-4)  # [m]; equal depths would divide by zero in eq. 12
+MAX_SLOPE = math.log(1.0 / MIN_DELTA_Z + 1.0)  # of a face's depth by eq. 12, but for the loss gradient and its weight
+
+# On CUDA, threads a block and blocks a multiprocessor: some registers spill, but the memory's latency is hidden.
+_PUSH_DEPTHS_BOUNDS = (256, 4)
 
 
 @wp.kernel
@@ -102,18 +116,49 @@ def draw_hidden_faces(
                     wp.atomic_min(body_keys, at, depth_key(depth, face))
 
 
-@wp.kernel
+@wp.func
+def hidden_in_block(
+    g: LabelTarget, hidden: wp.array2d[wp.uint32], labels: wp.array3d[wp.uint8], b: int, square: int, block: int
+):
+    """Pixels of a block in which a part hides the target's, as ``compare_labels`` found them."""
+    return hidden[square, block]
+
+
+@wp.func
+def hidden_in_block(
+    g: DenseGradient, hidden: wp.array2d[wp.uint32], labels: wp.array3d[wp.uint8], b: int, square: int, block: int
+):
+    """Pixels of a block in which a part hides the one whose turn it is."""
+    place = block_place(labels.shape[2], square, block)
+    shown = load_block(labels[b], place[0], place[1], are_words(labels))
+    expected = expected_block(g, b, place[0], place[1])
+    pixels = wp.uint32(0)
+    for k in range(QUAD):
+        pixels |= hidden_pixels(shown[k], expected[k]) >> wp.uint32(k)
+    return pixels
+
+
+@wp.func
+def block_place(width: int, square: int, block: int):
+    """First row and column of a block."""
+    across = (width + SQUARE_COLUMNS - 1) // SQUARE_COLUMNS
+    return wp.vec2i(
+        square // across * SQUARE_ROWS + block // BLOCKS_ACROSS * QUAD,
+        square % across * SQUARE_COLUMNS + block % BLOCKS_ACROSS * QUAD,
+    )
+
+
+@wp.kernel(launch_bounds=_PUSH_DEPTHS_BOUNDS)
 def push_depths(
     first_body: int,
     threads: int,  # of one body
     mesh: MeshArrays,
     lanes: int,  # threads that share a square: a warp, or one
-    depth_weight: float,  # the paper's lambda [m]
     images: ImageArrays,  # labels and faces
-    hidden: wp.array3d[wp.uint32],  # ``hidden_blocks``
+    hidden: wp.array3d[wp.uint32],  # (B, squares, 32) for a LabelTarget
     gradient: Any,
     keys: wp.array3d[wp.uint64],  # (B, H, W) the hidden face that should be seen  MODIFIED: emptied
-    grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: z is added to
+    forces: Forces,  # MODIFIED: z is added to, but for its weight
 ):
     """Gradient in z (paper, eq. 12): the hidden face comes forward, the one that hides it goes back by as much.
 
@@ -123,47 +168,33 @@ def push_depths(
     b = first_body + thread // threads
     lane = (thread % threads) & (lanes - 1)
     square = thread % threads // lanes
-    across = hidden.shape[2]
-    blocks = flat(hidden[b])[square]
-    if blocks == wp.uint32(0):
-        return
-    first_row = square // across * (BLOCKS_DOWN * QUAD)
-    first_column = square % across * (BLOCKS_ACROSS * QUAD)
     width = keys.shape[2]
     body_keys = flat(keys[b])
     faces = flat(images.face_index[b])
-    picture = images.labels[b]
-    in_words = are_words(images.labels)
     for turn in range(LANES // lanes):
         block = turn * lanes + lane
-        pixels = wp.uint32(0)
-        if (blocks >> wp.uint32(block)) & wp.uint32(1) == wp.uint32(1):
-            row = first_row + block // BLOCKS_ACROSS * QUAD
-            column = first_column + block % BLOCKS_ACROSS * QUAD
-            shown = load_block(picture, row, column, in_words)
-            expected = expected_block(gradient, b, row, column)
-            for k in range(QUAD):
-                pixels |= hidden_pixels(shown[k], expected[k]) >> wp.uint32(k)
-        found = prefix_sum(wp.bit_count(pixels))
-        total = int(shuffle(wp.uint32(found), lanes - 1))
-        for begin in range(0, total, lanes):
-            mine = deal(pixels, found, block, begin + lane, lanes)
-            if begin + lane < total:
-                row = first_row + mine[0] // BLOCKS_ACROSS * QUAD + 7 - mine[1] % 8
-                column = first_column + mine[0] % BLOCKS_ACROSS * QUAD + mine[1] // 8
-                at = row * width + column
-                # both loads before their first use, so that their latencies overlap
-                key = body_keys[at]
-                front = faces[at]
-                if key != EMPTY_KEY:
-                    body_keys[at] = EMPTY_KEY
-                    push_pixel(mesh, depth_weight, gradient, b, row, column, width, key_face(key), front, grad_vertices)
+        pixels = hidden_in_block(gradient, hidden[b], images.labels, b, square, block)
+        if ballot(pixels != wp.uint32(0)) != wp.uint32(0):
+            found = prefix_sum(wp.bit_count(pixels))
+            total = int(shuffle(wp.uint32(found), lanes - 1))
+            for begin in range(0, total, lanes):
+                mine = deal(pixels, found, block, begin + lane, lanes)
+                if begin + lane < total:
+                    place = block_place(width, square, mine[0])
+                    row = place[0] + 7 - mine[1] % 8
+                    column = place[1] + mine[1] // 8
+                    at = row * width + column
+                    # both loads before their first use, so that their latencies overlap
+                    key = body_keys[at]
+                    front = faces[at]
+                    if key != EMPTY_KEY:
+                        body_keys[at] = EMPTY_KEY
+                        push_pixel(mesh, gradient, b, row, column, width, key_face(key), front, forces)
 
 
 @wp.func
 def push_pixel(
     mesh: MeshArrays,
-    depth_weight: float,
     gradient: Any,
     b: int,
     row: int,
@@ -171,14 +202,14 @@ def push_pixel(
     width: int,  # of the picture
     back_index: int,  # face that is hidden
     front_index: int,
-    grad_vertices: wp.array3d[float],
+    forces: Forces,
 ):
     """Gradient in z from one pixel."""
     label = int(mesh.face_labels[back_index])
     amount = pixel_gradient(pixels_of(gradient, b, label), row * width + column, label, False) * weight_of(
         gradient, b, label
     )
-    amount *= depth_weight
+    amount *= units_of(forces, b)
     if amount != 0.0:
         x = float(column) + 0.5
         y = float(row) + 0.5
@@ -189,39 +220,34 @@ def push_pixel(
         delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), MIN_DELTA_Z)
         amount *= wp.log(1.0 / delta_z + 1.0)
         # Moving the hidden face forward (z down) switches its map on: dA/dz < 0.
-        add_depth(grad_vertices, b, back, back_weights, -amount)
-        add_depth(grad_vertices, b, front, front_weights, amount)
+        add_depth(forces, b, back, back_weights, -amount)
+        add_depth(forces, b, front, front_weights, amount)
 
 
 @wp.func
-def add_depth(grad_vertices: wp.array3d[float], b: int, t: Triangle, weights: wp.vec3, amount: float):
+def add_depth(forces: Forces, b: int, t: Triangle, weights: wp.vec3, amount: float):
     """Share ``amount`` among a face's vertices, by how much each moves the point that is seen."""
     shares = weights * (amount / (weights[0] + weights[1] + weights[2]))
     for i in range(3):
-        wp.atomic_add(grad_vertices, b, t.index[i], 2, shares[i])
+        add_force(forces, b, t.index[i], 2, shares[i])
 
 
 overload_gradients(draw_hidden_faces, push_depths)
 
 
 def launch_push_depths(
-    mesh: MeshArrays,
-    images: ImageArrays,
-    gradient: Any,
-    depth_weight: float,
-    keys: wp.array,
-    hidden: wp.array,
-    grad: wp.array,
+    mesh: MeshArrays, images: ImageArrays, gradient: Any, keys: wp.array, hidden: wp.array | None, forces: Any
 ) -> None:
-    """Add the z gradient to the vertices' ``grad``.
+    """Add to the forces on vertices in z.
 
-    All images are contiguous. ``keys`` are a ``ZBuffer``'s, empty before and after; ``hidden`` are ``hidden_blocks``.
+    All images are contiguous. ``keys`` are a ``ZBuffer``'s, empty before and after. ``hidden`` are the pixels that
+    ``launch_compare_labels`` has found, for a LabelTarget.
     """
     device = mesh.vertices.device
-    batch, faces = images.labels.shape[0], mesh.faces.shape[0]
+    (batch, height, width), faces = images.labels.shape, mesh.faces.shape[0]
     bits = row_lane_bits(batch * faces, device)
     inputs = [mesh, bits, images.labels, gradient]
     launch_bodies(draw_hidden_faces, batch, faces << bits, inputs, [keys], device)
     lanes = num_lanes(device)
-    inputs = [mesh, lanes, depth_weight, images, hidden, gradient]
-    launch_bodies(push_depths, batch, math.prod(hidden.shape[1:]) * lanes, inputs, [keys, grad], device)
+    threads = math.prod(num_squares(height, width)) * lanes
+    launch_bodies(push_depths, batch, threads, [mesh, lanes, images, hidden, gradient], [keys, forces], device)

@@ -5,7 +5,7 @@ from typing import Any, Self
 
 import warp as wp
 
-from ..labels import flat
+from ..labels import QUAD, flat
 from .triangles import (
     MeshArrays,
     covers,
@@ -24,9 +24,12 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 EMPTY_KEY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))  # behind every face
 
-# Keys are read in tiles, so that tiles without a face cost next to nothing.
-TILE_ROWS = wp.constant(4)
-TILE_COLUMNS = wp.constant(32)
+# Pictures are read in squares of 8 by 4 blocks of 4 x 4 pixels, so that squares without a face cost next to nothing. On
+# CUDA a warp has a square, and a thread a block of it or a column.
+BLOCKS_ACROSS = wp.constant(8)
+BLOCKS_DOWN = wp.constant(4)
+SQUARE_ROWS = wp.constant(int(BLOCKS_DOWN) * int(QUAD))
+SQUARE_COLUMNS = wp.constant(int(BLOCKS_ACROSS) * int(QUAD))
 
 # On CUDA the rows of one face are shared by some threads, so that a large face does not hold up its warp: by more where
 # few faces would leave the device idle, by none where there are so many that a face's own work counts. On an H200 (Warp
@@ -49,8 +52,8 @@ class ZBuffer:
     Attributes:
         keys: Nearest face at a pixel as ``depth_key``, shape (B, H, W). It is ``EMPTY_KEY`` between launches: each
             reader of a key puts it back, so that a picture costs only the pixels that show something.
-        touched: Flag that is 1 where a face may lie in a tile, shape (B, tiles down, tiles across), uint8. It is 0
-            between launches.
+        touched: Flag that is 1 where a face may lie in a square, shape (B, squares down, squares across), uint8. It is
+            0 between launches.
         faults: Faults as in ``ImageArrays``, shape (B,). They are 0 between launches.
     """
 
@@ -61,10 +64,14 @@ class ZBuffer:
     @classmethod
     def make(cls, batch: int, height: int, width: int, device: str | wp.Device) -> Self:
         """Allocate an empty z-buffer."""
-        tiles = (batch, -(-height // int(TILE_ROWS)), -(-width // int(TILE_COLUMNS)))
-        keys = empty_keys((batch, height, width), device)
-        touched, faults = wp.zeros(tiles, dtype=wp.uint8, device=device), wp.zeros(batch, dtype=float, device=device)
+        keys, squares = empty_keys((batch, height, width), device), (batch, *num_squares(height, width))
+        touched, faults = wp.zeros(squares, dtype=wp.uint8, device=device), wp.zeros(batch, dtype=float, device=device)
         return cls(keys, touched, faults)
+
+
+def num_squares(height: int, width: int) -> tuple[int, int]:
+    """Squares that cover a picture: down and across."""
+    return -(-height // int(SQUARE_ROWS)), -(-width // int(SQUARE_COLUMNS))
 
 
 def empty_keys(shape: tuple[int, ...], device: str | wp.Device) -> wp.array:
@@ -78,7 +85,7 @@ def draw_faces(
     threads: int,  # of one body
     mesh: MeshArrays,
     lane_bits: int,  # 2 ** lane_bits threads share a face's rows
-    touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED
+    touched: wp.array3d[wp.uint8],  # (B, squares down, squares across)  MODIFIED
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: the nearest face's key
     faults: wp.array[float],  # (B,)  MODIFIED: NaN if a face is not finite
 ):
@@ -101,9 +108,9 @@ def draw_faces(
     if first_row > rows[1] or bounds[0] > bounds[1]:
         return
     if lane == 0:
-        for tile_row in range(rows[0] // TILE_ROWS, rows[1] // TILE_ROWS + 1):
-            for tile in range(bounds[0] // TILE_COLUMNS, bounds[1] // TILE_COLUMNS + 1):
-                touched[b, tile_row, tile] = wp.uint8(1)
+        for down in range(rows[0] // SQUARE_ROWS, rows[1] // SQUARE_ROWS + 1):
+            for across in range(bounds[0] // SQUARE_COLUMNS, bounds[1] // SQUARE_COLUMNS + 1):
+                touched[b, down, across] = wp.uint8(1)
     e = make_edges(t)
     body_keys = flat(keys[b])
     for row in range(first_row, rows[1] + 1, lanes):
@@ -126,7 +133,12 @@ def launch_draw_faces(mesh: MeshArrays, zbuffer: ZBuffer) -> None:
 
 
 def launch_bodies(
-    kernel: wp.Kernel, batch: int, threads: int, inputs: list[Any], outputs: list[Any], device: wp.Device
+    kernel: wp.Kernel,
+    batch: int,
+    threads: int,
+    inputs: list[Any],
+    outputs: list[Any],
+    device: wp.Device,
 ) -> None:
     """Launch ``threads`` for each body.
 

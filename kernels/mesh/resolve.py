@@ -23,32 +23,85 @@ from ..labels import (
     load_block,
     unequal_bytes,
 )
-from ..lanes import LANES, ballot, highest_bit, lowest_bit, num_lanes, shuffle, sum_lanes
-from .rasterize import EMPTY_KEY, TILE_COLUMNS, TILE_ROWS, ZBuffer, launch_bodies
+from ..lanes import LANES, ballot, highest_bit, lowest_bit, num_lanes, shuffle, sum_lanes, wait_for_lanes
+from .rasterize import (
+    BLOCKS_ACROSS,
+    EMPTY_KEY,
+    SQUARE_COLUMNS,
+    SQUARE_ROWS,
+    ZBuffer,
+    launch_bodies,
+)
 from .triangles import ImageArrays, MeshArrays, key_depth, key_face
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-# Label images are compared in squares of 8 by 4 blocks of 4 x 4 pixels. On CUDA a warp has a square, a thread a block.
-BLOCKS_ACROSS = wp.constant(8)
-BLOCKS_DOWN = wp.constant(4)
-
 # On CUDA, threads a block and blocks a multiprocessor: enough threads to hide the memory's latency.
-_COMPARE_LABELS_BOUNDS = (256, 4)
+_BOUNDS = (256, 4)
 
 
-@wp.kernel
+@wp.func
+def resolve_square(
+    mesh: MeshArrays,
+    touched: wp.array3d[wp.uint8],  # (B, squares down, squares across)  MODIFIED: cleared
+    keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
+    images: ImageArrays,  # labels, which are 0; depth and face-index map may be null  OUTPUT
+    b: int,
+    square: int,
+    lane: int,
+    lanes: int,  # threads that share a square: a warp, or one
+):
+    """Split the keys of a square into labels, face-index map and depth where something shows.
+
+    It returns true if something may show in the square.
+    """
+    height = keys.shape[1]
+    width = keys.shape[2]
+    first_row = square // touched.shape[2] * SQUARE_ROWS
+    first_column = square % touched.shape[2] * SQUARE_COLUMNS
+    flags = flat(touched[b])
+    shows = flags[square] != wp.uint8(0)
+    if shows:
+        body_keys = flat(keys[b])
+        for column in range(first_column + lane, wp.min(first_column + SQUARE_COLUMNS, width), lanes):
+            top = first_row * width + column
+            rows = wp.min(SQUARE_ROWS, height - first_row)
+            # all loads of a column first, so that their latencies overlap
+            found = wp.vector(EMPTY_KEY, length=SQUARE_ROWS, dtype=wp.uint64)
+            nearest = EMPTY_KEY
+            for k in range(SQUARE_ROWS):
+                if k < rows:
+                    found[k] = body_keys[top + k * width]
+                    nearest = wp.min(nearest, found[k])
+            if nearest != EMPTY_KEY:
+                for k in range(SQUARE_ROWS):
+                    if found[k] != EMPTY_KEY:
+                        at = top + k * width
+                        body_keys[at] = EMPTY_KEY
+                        face = key_face(found[k])
+                        flat(images.labels[b])[at] = mesh.face_labels[face]
+                        if images.face_index:
+                            flat(images.face_index[b])[at] = face
+                        if images.depth:
+                            flat(images.depth[b])[at] = key_depth(found[k])
+        wait_for_lanes()  # for their labels, and until they have read the flag
+        if lane == 0:
+            flags[square] = wp.uint8(0)
+    return shows
+
+
+@wp.kernel(launch_bounds=_BOUNDS)
 def resolve_keys(
     first_body: int,
     threads: int,
     mesh: MeshArrays,
-    lanes: int,  # threads that share a row of tiles: a warp, or one
-    touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED: cleared
+    lanes: int,  # threads that share a square: a warp, or one
+    touched: wp.array3d[wp.uint8],  # (B, squares down, squares across)  MODIFIED: cleared
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
     faults: wp.array[float],  # (B,)  MODIFIED: 0 again
-    images: ImageArrays,  # all but the labels may be null  OUTPUT
+    images: ImageArrays,  # labels, which are 0; the others may be null  OUTPUT
 ):
-    """Split the keys into face-index map, depth and label image, where something shows."""
+    """Empty the z-buffer into the images."""
     thread = wp.tid()
     b = first_body + thread // threads
     if thread % threads == 0:
@@ -56,41 +109,7 @@ def resolve_keys(
             images.faults[b] = faults[b]
         faults[b] = 0.0
     lane = (thread % threads) & (lanes - 1)
-    tile_row = thread % threads // lanes
-    width = keys.shape[2]
-    tiles = touched.shape[2]
-    rows = wp.min(TILE_ROWS, keys.shape[1] - tile_row * TILE_ROWS)
-    body_keys = flat(keys[b])
-    body_touched = flat(touched[b])
-    body_labels = flat(images.labels[b])
-    for first in range(0, tiles, lanes):
-        show = bool(False)  # something, in this thread's tile
-        if first + lane < tiles:
-            mine = tile_row * tiles + first + lane
-            show = body_touched[mine] != wp.uint8(0)
-            if show:
-                body_touched[mine] = wp.uint8(0)
-        waiting = ballot(show)
-        while waiting != wp.uint32(0):
-            tile = first + lowest_bit(waiting)
-            waiting &= waiting - wp.uint32(1)
-            for column in range(tile * TILE_COLUMNS + lane, wp.min((tile + 1) * TILE_COLUMNS, width), lanes):
-                top = tile_row * TILE_ROWS * width + column
-                # all loads of a tile's column first, so that their latencies overlap
-                found = wp.vector(EMPTY_KEY, length=TILE_ROWS, dtype=wp.uint64)
-                for k in range(TILE_ROWS):
-                    if k < rows:
-                        found[k] = body_keys[top + k * width]
-                for k in range(TILE_ROWS):
-                    if found[k] != EMPTY_KEY:
-                        at = top + k * width
-                        body_keys[at] = EMPTY_KEY
-                        face = key_face(found[k])
-                        body_labels[at] = mesh.face_labels[face]
-                        if images.face_index:
-                            flat(images.face_index[b])[at] = face
-                        if images.depth:
-                            flat(images.depth[b])[at] = key_depth(found[k])
+    resolve_square(mesh, touched, keys, images, b, thread % threads // lanes, lane, lanes)
 
 
 @wp.func
@@ -129,30 +148,33 @@ def note_blocks(target: LabelTarget, b: int, kind: int, label: int, blocks: wp.u
     grow(target.extents, b, kind, label, reach)
 
 
-@wp.kernel(launch_bounds=_COMPARE_LABELS_BOUNDS)
+@wp.kernel(launch_bounds=_BOUNDS)
 def compare_labels(
     first_body: int,
     threads: int,  # of one body
-    labels: wp.array3d[wp.uint8],  # (B, H, W)
-    target: LabelTarget,  # its extents are zeroed, as ``grow``  MODIFIED
+    mesh: MeshArrays,
     lanes: int,  # threads that share a square: a warp, or one
-    faults: wp.array[float],  # (B,) that spoil the loss, or null
-    hidden: wp.array3d[wp.uint32],  # ``hidden_blocks``, set where a part hides the target's  OUTPUT
+    touched: wp.array3d[wp.uint8],  # (B, squares down, squares across)  MODIFIED: cleared
+    keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
+    faults: wp.array[float],  # (B,)  MODIFIED: 0 again
+    images: ImageArrays,  # labels, which are 0; depth and face-index map may be null  OUTPUT
+    target: LabelTarget,  # its extents, if it has any, are zeroed, as ``grow``  MODIFIED
+    hidden: wp.array3d[wp.uint32],  # (B, squares, 32) pixels of each block in which a part hides the target's  OUTPUT
     losses: wp.array2d[float],  # (B, squares)  OUTPUT
 ):
-    """L_seg (paper, eq. 6) from two label images, and where they differ."""
+    """Empty the z-buffer into the images; L_seg (paper, eq. 6), and where labels differ from the target's."""
     thread = wp.tid()
     b = first_body + thread // threads
     lane = (thread % threads) & (lanes - 1)
     square = thread % threads // lanes
-    across = hidden.shape[2]
-    first_row = square // across * (BLOCKS_DOWN * QUAD)
-    first_column = square % across * (BLOCKS_ACROSS * QUAD)
-    in_words = are_words(labels) and are_words(target.target)
-    shown_image = labels[b]
+    across = touched.shape[2]
+    first_row = square // across * SQUARE_ROWS
+    first_column = square % across * SQUARE_COLUMNS
+    drawn = resolve_square(mesh, touched, keys, images, b, square, lane, lanes)
+    in_words = are_words(images.labels) and are_words(target.target)
+    shown_image = images.labels[b]
     expected_image = target.target[b]
     loss = int(0)
-    hides = wp.uint32(0)
     surplus = wp.uint32(0)  # blocks of the label whose number is the lane's
     missing = wp.uint32(0)
     behind = wp.uint32(0)
@@ -160,24 +182,27 @@ def compare_labels(
         block = turn * lanes + lane
         top = first_row + block // BLOCKS_ACROSS * QUAD
         left = first_column + block % BLOCKS_ACROSS * QUAD
-        shown = load_block(shown_image, top, left, in_words)
+        shown = Block()
+        if drawn:
+            shown = load_block(shown_image, top, left, in_words)
         expected = load_block(expected_image, top, left, in_words)
+        pixels = wp.uint32(0)  # in which a part hides the target's
         different = wp.uint32(0)
         for k in range(QUAD):
             different |= shown[k] ^ expected[k]
         if ballot(different != wp.uint32(0)) != wp.uint32(0):  # most squares are background, and should be
             wrong = Block()
-            hidden_here = wp.uint32(0)
             for k in range(QUAD):
                 shows = unequal_bytes(shown[k], wp.uint32(0))
                 wants = unequal_bytes(expected[k], wp.uint32(0))
                 wrong[k] = unequal_bytes(shown[k], expected[k]) & unequal_bytes(expected[k], IGNORED)
-                hidden_here |= hidden_pixels(shown[k], expected[k])
+                pixels |= hidden_pixels(shown[k], expected[k]) >> wp.uint32(k)
                 loss += wp.bit_count(wrong[k] & wants)
                 loss += wp.bit_count(wrong[k] & shows & unequal_bytes(shown[k], IGNORED))
-            hides |= ballot(hidden_here != wp.uint32(0)) << wp.uint32(turn * lanes)
             # one pair of labels after another, the same for all threads
-            pair = first_pair(shown, expected, wrong)
+            pair = wp.uint32(0)
+            if target.extents:
+                pair = first_pair(shown, expected, wrong)
             waiting = ballot(pair != wp.uint32(0))
             while waiting != wp.uint32(0):
                 pair = shuffle(pair, lowest_bit(waiting))
@@ -203,6 +228,8 @@ def compare_labels(
                             note_blocks(target, b, HIDDEN, target_label, blocks, first_row, first_column)
                 pair = first_pair(shown, expected, wrong)
                 waiting = ballot(pair != wp.uint32(0))
+        if hidden:
+            hidden[b, square, block] = pixels
     if lane > 0:
         if surplus != wp.uint32(0):
             note_blocks(target, b, SURPLUS, lane, surplus, first_row, first_column)
@@ -212,52 +239,41 @@ def compare_labels(
             note_blocks(target, b, HIDDEN, lane, behind, first_row, first_column)
     total = sum_lanes(float(loss))
     if lane == 0:
-        if square == 0 and faults:
+        if square == 0:
             total += faults[b]
+            images.faults[b] = faults[b]
+            faults[b] = 0.0
         losses[b, square] = total
-        flat(hidden[b])[square] = hides
-
-
-def num_squares(height: int, width: int) -> tuple[int, int]:
-    """Squares that cover a picture: down and across."""
-    return -(-height // int(BLOCKS_DOWN * QUAD)), -(-width // int(BLOCKS_ACROSS * QUAD))
-
-
-def hidden_blocks(shape: tuple[int, ...], device: str | wp.Device) -> wp.array:
-    """Bits for blocks of images (B, H, W) in which a hidden part may have to come forward, all of them set.
-
-    A word has those of a square; shape (B, squares down, squares across).
-    """
-    batch, height, width = shape
-    return wp.full((batch, *num_squares(height, width)), 0xFFFFFFFF, dtype=wp.uint32, device=device)
 
 
 def launch_resolve_keys(mesh: MeshArrays, zbuffer: ZBuffer, images: ImageArrays, *, background: bool = True) -> None:
     """Empty a z-buffer into label image and, unless None, depth, face-index map and faults, all of them contiguous.
 
-    Without ``background`` these two keep their values where nothing shows, which the gradient never reads.
+    The label image is 0 before. Without ``background``, depth and face-index map keep their values where nothing shows,
+    which the gradient never reads.
     """
-    images.labels.zero_()
     if background and images.depth is not None:
         images.depth.fill_(wp.inf)
     if background and images.face_index is not None:
         images.face_index.fill_(-1)  # paper, eq. 8
     device = mesh.vertices.device
-    batch, tile_rows, _ = zbuffer.touched.shape
+    batch, down, across = zbuffer.touched.shape
     lanes = num_lanes(device)
     outputs = [zbuffer.touched, zbuffer.keys, zbuffer.faults, images]
-    launch_bodies(resolve_keys, batch, tile_rows * lanes, [mesh, lanes], outputs, device)
+    launch_bodies(resolve_keys, batch, down * across * lanes, [mesh, lanes], outputs, device)
 
 
 def launch_compare_labels(
-    labels: wp.array, target: Any, *, hidden: wp.array, losses: wp.array, faults: wp.array | None = None
+    mesh: MeshArrays, zbuffer: ZBuffer, images: ImageArrays, target: Any, *, hidden: wp.array | None, losses: wp.array
 ) -> None:
-    """Fill partial sums of the loss (B, squares), ``hidden_blocks``, and the LabelTarget's ``extents``.
+    """Empty a z-buffer into images, as ``launch_resolve_keys`` without background, and compare them with a target.
 
-    The losses of bodies with ``faults`` (B,) become NaN. Both images are contiguous. Labels from L on have no extent.
+    It fills partial sums of the loss (B, squares) and, unless None, ``hidden`` (B, squares, 32). It grows the
+    LabelTarget's ``extents``, which are 0, unless they are None. The losses of bodies with faults become NaN. Labels
+    from L on have no extent.
     """
-    target.extents.zero_()
+    device = mesh.vertices.device
     batch, squares = losses.shape
-    lanes = num_lanes(labels.device)
-    inputs = [labels, target, lanes, faults]
-    launch_bodies(compare_labels, batch, squares * lanes, inputs, [hidden, losses], labels.device)
+    lanes = num_lanes(device)
+    inputs = [mesh, lanes, zbuffer.touched, zbuffer.keys, zbuffer.faults, images, target]
+    launch_bodies(compare_labels, batch, squares * lanes, inputs, [hidden, losses], device)

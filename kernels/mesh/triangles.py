@@ -94,14 +94,6 @@ def is_finite(t: Triangle):
 
 
 @wp.func
-def spoil_gradient(images: ImageArrays, b: int, grad_vertices: wp.array3d[float]):
-    """Make a body's gradient NaN, at its first vertex, where the picture has a fault."""
-    if images.faults[b] != 0.0:
-        for i in range(3):
-            wp.atomic_add(grad_vertices, b, 0, i, images.faults[b])
-
-
-@wp.func
 def make_edge(a: wp.vec3, b: wp.vec3):
     """The edge from a to b.
 

@@ -32,10 +32,8 @@ def maps_gradient(scene: Scene, renderer: str) -> list[torch.Tensor]:
     return list(torch.autograd.grad(scene.draw(renderer, leaves, num_maps=20).maps.square().sum(), leaves))
 
 
-def equal(have: list[torch.Tensor], want: list[torch.Tensor], renderer: str) -> bool:
-    """They agree to the bit, but for the mesh's gradient on CUDA, which float atomics add up in any order."""
-    if renderer == "mesh" and have[0].is_cuda:
-        torch.testing.assert_close(have.pop(), want.pop(), rtol=1e-4, atol=1e-3)
+def equal(have: list[torch.Tensor], want: list[torch.Tensor]) -> bool:
+    """They agree to the bit."""
     return all(torch.equal(a, b) for a, b in zip(have, want, strict=True))
 
 
@@ -63,7 +61,7 @@ def test_graph_and_launches_agree(device, renderer, batch):
     want = [answer(scene, renderer) for scene in scenes][1:]
     assert not loss_graphs()
     assert not torch.equal(with_graph[0][0], with_graph[1][0])
-    assert all(equal(a, b, renderer) for a, b in zip(with_graph, want, strict=True))
+    assert all(equal(a, b) for a, b in zip(with_graph, want, strict=True))
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
@@ -75,7 +73,7 @@ def test_threads_change_no_bit(renderer):
         want = answer(scene, renderer) + maps_gradient(scene, renderer)
         for count in (2, 3, 7):
             set_num_threads(count)
-            assert equal(answer(scene, renderer) + maps_gradient(scene, renderer), want, renderer)
+            assert equal(answer(scene, renderer) + maps_gradient(scene, renderer), want)
     finally:
         set_num_threads(0)
 
@@ -87,7 +85,7 @@ def test_each_thread_has_buffers_of_its_own(renderer):
     with ThreadPoolExecutor(2) as pool:
         for _ in range(20):
             both = pool.map(lambda scene: answer(scene, renderer), scenes)
-            assert all(equal(have, expected, renderer) for have, expected in zip(both, want, strict=True))
+            assert all(equal(have, expected) for have, expected in zip(both, want, strict=True))
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
@@ -117,7 +115,7 @@ def test_the_picture_is_that_of_the_call(device, renderer):
     image.labels.zero_()
     assert not image.labels.any()  # it is drawn once
     loss.sum().backward()
-    assert torch.equal(leaves[0].grad, want[4]) or leaves[0].is_cuda
+    assert torch.equal(leaves[0].grad, want[4])
     with pytest.raises(AttributeError, match="no attribute 'alpha'"):
         image.alpha  # noqa: B018
 
@@ -132,7 +130,7 @@ def test_a_target_that_changes_in_place_changes_the_loss(renderer):
     empty = answer(scene, renderer)
     pixels[:] = kept
     assert empty[0] != before[0]
-    assert equal(answer(scene, renderer), before, renderer)
+    assert equal(answer(scene, renderer), before)
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
@@ -248,4 +246,4 @@ def test_a_capture_that_fails_leaves_nothing(monkeypatch):
         with pytest.raises(RuntimeError, match="no more"):
             answer(scene, "coverage")
     assert not loss_graphs()
-    assert equal(answer(scene, "coverage"), want, "coverage")
+    assert equal(answer(scene, "coverage"), want)

@@ -25,6 +25,7 @@ from warp_partdr.cameras import Perspective
 from warp_partdr.kernels.labels import HIDDEN, MISSING, NUM_EXTENTS, SURPLUS, DenseGradient, LabelTarget
 from warp_partdr.kernels.launch import get_num_threads, launch_in_slices, set_num_threads
 from warp_partdr.kernels.mesh import push_xy, push_z, rasterize, resolve
+from warp_partdr.kernels.mesh.forces import make_forces
 from warp_partdr.kernels.mesh.triangles import ImageArrays, MeshArrays
 from warp_partdr.reference import mesh as reference
 from warp_partdr.reference.losses import label_gradient
@@ -153,7 +154,7 @@ def test_a_z_buffer_serves_again_and_what_nobody_asked_for_stays(device):
     for seed in (1, 2):
         points, mesh = projected_bodies(seed, size, device, subdivisions=1, batch=2)
         want = draw_on_screen(points, mesh, size)
-        labels, depth = torch.full_like(want.labels, 77), torch.full_like(want.depth, -5.0)
+        labels, depth = torch.zeros_like(want.labels), torch.full_like(want.depth, -5.0)
         images = ImageArrays()
         images.labels, images.depth = wp.from_torch(labels), wp.from_torch(depth)
         rasterize.launch_draw_faces(arrays_of(points, mesh), zbuffer)
@@ -178,21 +179,34 @@ def test_labels_are_compared_at_any_width_and_address(device, size, offset, labe
     def image_at(offset: int) -> torch.Tensor:
         return torch.full((shown.size + offset,), 77, dtype=torch.uint8, device=device)[offset:].view(shown.shape)
 
-    labels, target = image_at(offset).copy_(torch.from_numpy(shown)), LabelTarget()
+    labels, target = image_at(offset), LabelTarget()
     target.target = wp.from_torch(image_at(1 - offset).copy_(torch.from_numpy(wanted)))
-    target.extents = wp.full((2, NUM_EXTENTS, labels_end), wp.vec4i(99), dtype=wp.vec4i, device=device)
-    squares = resolve.num_squares(height, width)
-    hidden = resolve.hidden_blocks((2, *size), wp.get_device(device))
+    target.extents = wp.zeros((2, NUM_EXTENTS, labels_end), dtype=wp.vec4i, device=device)
+    squares = rasterize.num_squares(height, width)
+    hidden = wp.empty((2, squares[0] * squares[1], 32), dtype=wp.uint32, device=device)
     losses = wp.full((2, squares[0] * squares[1]), np.nan, dtype=wp.float32, device=device)
-    resolve.launch_compare_labels(wp.from_torch(labels), target, hidden=hidden, losses=losses)
+    mesh, images = MeshArrays(), ImageArrays()  # of a face for each label
+    mesh.face_labels = wp.array(np.arange(labels_end), dtype=wp.uint8, device=device)
+    mesh.vertices = wp.empty((2, 0), dtype=wp.vec3, device=device)
+    images.labels, images.faults = wp.from_torch(labels), wp.full(2, np.nan, dtype=wp.float32, device=device)
+    labels.zero_()
+    zbuffer = rasterize.ZBuffer.make(2, *size, wp.get_device(device))
+    zbuffer.keys.assign(np.where(shown > 0, shown, rasterize.EMPTY_KEY))
+    padded = np.pad(shown, ((0, 0), (0, -height % 16), (0, -width % 32)))
+    zbuffer.touched.assign(padded.reshape(2, squares[0], 16, squares[1], 32).any((2, 4)))
+    resolve.launch_compare_labels(mesh, zbuffer, images, target, hidden=hidden, losses=losses)
+    assert np.array_equal(labels.cpu().numpy(), shown)
+    assert (zbuffer.keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
+    assert not zbuffer.touched.numpy().any()
+    assert not images.faults.numpy().any()
     wrong = (shown != wanted) & (wanted != 255)
     costs = ((shown > 0).astype(int) + (wanted > 0)) * wrong
     np.testing.assert_allclose(losses.numpy().sum(1), costs.sum((1, 2)), rtol=1e-5)
-    blocks = np.unpackbits(hidden.numpy().view(np.uint8), axis=-1, bitorder="little").reshape(2, *squares, 4, 8)
-    hides = np.zeros((2, 16 * squares[0], 32 * squares[1]), dtype=bool)
-    hides[:, :height, :width] = wrong & (shown > 0) & (wanted > 0)
-    hides = hides.reshape(2, squares[0], 4, 4, squares[1], 8, 4).any((3, 6))
-    assert (blocks.transpose(0, 1, 3, 2, 4) == hides).all()
+    rows, columns = np.arange(4)[:, None], np.arange(4)  # of a block's pixel, whose bit is 7 - row of byte column
+    hides = (hidden.numpy().reshape(2, *squares, 4, 8, 1, 1) >> (8 * columns + 7 - rows).astype(np.uint32)) & 1
+    hides = hides.transpose(0, 1, 3, 5, 2, 4, 6).reshape(2, 16 * squares[0], 32 * squares[1])
+    assert np.array_equal(hides[:, :height, :width], wrong & (shown > 0) & (wanted > 0))
+    assert hides.sum() == hides[:, :height, :width].sum()
     for b in range(2):
         for label in range(1, labels_end):
             missing, surplus = (wrong[b] & (image[b] == label) for image in (wanted, shown))
@@ -237,9 +251,52 @@ def test_how_work_is_shared_changes_nothing(device, monkeypatch, how):
         monkeypatch.setattr(rasterize, "_MAX_THREADS", 4000)
     have = results()
     assert how != "threads" or 37 in threads
-    assert all(torch.equal(a, b) for a, b in zip(have[:4], want[:4], strict=True))
-    for a, b in zip(have[4:], want[4:], strict=True):
-        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4 * float(b.abs().max()))
+    assert all(torch.equal(a, b) for a, b in zip(have, want, strict=True))
+
+
+@pytest.mark.parametrize("rule", [{"depth_weight": 0.7}, {"gradient": "edges"}])
+def test_gradients_repeat_to_the_bit(device, rule):
+    """Forces are whole numbers, so that their sum is the same in any order, as threads of CUDA add them."""
+    size = (96, 70)
+    leaf, mesh = projected_bodies(5, size, device, subdivisions=2, batch=3)
+    target = noisy_picture(draw_on_screen(leaf, mesh, size).labels, 20, 2)
+    weights = torch.arange(1, 21, device=device)[:, None, None]
+
+    def gradients() -> list[torch.Tensor]:
+        loss = loss_on_screen(leaf, mesh, target, **rule)[0].sum()
+        maps = draw_on_screen(leaf, mesh, size, num_maps=20, **rule).maps
+        return [torch.autograd.grad(each, leaf)[0] for each in (loss, (maps * weights).sum())]
+
+    want = gradients()
+    assert all(each.abs().max() > 0 for each in want)
+    for _ in range(4):
+        assert all(torch.equal(a, b) for a, b in zip(gradients(), want, strict=True))
+
+
+@pytest.mark.parametrize("power", [-70, -30, 30, 90])
+def test_gradients_keep_their_digits_whatever_their_size(device, power):
+    """A loss in other units, by a power of two, has the gradient in these, bit for bit."""
+    leaf, mesh = random_scene(3, SIZES[0], device)
+    maps = draw_on_screen(leaf, mesh, SIZES[0], num_maps=4).maps
+    g = torch.randn(maps.shape, generator=torch.Generator().manual_seed(0)).to(device)
+    (plain,) = torch.autograd.grad(maps, leaf, g, retain_graph=True)
+    (scaled,) = torch.autograd.grad(maps, leaf, g * 2.0**power)
+    assert plain.abs().max() > 0
+    assert torch.equal(scaled, plain * 2.0**power)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_loss_gradient_that_is_no_number_spoils_its_body_s(device, value):
+    leaf, mesh = random_scene(3, SIZES[0], device)
+    maps = draw_on_screen(leaf, mesh, SIZES[0], num_maps=4).maps
+    g = torch.ones_like(maps)
+    g[1] = value
+    (gradient,) = torch.autograd.grad(maps, leaf, g, retain_graph=True)
+    assert gradient[0].isfinite().all()
+    assert gradient[1].isnan().all()
+    (again,) = torch.autograd.grad(maps, leaf, torch.ones_like(maps))
+    assert torch.equal(again[0], gradient[0])
+    assert again.isfinite().all()
 
 
 def test_hidden_pixels_serve_again(device):
@@ -252,18 +309,17 @@ def test_hidden_pixels_serve_again(device):
     gradient = DenseGradient()
     gradient.maps = wp.from_torch(torch.randn(2, 20, *size, device=device))
     keys = rasterize.empty_keys((2, *size), wp.get_device(device))
-    hidden = resolve.hidden_blocks((2, *size), wp.get_device(device))
-    grads = torch.zeros(2, points.shape[1], 3, device=device)
+    faults = wp.zeros(2, dtype=float, device=device)
+    forces = make_forces(size, points.shape[1], len(mesh.edges), faults, depth_slope=push_z.MAX_SLOPE)
     sums = []
     for label in (4, 7, 4, 7):
         gradient.label = label
-        found = {"gradient": gradient, "keys": keys, "hidden": hidden, "grad": wp.from_torch(grads)}
-        push_z.launch_push_depths(arrays_of(points, mesh), images, depth_weight=1.0, **found)
+        push_z.launch_push_depths(arrays_of(points, mesh), images, gradient, keys=keys, hidden=None, forces=forces)
         assert (keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
-        sums.append(grads.clone())
-    assert sums[0].abs().max() > 0
-    assert not torch.equal(sums[0], sums[1])
-    torch.testing.assert_close(sums[3], 2 * sums[1], rtol=1e-4, atol=1e-4 * float(sums[1].abs().max()))
+        sums.append(forces.sums.numpy().copy())
+    assert np.abs(sums[0]).max() > 0
+    assert not np.array_equal(sums[0], sums[1])
+    np.testing.assert_array_equal(sums[3], 2 * sums[1])
 
 
 @pytest.mark.parametrize("middle", [8.0, 7.5])

@@ -50,7 +50,8 @@ def draw_mesh(
     """Draw a part-labelled mesh; with ``num_maps`` the part maps carry gradients back to vertices and camera.
 
     Gradients are first ones: a second, as under ``create_graph=True``, is an error, and so is ``torch.func``.
-    On CUDA they are added in any order, so two runs differ by rounding; pictures repeat to the bit.
+    Pictures and gradients are the same to the bit in every run on one device. A gradient of the maps that holds NaN or
+    infinity makes that of the vertices NaN, for the whole body.
 
     Args:
         vertices: Vertices in the camera frame [m], shape (B, V, 3). A face with a vertex at or before the camera's near

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import chain
 from types import ModuleType
 from typing import Any, cast
 
@@ -19,11 +18,27 @@ from ..interop.layouts import Tensors
 from ..interop.loss_graph import Buffers
 from ..interop.streams import launch_bodies_on
 from ..kernels.labels import NUM_EXTENTS, DenseGradient, LabelTarget
+from ..kernels.lanes import LANES
 from ..kernels.launch import launch_side_by_side
-from ..kernels.mesh import label_borders, push_xy, push_z, rasterize, resolve
+from ..kernels.mesh import forces, label_borders, push_xy, push_z, rasterize, resolve
 from ..kernels.mesh.triangles import ImageArrays, MeshArrays
 from .options import MeshGradient, cached
 from .pictures import Picture, Settings, Size
+
+
+@dataclass(frozen=True)
+class _Scratch:
+    """Scratch of a gradient's launches.
+
+    Attributes:
+        keys: Keys of a ``ZBuffer``, empty before and after.
+        hidden: Pixels in which a part hides the target's, shape (B, squares, 32), uint32.
+        silhouettes: List of silhouettes, which is empty before.
+    """
+
+    keys: wp.array
+    hidden: wp.array
+    silhouettes: push_xy.SilhouetteList
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +61,7 @@ class MeshPasses:
     @property
     def modules(self) -> Sequence[ModuleType]:
         """Modules of the kernels that it launches."""
-        return rasterize, resolve, *((label_borders,) if self.gradient == "edges" else (push_xy, push_z))
+        return rasterize, resolve, forces, *((label_borders,) if self.gradient == "edges" else (push_xy, push_z))
 
     @classmethod
     def of(
@@ -72,14 +87,14 @@ class MeshPasses:
         picture = _empty_picture((vertices.shape[0], *size), vertices.device)
 
         def work(part: slice) -> None:
-            self.prepare_raster(vertices[part], [image[part] for image in picture[:4]])[0]()
+            self._prepare_raster(vertices[part], [image[part] for image in picture[:4]])()
 
         launch_bodies_on(vertices.device, work, vertices.shape[0], self.modules)
         return picture
 
     def prepare_labels(self, inputs: Tensors, labels: torch.Tensor, faults: torch.Tensor) -> Launch:
         """Launch that fills ``labels`` and ``faults``."""
-        return self.prepare_raster(inputs[0], _labels_alone(labels, faults), background=False)[0]
+        return self._prepare_raster(inputs[0], _labels_alone(labels, faults), background=False)
 
     def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
         """Gradient with respect to the vertices, shape (B, V, 3), from that with respect to part maps (B, K, H, W)."""
@@ -88,114 +103,115 @@ class MeshPasses:
         grad_vertices = torch.empty(vertices.shape, device=vertices.device)
 
         def work(part: slice) -> None:
-            images = [image[part] for image in picture[:4]]
+            images = [*(image[part] for image in picture[:3]), picture.faults[part].clone()]  # forces may have faults
             shape, device = tuple(images[0].shape), wp.device_from_torch(vertices.device)
-            keys, hidden = rasterize.empty_keys(shape, device), resolve.hidden_blocks(shape, device)
-            of_each = partial(_of_each_map, warp_array(grad_maps[part]))
-            self._prepare_gradient(vertices[part], images, of_each, grad_vertices[part], keys, hidden)()
+            scratch = self._scratch(shape, rasterize.empty_keys(shape, device))
+            maps = warp_array(grad_maps[part])
+            self._prepare_gradient(vertices[part], images, maps, grad_vertices[part], scratch)()
 
         launch_bodies_on(vertices.device, work, vertices.shape[0], self.modules)
         return (grad_vertices,)
 
     def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
         """One sum for each square of pixels."""
-        return math.prod(resolve.num_squares(height, width))
+        return math.prod(rasterize.num_squares(height, width))
 
     def prepare(self, buffers: Buffers) -> Launch:
         """Launches of loss and gradient for all bodies of the buffers."""
         (vertices,) = buffers.inputs
-        shape, device = (vertices.shape[0], *buffers.target.shape[-2:]), vertices.device
+        (batch, *_), (*_, height, width), device = vertices.shape, buffers.target.shape, vertices.device
+        shape = batch, height, width
         images: Sequence[torch.Tensor] = _empty_picture(shape, device)[:4]
         if not buffers.grads:
             images = _labels_alone(images[0], images[3])
-        draw, zbuffer = self.prepare_raster(vertices, images, background=False)
-        keys, hidden = zbuffer.keys, resolve.hidden_blocks(shape, wp.device_from_torch(device))
+        mesh, pictures = self._arrays(vertices), _image_arrays(images)
+        zbuffer = rasterize.ZBuffer.make(batch, height, width, mesh.vertices.device)
+        scratch = self._scratch(shape, zbuffer.keys)
+        zeroed = [pictures.labels, scratch.silhouettes.counts]
         if buffers.of_maps:
-            of_each = partial(_of_each_map, warp_array(buffers.target))
-            return _in_turn(draw, self._prepare_gradient(vertices, images, of_each, buffers.grads[0], keys, hidden))
-        target = buffers.target.expand(shape[0], -1, -1)  # a view: what is written there later is seen
-        extents = torch.empty((shape[0], NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
-        of_target = LabelTarget()
-        of_target.target = warp_array(target)
-        of_target.extents = warp_array(extents, wp.vec4i)
-        of_target.scale = wp.ones(shape[0], dtype=float, device=of_target.target.device)
+            split = partial(resolve.launch_resolve_keys, mesh, zbuffer, pictures, background=False)
+            push = self._prepare_gradient(vertices, images, warp_array(buffers.target), buffers.grads[0], scratch)
+            return _in_turn(_draw(mesh, zbuffer, *zeroed), split, push)
+        target = LabelTarget()
+        target.target = warp_array(buffers.target.expand(batch, -1, -1))  # a view: what is written later is seen
+        if buffers.grads and self.gradient == "partdr":
+            extents = torch.empty((batch, NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
+            target.extents = warp_array(extents, wp.vec4i)
+            zeroed.append(target.extents)
+        losses = warp_array(buffers.losses)
         compare = partial(
-            resolve.launch_compare_labels,
-            *(warp_array(images[0]), of_target),
-            hidden=hidden,
-            losses=warp_array(buffers.losses),
-            faults=warp_array(images[3]),
+            resolve.launch_compare_labels, mesh, zbuffer, pictures, target, hidden=scratch.hidden, losses=losses
         )
         if not buffers.grads:
-            return _in_turn(draw, compare)
-        push = self._prepare_gradient(vertices, images, lambda: [of_target], buffers.grads[0], keys, hidden)
-        return _in_turn(draw, compare, push)
+            return _in_turn(_draw(mesh, zbuffer, pictures.labels), compare)
+        push = self._prepare_gradient(vertices, images, target, buffers.grads[0], scratch)
+        return _in_turn(_draw(mesh, zbuffer, *zeroed), compare, push)
 
-    def prepare_raster(
+    def _prepare_raster(
         self, vertices: torch.Tensor, images: Sequence[torch.Tensor], background: bool = True
-    ) -> tuple[Launch, rasterize.ZBuffer]:
-        """Launch that fills labels, depth, face-index map and faults, and the z-buffer that it empties again."""
+    ) -> Launch:
+        """Launch that fills labels, depth, face-index map and faults."""
         mesh, pictures = self._arrays(vertices), _image_arrays(images)
         batch, height, width = images[0].shape
         zbuffer = rasterize.ZBuffer.make(batch, height, width, mesh.vertices.device)
-        draw = partial(rasterize.launch_draw_faces, mesh, zbuffer)
         split = partial(resolve.launch_resolve_keys, mesh, zbuffer, pictures, background=background)
-        return _in_turn(draw, split), zbuffer
+        return _in_turn(_draw(mesh, zbuffer, pictures.labels), split)
 
     def _prepare_gradient(
         self,
         vertices: torch.Tensor,
         images: Sequence[torch.Tensor],
-        gradients: Callable[[], Iterable[Any]],
+        given: Any,
         grad_vertices: torch.Tensor,
-        keys: wp.array,
-        hidden: wp.array,
+        scratch: _Scratch,
     ) -> Launch:
         """Launch that fills ``grad_vertices``.
 
         Args:
             vertices: Vertices of some of the bodies, shape (B, V, 3).
             images: Images and faults of these bodies.
-            gradients: Function that returns the loss gradient once for each label of the z pass.
+            given: Loss gradient: a LabelTarget, or an array of the gradient with respect to part maps, (B, K, H, W).
             grad_vertices: Gradient of the vertices, shape (B, V, 3). It is filled.
-            keys: Keys of a ``ZBuffer``, empty before and after.
-            hidden: Scratch array that ``hidden_blocks`` makes.
+            scratch: Scratch arrays, with no silhouettes yet.
         """
-        arrays = self._arrays(vertices), _image_arrays(images)
-        found_gradient, (batch, num_edges) = warp_array(grad_vertices), (vertices.shape[0], self.edges.shape[0])
+        _, pictures = arrays = self._arrays(vertices), _image_arrays(images)
+        maps = given if isinstance(given, wp.array) else None
+        gradients = [given] if maps is None else _of_each_map(maps)
+        size = pictures.labels.shape[1:]
+        counts = vertices.shape[1], len(self.edges)
+        pushed = forces.make_forces(size, *counts, pictures.faults, depth_slope=push_z.MAX_SLOPE, maps=maps)
+        bound = [] if maps is None else [partial(forces.launch_find_largest, maps, pushed)]
+        take = partial(forces.launch_take_forces, pushed, self.depth_weight, warp_array(grad_vertices))
         if self.gradient == "edges":
-            push_borders = partial(label_borders.launch_push_label_borders, *arrays, grad=found_gradient)
-            return _in_turn(found_gradient.zero_, lambda: push_borders(gradient=next(iter(gradients()))))
+            push_borders = partial(label_borders.launch_push_label_borders, *arrays, gradients[0], pushed)
+            return _in_turn(*bound, push_borders, take)
         push_edges = partial(
             push_xy.launch_push_edges,
             *arrays,
+            gradients[0],
             max_distance=self.max_distance,
-            found=push_xy.SilhouetteList.make(batch, num_edges, found_gradient.device),
-            grad=found_gradient,
-        )
-        push_depths = partial(
-            push_z.launch_push_depths,
-            *arrays,
-            depth_weight=self.depth_weight,
-            keys=keys,
-            hidden=hidden,
-            grad=found_gradient,
+            found=scratch.silhouettes,
+            forces=pushed,
         )
 
-        def launch() -> None:
-            found_gradient.zero_()
-            given = iter(gradients())
-            first = next(given)
+        def push_all_depths() -> None:
+            if self.depth_weight != 0.0:
+                for gradient in gradients:
+                    push_z.launch_push_depths(
+                        *arrays, gradient, keys=scratch.keys, hidden=scratch.hidden, forces=pushed
+                    )
 
-            def push_all_depths() -> None:
-                if self.depth_weight != 0.0:
-                    for gradient in chain((first,), given):
-                        push_depths(gradient=gradient)
+        # They add to other components of the forces.
+        push = partial(launch_side_by_side, push_edges, push_all_depths)
+        return _in_turn(*bound, push, take)
 
-            # They write other components of the gradient.
-            launch_side_by_side(lambda: push_edges(gradient=first), push_all_depths)
-
-        return launch
+    def _scratch(self, shape: tuple[int, ...], keys: wp.array) -> _Scratch:
+        """Scratch for pictures (B, H, W), with the keys of a z-buffer."""
+        batch, height, width = shape
+        squares = math.prod(rasterize.num_squares(height, width))
+        hidden = wp.empty((batch, squares, int(LANES)), dtype=wp.uint32, device=keys.device)
+        num_edges = len(self.edges) if self.gradient == "partdr" else 0
+        return _Scratch(keys, hidden, push_xy.SilhouetteList.make(batch, num_edges, keys.device))
 
     @cached_property
     def _constant_arrays(self) -> tuple[wp.array, ...]:
@@ -224,13 +240,20 @@ def _in_turn(*launches: Launch) -> Launch:
     return launch_all
 
 
-def _of_each_map(grad_maps: wp.array) -> Iterator[DenseGradient]:
+def _draw(mesh: MeshArrays, zbuffer: rasterize.ZBuffer, *zeroed: wp.array) -> Launch:
+    """Launch that draws into a z-buffer and, beside that, fills arrays with zeros."""
+    clear = _in_turn(*(array.zero_ for array in zeroed))
+    return partial(launch_side_by_side, partial(rasterize.launch_draw_faces, mesh, zbuffer), clear)
+
+
+def _of_each_map(grad_maps: wp.array) -> list[DenseGradient]:
     """Gradient with respect to part maps (B, K, H, W), once for each map."""
-    gradient = DenseGradient()
-    gradient.maps = grad_maps
+    gradients = []
     for label in range(1, grad_maps.shape[1] + 1):
-        gradient.label = label
-        yield gradient
+        gradient = DenseGradient()
+        gradient.maps, gradient.label = grad_maps, label
+        gradients.append(gradient)
+    return gradients
 
 
 def _empty_picture(shape: tuple[int, ...], device: torch.device) -> Picture:

@@ -203,15 +203,18 @@ def _mesh_body_passes(renderer: RendererMesh, seeing: Seeing, device: torch.devi
     if renderer.subdivisions == "auto":
         raise ValueError("subdivisions: auto; expected 0 to 3, or the renderer that fixed(posed, camera) returns")
     rule = check_mesh_rule(**renderer._rule)
-    mesh = labelled_mesh(renderer.subdivisions, seeing.part_labels, device)
+    # Posed here, by rotations, so that no ellipsoid is its own mirror image, whose faces would be inside out.
+    mesh = labelled_mesh(renderer.subdivisions, seeing.part_labels, device, cull_backfaces=True)
     options = seeing.perspective, seeing.near_plane, *rule
     passes = mesh_passes(*mesh_constants(mesh), *options)
     return body_passes(passes, renderer.subdivisions, seeing.locked, seeing.half_size)
 
 
-def labelled_mesh(level: int, part_labels: tuple[int, ...], device: torch.device) -> PartMesh:
+def labelled_mesh(
+    level: int, part_labels: tuple[int, ...], device: torch.device, *, cull_backfaces: bool = False
+) -> PartMesh:
     """Mesh with its labels, cached, for its edges take a moment to find."""
-    return _labelled_mesh(level, part_labels, device)
+    return _labelled_mesh(level, part_labels, device, cull_backfaces)
 
 
 # Not traced: how a mesh is found is no arithmetic of tensors. This is what torch.compiler.assume_constant_result does;
@@ -220,6 +223,6 @@ labelled_mesh._dynamo_marked_constant = True  # type: ignore[attr-defined]
 
 
 @lru_cache(maxsize=32)
-def _labelled_mesh(level: int, part_labels: tuple[int, ...], device: torch.device) -> PartMesh:
-    mesh = ellipbody_mesh(level, device=device)
+def _labelled_mesh(level: int, part_labels: tuple[int, ...], device: torch.device, cull_backfaces: bool) -> PartMesh:
+    mesh = replace(ellipbody_mesh(level, device=device), cull_backfaces=cull_backfaces)
     return mesh if part_labels == ALL_PARTS else mesh.relabel(np.array([0, *part_labels], dtype=np.uint8))

@@ -18,14 +18,15 @@ from ....interop.arrays import contiguous, warp_array
 from ....interop.loss_graph import Buffers
 from ....kernels import kinematics
 from ....kernels.refine.state import EllipsoidArrays
+from ....render.body_loss import ALL_PARTS
 from ....render.captured import CapturedEllipsoids
 from ....render.ellipsoid_passes import ellipsoid_passes
 from ....render.ellipsoids import ellipsoid_label_loss
 from ....render.mesh import mesh_label_loss
 from ....render.mesh_passes import mesh_passes
 from ....render.options import DEFAULT_DEPTH_WEIGHT, Gradient
-from ....render.part_mesh import ellipbody_mesh, mesh_constants
-from ....render.renderers import RendererEllipsoids
+from ....render.part_mesh import mesh_constants
+from ....render.renderers import RendererEllipsoids, labelled_mesh
 from ....solve.ellipsoids.captured import CapturedRefinement
 from ....solve.ellipsoids.stepper import LEARNING_RATE
 from ..scene import LABELS, BenchScene
@@ -81,11 +82,11 @@ class ExactRun:
 
 
 class MeshRun:
-    """The mesh renderer, from projected vertices; does what ``ExactRun`` does."""
+    """The mesh renderer as ``RendererMesh.crop_loss`` uses it, from projected vertices; does what ``ExactRun`` does."""
 
     def __init__(self, scene: BenchScene, subdivisions: int) -> None:
         self._scene, device = scene, scene.targets.device
-        self._mesh = mesh = ellipbody_mesh(subdivisions, device=device)
+        self._mesh = mesh = labelled_mesh(subdivisions, ALL_PARTS, device, cull_backfaces=True)
         self._points = scene.camera.project(scene.posed.vertices(subdivisions)).detach().contiguous()
         self._labels = torch.full_like(scene.targets, _POISON)
         passes = mesh_passes(*mesh_constants(mesh), *(False, -math.inf, math.inf, DEFAULT_DEPTH_WEIGHT))
