@@ -149,7 +149,7 @@ def take_share(view: EllipsoidView, first: int, most: int, items: int, weight: i
     if view.share >= first and view.share < first + count:
         share.number = view.share - first
         share.count = count
-        share.turn = wp.min((items + count - 1) // count, lanes)
+        share.turn = wp.clamp((items + count - 1) // count, 1, lanes)
     return share
 
 
