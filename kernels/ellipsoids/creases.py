@@ -291,7 +291,7 @@ def count_cells(view: EllipsoidView):
     for j in range(view.lane, view.silhouettes.shape[0], view.scene.lanes):
         if (view.creases[j // 32] >> wp.uint32(j % 32)) & wp.uint32(1) != wp.uint32(0):
             cells += float(crease_box(view, j)[3])
-    return int(sum_lanes(cells))
+    return int(wp.min(sum_lanes(cells), float(2**30)))  # clamped in float against overflow
 
 
 @wp.func

@@ -15,6 +15,8 @@ from .silhouette import BROKEN, Seen, Silhouette
 
 wp.set_module_options({"enable_backward": False})
 
+_MANY_ITEMS = wp.constant(2**24)  # of work, which any number of shares is worth; more could overflow
+
 
 @wp.struct
 class Ellipsoid:
@@ -145,7 +147,8 @@ def take_share(view: EllipsoidView, first: int, most: int, items: int, weight: i
     """
     share = Share()
     lanes = view.scene.lanes
-    count = wp.clamp(weight * items // (lanes * view.scene.least), 1, most)
+    some = wp.min(items, _MANY_ITEMS)
+    count = wp.clamp(weight * some // (lanes * view.scene.least), 1, most)
     if view.share >= first and view.share < first + count:
         share.number = view.share - first
         share.count = count
@@ -346,7 +349,6 @@ def sum_rows(
         totals[b] = total
 
 
-LEAST = 0
 _FEW = 32  # threads a block where a launch has few: more blocks, so more of the GPU, share them
 BLOCK = 64  # of the kernels that fill forces
 NUM_SUMS = SIXTEEN  # of an ellipsoid's forces
@@ -386,7 +388,7 @@ def launch_forces(
     scene.silhouettes, scene.neighbours, scene.creases = seen.silhouettes, seen.neighbours, seen.creases
     scene.parts, scene.perspective, scene.lanes = parts, perspective, num_lanes(forces.device)
     dim = forces.size // NUM_SUMS * scene.lanes
-    scene.least = LEAST or max(forces.shape[0] * forces.shape[1] // _WORTH, 1)
+    scene.least = max(forces.shape[0] * forces.shape[1] // _WORTH, 1)
     wp.launch(kernel, dim, [scene, *options, gradient], [forces], device=forces.device, block_dim=BLOCK)
 
 
