@@ -220,9 +220,10 @@ class EllipsoidPasses:
 
         ``gradient`` is a LabelTarget or a DenseGradient.
         """
+        batch, count = posed[0].shape
         if losses is None:
             losses = _nothing(2, float, posed[0].device.alias), _nothing(1, float, posed[0].device.alias)
-        sums, outputs = self.make_forces(*posed[0].shape, posed[0].device), _arrays(grads)
+        sums, outputs = self.make_forces(batch, count, posed[0].device), _arrays(grads)
         launch_forces = self.force_launcher()
 
         def launch(part: slice) -> None:
