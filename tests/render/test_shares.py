@@ -13,7 +13,7 @@ from warp_partdr.render.ellipsoid_passes import ellipsoid_passes
 from warp_partdr.render.renderers import RendererEllipsoids
 
 _SIZE, _BATCH = 96, 2
-_TOLERANCES = {"edges": 1e-5, "partdr": 1e-5, "coverage": 0.03}  # of the largest; steps of outlines depend on the shares
+_TOLERANCES = {"edges": 1e-5, "partdr": 1e-5, "coverage": 0.03}  # of the largest; shares set the steps of outlines
 
 
 @pytest.mark.parametrize("gradient", _TOLERANCES)
