@@ -81,17 +81,6 @@ def load_block(image: wp.array2d[wp.uint8], top: int, left: int, in_words: bool)
 
 
 @wp.func
-def write_word(images: wp.array3d[wp.uint8], b: int, row: int, column: int, word: wp.uint32, in_words: bool):
-    """Write four pixels of a row, those of them that are in the image."""
-    if in_words:
-        words_of(images[b])[(row * images.shape[2] + column) // QUAD] = word
-    else:
-        for i in range(QUAD):
-            if column + i < images.shape[2]:
-                images[b, row, column + i] = wp.uint8(byte_of(word, i))
-
-
-@wp.func
 def byte_of(word: wp.uint32, i: int):
     """Byte i of a word, the first one in memory lowest."""
     return int(word >> wp.uint32(8 * i)) & 255

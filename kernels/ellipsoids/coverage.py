@@ -11,11 +11,13 @@ from typing import Any
 import warp as wp
 
 from ..labels import overload_gradients
-from .creases import walk_creases
-from .forces import BLOCK, Sampling, SceneArrays, SurfaceForces, make_view, store_forces
-from .outlines import walk_outline
+from .creases import count_cells, walk_creases
+from .forces import BLOCK, Sampling, SceneArrays, SurfaceForces, find_neighbours, make_view, store_forces, take_share
+from .outlines import count_steps, walk_outline
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+FEWEST_SHARES = 4  # of an ellipsoid's work: three for its creases
 
 
 @wp.kernel(launch_bounds=(BLOCK, 8))
@@ -30,13 +32,18 @@ def coverage_forces(
     view = make_view(scene, forces, gradient, wp.tid())
     s = view.own
     if s.low[0] < float(view.width) and s.low[1] < float(view.height) and s.high[0] > 0.0 and s.high[1] > 0.0:
-        # Half of the shares take the outline and half the creases; a single share takes both.
-        outlines = wp.max(view.shares // 2, 1)
+        # The first shares take the creases, which are more work, and the last quarter the outline; one takes both.
+        outlines = (view.shares + 3) // 4
         creases = wp.max(view.shares - outlines, 1)
-        if view.share < outlines:
-            sums = walk_outline(view, outlines, sampling, gradient)
-        if view.share >= view.shares - creases:
-            sums = walk_creases(sums, view, creases, sampling, gradient)
+        find_neighbours(view)
+        steps = count_steps(view, sampling)
+        share = take_share(view, view.shares - outlines, outlines, steps, 2)
+        if share.count > 0:
+            sums = walk_outline(view, share, steps, sampling, gradient)
+        if view.share < creases:
+            share = take_share(view, 0, creases, count_cells(view), 1)
+            if share.count > 0:
+                sums = walk_creases(sums, view, share, sampling, gradient)
     store_forces(forces, view, sums)
 
 

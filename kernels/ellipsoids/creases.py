@@ -8,9 +8,9 @@ from typing import Any
 
 import warp as wp
 
-from ..lanes import ballot, lowest_bit, nth_bit, shuffle
+from ..lanes import ballot, lowest_bit, nth_bit, shuffle, sum_lanes
 from .borders import chord_shares, find_crossing, front_at, front_gap, radicand_at, radicand_slope, root_at, slope_at
-from .forces import Ellipsoid, EllipsoidView, Sampling, SurfaceForces, add_nearness_force, load_ellipsoid
+from .forces import Ellipsoid, EllipsoidView, Sampling, Share, SurfaceForces, add_nearness_force, load_ellipsoid
 from .silhouette import Silhouette, inside_at, middle_at, to_disc
 
 _NEWTON_STEPS = wp.constant(4)  # towards a crease's end
@@ -271,25 +271,45 @@ def take_cell(row: int, column: int, j: int, finder: int):
 
 
 @wp.func
-def walk_creases(sums: SurfaceForces, view: EllipsoidView, shares: int, sampling: Sampling, gradient: Any):
-    """Forces of one of the last ``shares`` shares of an ellipsoid's creases."""
+def crease_box(view: EllipsoidView, j: int):
+    """First row and column, and number of columns and of cells between pixel centres that two ellipsoids may cover."""
+    low = wp.max(view.own.low, view.silhouettes[j].low)
+    high = wp.min(view.own.high, view.silhouettes[j].high)
+    # Clamped in float against overflow. The first cell begins half a pixel before the picture.
+    left = int(wp.floor(wp.clamp(low[0] - 0.5, -1.0, float(view.width))))
+    right = int(wp.floor(wp.clamp(high[0] - 0.5, -2.0, float(view.width - 1))))
+    top = int(wp.floor(wp.clamp(low[1] - 0.5, -1.0, float(view.height))))
+    bottom = int(wp.floor(wp.clamp(high[1] - 0.5, -2.0, float(view.height - 1))))
+    columns = wp.max(right - left + 1, 0)
+    return wp.vec4i(top, left, columns, columns * wp.max(bottom - top + 1, 0))
+
+
+@wp.func
+def count_cells(view: EllipsoidView):
+    """Number of cells in which an ellipsoid may meet others, for all threads of a warp."""
+    cells = float(0.0)
+    for j in range(view.lane, view.silhouettes.shape[0], view.scene.lanes):
+        if (view.creases[j // 32] >> wp.uint32(j % 32)) & wp.uint32(1) != wp.uint32(0):
+            cells += float(crease_box(view, j)[3])
+    return int(wp.min(sum_lanes(cells), float(2**30)))  # clamped in float against overflow
+
+
+@wp.func
+def walk_creases(sums: SurfaceForces, view: EllipsoidView, share: Share, sampling: Sampling, gradient: Any):
+    """Forces of a share of an ellipsoid's creases."""
     lane = view.lane
     lanes = view.scene.lanes
     cells = int(wp.ceil(sampling.steps_per_pixel))
     size = 1.0 / float(cells)
     s = view.own
-    creases = view.scene.creases[view.b, view.k]
-    for word in range(creases.shape[0]):
-        bits = creases[word]
+    for word in range(view.creases.shape[0]):
+        bits = view.creases[word]
         # Cells between pixel centres are tested ``lanes`` at a time; these groups are numbered over all boxes. Cells
         # that may have a crease wait, one a thread, until all threads have one: the test is cheap, the work is not.
-        group = int(view.share - (view.shares - shares))
+        group = int(share.number)
         begin = int(0)
         end = int(0)
-        left = int(0)
-        top = int(0)
-        columns = int(1)
-        box = int(0)  # cells
+        box = wp.vec4i()
         j = int(-1)
         waiting = int(0)
         cell = wp.vec3i()  # this thread's row and column, and the other ellipsoid
@@ -298,26 +318,18 @@ def walk_creases(sums: SurfaceForces, view: EllipsoidView, shares: int, sampling
             while group >= end and bits != wp.uint32(0):
                 j = 32 * word + lowest_bit(bits)
                 bits &= bits - wp.uint32(1)
-                box_low = wp.max(s.low, view.silhouettes[j].low)
-                box_high = wp.min(s.high, view.silhouettes[j].high)
-                # Cells that both ellipsoids may cover, clamped in float against overflow. The first begins half a
-                # pixel before the picture.
-                left = int(wp.floor(wp.clamp(box_low[0] - 0.5, -1.0, float(view.width))))
-                right = int(wp.floor(wp.clamp(box_high[0] - 0.5, -2.0, float(view.width - 1))))
-                top = int(wp.floor(wp.clamp(box_low[1] - 0.5, -1.0, float(view.height))))
-                bottom = int(wp.floor(wp.clamp(box_high[1] - 0.5, -2.0, float(view.height - 1))))
-                columns = right - left + 1
-                box = wp.max(columns, 0) * wp.max(bottom - top + 1, 0)
+                box = crease_box(view, j)
                 begin = end
-                end = begin + (box + lanes - 1) // lanes
+                end = begin + (box[3] + lanes - 1) // lanes
             looking = group < end
             n = (group - begin) * lanes + lane
-            row = top + n // wp.max(columns, 1)
-            column = left + n - (row - top) * columns
+            down = n // wp.max(box[2], 1)
+            row = box[0] + down
+            column = box[1] + n - down * box[2]
             found = bool(False)
-            if looking and n < box:
+            if looking and n < box[3]:
                 found = fronts_may_meet(s, view.silhouettes[j], wp.vec2(float(column + 1), float(row + 1)), 0.5)
-            group += shares
+            group += share.count
             # Hand the found cells to the threads that have none yet; the rest waits.
             finders = ballot(found)
             total = waiting + wp.bit_count(finders)

@@ -14,11 +14,23 @@ import warp as wp
 from ..labels import EACH_BYTE, HIGH_BITS, QUAD, are_words, excess_at, overload_gradients, unequal_bytes, words_of
 from ..lanes import deal, prefix_sum, shuffle
 from .borders import find_crossing, front_at, front_gap, nearness_slope, outline_end, outward_at
-from .forces import BLOCK, Ellipsoid, EllipsoidView, SceneArrays, SurfaceForces, load_ellipsoid, make_view, store_forces
+from .forces import (
+    BLOCK,
+    Ellipsoid,
+    EllipsoidView,
+    SceneArrays,
+    SurfaceForces,
+    load_ellipsoid,
+    make_view,
+    store_forces,
+    take_share,
+)
 from .silhouette import Silhouette, middle_at, pixel_box
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
+FEWEST_SHARES = 2  # of an ellipsoid's work
+_WEIGHT = wp.constant(32)  # of a turn of squares
 _LAST_BIT = wp.constant(wp.uint32(0x80000000))
 _Rows: Any = wp.types.vector(length=QUAD + 1, dtype=wp.uint32)
 
@@ -194,11 +206,14 @@ def push_borders(view: EllipsoidView, gradient: Any):
     first_row = wp.max(top - 1, 0)
     across = right // QUAD - first_quad + 1
     squares = across * ((bottom - first_row) // QUAD + 1)
+    share = take_share(view, 0, view.shares, squares, _WEIGHT)
+    if share.count == 0:
+        return sums
     # Each thread searches a square, then all threads share the borders found: the search is cheap, the forces are not.
-    for turn in range((squares + view.count - 1) // view.count):
-        square = turn * view.count + view.number
+    for turn in range(share.number, (squares + share.turn - 1) // share.turn, share.count):
+        square = turn * share.turn + view.lane
         borders = wp.uint32(0)
-        if square < squares:
+        if view.lane < share.turn and square < squares:
             row = first_row + QUAD * (square // across)
             borders = find_borders(view, words, in_words, row, first_quad + square % across)
         found = prefix_sum(wp.bit_count(borders))

@@ -10,10 +10,12 @@ from typing import Any
 import warp as wp
 
 from ..labels import flat, target_of
-from ..lanes import SIXTEEN, Sixteen, num_lanes, shuffle_float, sum_lanes, sum_sixteen
-from .silhouette import BROKEN, Seen, Silhouette, launch_find_neighbours
+from ..lanes import SIXTEEN, Sixteen, ballot, num_lanes, shuffle_float, sum_lanes, sum_sixteen
+from .silhouette import BROKEN, Seen, Silhouette
 
 wp.set_module_options({"enable_backward": False})
+
+_MANY_ITEMS = wp.constant(2**24)  # of work, which any number of shares is worth; more could overflow
 
 
 @wp.struct
@@ -36,11 +38,12 @@ class SceneArrays:
     semi_axes: wp.array2d[wp.vec3]  # (B, P)
     camera: wp.array[wp.vec4]  # (B,)
     silhouettes: wp.array2d[Silhouette]  # (B, P)
-    neighbours: wp.array3d[wp.uint32]  # (B, P, N) from ``find_neighbours``
+    neighbours: wp.array3d[wp.uint32]  # (B, P, N) or empty, from ``find_neighbours``
     creases: wp.array3d[wp.uint32]  # (B, P, N)
     parts: wp.array3d[wp.uint8]  # (B, H, W) index + 1 of the ellipsoid shown, 0 = background
     perspective: bool
     lanes: int  # threads of a warp, which share an ellipsoid's work
+    least: int  # turns of its threads that are worth a warp, divided by their weight
 
 
 @wp.struct
@@ -61,12 +64,11 @@ class EllipsoidView:
     share: int  # of ``shares``, in which warps divide its work
     shares: int
     lane: int
-    number: int  # of ``count`` threads
-    count: int
     target: int  # index of the target
     own: Silhouette
     silhouettes: wp.array[Silhouette]  # (P,)
-    neighbours: wp.array[wp.uint32]  # (N,)
+    neighbours: wp.array[wp.uint32]  # (N,) bit j: the boxes of the two outlines overlap
+    creases: wp.array[wp.uint32]  # (N,) bit j: and they may be equally near, with different labels
     parts: wp.array[wp.uint8]  # (H W,)
     height: int  # of the picture
     width: int
@@ -74,26 +76,84 @@ class EllipsoidView:
 
 @wp.func
 def make_view(scene: SceneArrays, forces: wp.array4d[float], gradient: Any, thread: int):
-    """Split the number of a thread: ``lanes`` to a share, S shares to an ellipsoid."""
+    """Split the number of a thread: ``lanes`` to an ellipsoid, all first shares before all second ones.
+
+    So warps that run at the same time do the same kind of work, and share its instructions in the GPU's cache.
+    """
     view = EllipsoidView()
     view.scene = scene
     parts = forces.shape[1]
     view.shares = forces.shape[2]
-    view.count = scene.lanes * view.shares
-    ellipsoid = thread // view.count
-    view.number = thread - ellipsoid * view.count
-    view.share = view.number // scene.lanes
-    view.lane = view.number - view.share * scene.lanes
+    group = thread // scene.lanes
+    view.lane = thread - group * scene.lanes
+    view.share = group // (forces.shape[0] * parts)
+    ellipsoid = group - view.share * forces.shape[0] * parts
     view.b = ellipsoid // parts
     view.k = ellipsoid - view.b * parts
     view.target = target_of(gradient, view.b)
     view.own = scene.silhouettes[view.b, view.k]
     view.silhouettes = scene.silhouettes[view.b]
     view.neighbours = scene.neighbours[view.b, view.k]
+    view.creases = scene.creases[view.b, view.k]
     view.parts = flat(scene.parts[view.b])
     view.height = scene.parts.shape[1]
     view.width = scene.parts.shape[2]
     return view
+
+
+@wp.func
+def find_neighbours(view: EllipsoidView):
+    """Fill the sets of ellipsoids that may hide an ellipsoid or meet it: a bit each, 32 to a word.
+
+    Every thread writes all that it will read, so that none waits for another.
+    """
+    s = view.own
+    lanes = view.scene.lanes
+    for word in range(view.neighbours.shape[0]):
+        near_bits = wp.uint32(0)
+        crease_bits = wp.uint32(0)
+        for first in range(0, 32, lanes):
+            j = 32 * word + first + view.lane
+            overlaps = bool(False)
+            meets = bool(False)
+            if j < view.silhouettes.shape[0] and j != view.k:
+                other = view.silhouettes[j]
+                low = other.low
+                high = other.high
+                overlaps = low[0] < s.high[0] and low[1] < s.high[1] and high[0] > s.low[0] and high[1] > s.low[1]
+                if other.label != s.label and other.closest > s.farthest and s.closest > other.farthest:
+                    meets = overlaps
+            near_bits |= ballot(overlaps) << wp.uint32(first)
+            crease_bits |= ballot(meets) << wp.uint32(first)
+        view.neighbours[word] = near_bits
+        view.creases[word] = crease_bits
+
+
+@wp.struct
+class Share:
+    """A warp's share in a work on an ellipsoid."""
+
+    number: int
+    count: int  # of shares; 0: this warp has none
+    turn: int  # items of a turn, at most one for each thread
+
+
+@wp.func
+def take_share(view: EllipsoidView, first: int, most: int, items: int, weight: int):
+    """Share in a work on so many items, of at most ``most`` shares from the ``first`` on.
+
+    Little work is left to few warps, for the threads of many would have nothing to do. The ``weight`` of a turn of all
+    threads says how soon it is worth a warp.
+    """
+    share = Share()
+    lanes = view.scene.lanes
+    some = wp.min(items, _MANY_ITEMS)
+    count = wp.clamp(weight * some // (lanes * view.scene.least), 1, most)
+    if view.share >= first and view.share < first + count:
+        share.number = view.share - first
+        share.count = count
+        share.turn = wp.clamp((items + count - 1) // count, 1, lanes)
+    return share
 
 
 @wp.func
@@ -292,15 +352,22 @@ def sum_rows(
 _FEW = 32  # threads a block where a launch has few: more blocks, so more of the GPU, share them
 BLOCK = 64  # of the kernels that fill forces
 NUM_SUMS = SIXTEEN  # of an ellipsoid's forces
-_WARPS_TO_FILL = 2048  # of 132 multiprocessors
+_WARPS_TO_FILL = 2560  # of 132 multiprocessors
 _MAX_SHARES = 16  # measured: docs/measured/performance.md
+_MANY = 8192  # ellipsoids that fill the GPU several times
+_WORTH = 160  # ellipsoids at which a turn is worth a warp
 
 
-def make_forces(batch: int, parts: int, device: wp.Device) -> wp.array:
-    """Allocate the sums of forces, in as many shares as it takes to fill the device: (B, P, S, 16)."""
+def make_forces(batch: int, parts: int, device: wp.Device, fewest_shares: int) -> wp.array:
+    """Allocate the sums of forces, in as many shares as it takes to fill the device: (B, P, S, 16).
+
+    Large batches have fewer, but two: one kind of work, or the half of a large ellipsoid, for each.
+    """
     shares = 1
     if not device.is_cpu:
-        shares = max(min(_WARPS_TO_FILL // max(batch * parts, 1), _MAX_SHARES), 1)
+        ellipsoids = max(batch * parts, 1)
+        fewest = fewest_shares if ellipsoids < _MANY else 2
+        shares = min(max(_WARPS_TO_FILL // ellipsoids, fewest), _MAX_SHARES)
     return wp.empty((batch, parts, shares, NUM_SUMS), dtype=float, device=device)
 
 
@@ -311,19 +378,17 @@ def launch_forces(
     seen: Seen,
     parts: wp.array,
     *,
-    neighbours: bool = False,  # that the kernel reads those of ``seen``
     perspective: bool,
     gradient: Any,  # LabelTarget or DenseGradient
     forces: wp.array,
 ) -> None:
     """Fill the sums of forces on every ellipsoid after ``launch_see`` and ``launch_draw``."""
-    if neighbours:
-        launch_find_neighbours(seen)
     scene = SceneArrays()
     scene.centres, scene.axes, scene.semi_axes, scene.camera = ellipsoids
     scene.silhouettes, scene.neighbours, scene.creases = seen.silhouettes, seen.neighbours, seen.creases
     scene.parts, scene.perspective, scene.lanes = parts, perspective, num_lanes(forces.device)
     dim = forces.size // NUM_SUMS * scene.lanes
+    scene.least = max(forces.shape[0] * forces.shape[1] // _WORTH, 1)
     wp.launch(kernel, dim, [scene, *options, gradient], [forces], device=forces.device, block_dim=BLOCK)
 
 

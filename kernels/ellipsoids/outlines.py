@@ -11,7 +11,7 @@ import warp as wp
 from ..lanes import ballot, lowest_bit, shuffle
 from ..rotations import column
 from .borders import chord_shares
-from .forces import Ellipsoid, EllipsoidView, Sampling, SurfaceForces, add_image_force, from_unit, load_ellipsoid
+from .forces import Ellipsoid, EllipsoidView, Sampling, Share, SurfaceForces, add_image_force, from_unit, load_ellipsoid
 from .silhouette import inside_at, middle_at
 
 _MAX_STEPS = wp.constant(float(2**22))  # of an outline; float32 could hardly distinguish the angles of more
@@ -120,20 +120,24 @@ def previous_lane(value: wp.uint32, last: wp.uint32, lane: int, lanes: int):
 
 
 @wp.func
-def walk_outline(view: EllipsoidView, shares: int, sampling: Sampling, gradient: Any):
-    """Forces of one of ``shares`` pieces of an ellipsoid's outline, divided among a warp's threads."""
-    sums = SurfaceForces()
-    e = load_ellipsoid(view)
-    circle = outline_circle(e)
-    lane = view.lane
-    lanes = view.scene.lanes
-    rim = rim_of(e, circle)
+def count_steps(view: EllipsoidView, sampling: Sampling):
+    """Number of steps, shorter than a pixel, in which an outline is walked."""
     half = 0.5 * (view.own.high - view.own.low)
     # The root mean square of the radii bounds the perimeter from above; one of millions of pixels gets longer steps.
-    count = int(wp.min(sampling.steps_per_pixel * 2.0 * wp.pi * wp.length(half) * wp.sqrt(0.5), _MAX_STEPS)) + 9
-    turns = (count + shares * lanes - 1) // (shares * lanes)
-    step = 2.0 * wp.pi / float(turns * shares * lanes)
-    n = view.share * turns * lanes
+    return int(wp.min(sampling.steps_per_pixel * 2.0 * wp.pi * wp.length(half) * wp.sqrt(0.5), _MAX_STEPS)) + 9
+
+
+@wp.func
+def walk_outline(view: EllipsoidView, share: Share, count: int, sampling: Sampling, gradient: Any):
+    """Forces of a share of an ellipsoid's outline in ``count`` steps or more, divided among a warp's threads."""
+    sums = SurfaceForces()
+    e = load_ellipsoid(view)
+    lane = view.lane
+    lanes = view.scene.lanes
+    rim = rim_of(e, outline_circle(e))
+    turns = (count + share.count * lanes - 1) // (share.count * lanes)
+    step = 2.0 * wp.pi / float(turns * share.count * lanes)
+    n = share.number * turns * lanes
     # End of a thread's step, and the label behind it.
     place = turn_to(float(n) * step)
     behind = look_behind(view, image_of(rim, place))
@@ -188,6 +192,6 @@ def walk_outline(view: EllipsoidView, shares: int, sampling: Sampling, gradient:
             before_change = start_behind
             after_change = behind
         n += lanes
-    # From (1, cos, sin) to the point of the unit sphere.
-    sums.moment = sums.moment * wp.transpose(circle)
+    # From (1, cos, sin) to the point of the unit sphere. The circle is found again, for it would occupy registers.
+    sums.moment = sums.moment * wp.transpose(outline_circle(load_ellipsoid(view)))
     return sums

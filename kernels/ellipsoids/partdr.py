@@ -32,7 +32,7 @@ from ..labels import (
     unequal_bytes,
     wrong_on_line,
 )
-from ..lanes import AT_ONCE, at_once, ballot, deal, prefix_sum, shuffle
+from ..lanes import AT_ONCE, at_once, ballot, deal, lowest_bit, prefix_sum, shuffle
 from ..mesh.push_z import MIN_DELTA_Z
 from .borders import front_at, line_root, outline_end
 from .forces import (
@@ -46,12 +46,17 @@ from .forces import (
     load_ellipsoid,
     make_view,
     store_forces,
+    take_share,
     to_unit,
     unproject,
 )
 from .silhouette import Silhouette, depth_of, in_box, inside_at, middle_at, pixel_box
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+
+FEWEST_SHARES = 4  # of an ellipsoid's work: two for lines and two for depths
+_WEIGHT = wp.constant(16)  # of a turn of ends of lines, or of squares of pixels
 
 
 @wp.func
@@ -183,15 +188,17 @@ def wrong_box(view: EllipsoidView, gradient: Any):
 
 
 @wp.func
-def walk_lines(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, max_distance: float, gradient: Any):
+def walk_lines(sums: SurfaceForces, view: EllipsoidView, most: int, max_distance: float, gradient: Any):
     """Forces in x and y: from rows and columns that meet the outline, two ends each."""
     s = view.own
     left, right, top, bottom = wrong_box(view, gradient)
     rows = wp.max(bottom - top + 1, 0)
     columns = wp.max(right - left + 1, 0)
     alone = is_alone(view)
-    n = int(view.number)
-    while n < 2 * (rows + columns):
+    ends = 2 * (rows + columns)
+    share = take_share(view, 0, most, ends, _WEIGHT)
+    n = wp.where(share.count > 0 and view.lane < share.turn, share.number * share.turn + view.lane, ends)
+    while n < ends:
         side = 2 * (n % 2) - 1
         axis = 0
         line = top + n // 2
@@ -206,10 +213,11 @@ def walk_lines(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, max_dista
             nearness = middle_at(s, x, y)
             slope = walk_line(view, axis, line, side, crossing, alone, nearness, max_distance, gradient)
             if slope != 0.0:
+                e = load_ellipsoid(view)
                 unit = to_unit(e, unproject(e, x, y, nearness))
                 push = wp.vec2(wp.where(axis == 0, slope, 0.0), wp.where(axis == 0, 0.0, slope))
                 sums = add_image_force(sums, e, unit, push)
-        n += view.count
+        n += share.count * share.turn
     return sums
 
 
@@ -267,16 +275,28 @@ def push_behind(
     x = float(column) + 0.5
     y = float(row) + 0.5
     front = front_at(s, x, y)
-    for j in range(silhouettes.shape[0]):
-        other = silhouettes[j].label
-        if other != s.label and may_have_gradient(gradient, view.target, other, at) and in_box(silhouettes[j], x, y):
-            g = hidden_gradient(gradient, view.target, other, at)
-            if g != 0.0 and inside_at(silhouettes[j], x, y) > 0.0:
-                back = front_at(silhouettes[j], x, y)
-                if is_nearest_of_label(silhouettes, j, back, x, y):
-                    between = depth_between(front, back, e.perspective)
-                    amount = depth_weight * g * wp.log(1.0 / between + 1.0)
-                    sums = push_depth(sums, e, x, y, front, amount)
+    for word in range((silhouettes.shape[0] + 31) // 32):
+        # First find the hidden ones: for each thread they are others, but few, so that all push together.
+        hidden = wp.uint32(0)
+        for bit in range(wp.min(32, silhouettes.shape[0] - 32 * word)):
+            j = 32 * word + bit
+            other = silhouettes[j].label
+            if (
+                other != s.label
+                and may_have_gradient(gradient, view.target, other, at)
+                and in_box(silhouettes[j], x, y)
+            ):
+                if inside_at(silhouettes[j], x, y) > 0.0:
+                    hidden |= wp.uint32(1) << wp.uint32(bit)
+        while hidden != wp.uint32(0):
+            j = 32 * word + lowest_bit(hidden)
+            hidden &= hidden - wp.uint32(1)
+            g = hidden_gradient(gradient, view.target, silhouettes[j].label, at)
+            back = front_at(silhouettes[j], x, y)
+            if g != 0.0 and is_nearest_of_label(silhouettes, j, back, x, y):
+                between = depth_between(front, back, e.perspective)
+                amount = depth_weight * g * wp.log(1.0 / between + 1.0)
+                sums = push_depth(sums, e, x, y, front, amount)
     return sums
 
 
@@ -302,7 +322,7 @@ def pull_forward(
 
 
 @wp.func
-def walk_depths(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, depth_weight: float, gradient: Any):
+def walk_depths(sums: SurfaceForces, view: EllipsoidView, most: int, depth_weight: float, gradient: Any):
     """Forces in z: where the target's label is hidden, its ellipsoid comes forward, the one that hides it goes back."""
     left, right, top, bottom = pixel_box(view.own, view.height, view.width)
     if has_extent(gradient, view.own.label):
@@ -313,11 +333,15 @@ def walk_depths(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, depth_we
     first_quad = left // QUAD
     across = wp.max(right // QUAD - first_quad + 1, 0)
     squares = across * wp.max((bottom - top) // QUAD + 1, 0)
+    lanes = view.scene.lanes
+    share = take_share(view, view.shares - most, most, squares, _WEIGHT)
+    if share.count == 0:
+        return sums
     # Each thread looks at 4 by 4 pixels, then all share those that matter.
-    for turn in range((squares + view.count - 1) // view.count):
-        square = turn * view.count + view.number
+    for turn in range(share.number, (squares + share.turn - 1) // share.turn, share.count):
+        square = turn * share.turn + view.lane
         pixels = wp.uint32(0)
-        if square < squares:
+        if view.lane < share.turn and square < squares:
             row = top + QUAD * (square // across)
             column = QUAD * (first_quad + square % across)
             shown = load_block(image, row, column, in_words)
@@ -326,13 +350,14 @@ def walk_depths(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, depth_we
                 own = unequal_bytes(shown[i], four) ^ HIGH_BITS
                 pixels |= may_push_depths(gradient, own, shown[i], expected[i], view.own.label) >> wp.uint32(i)
         found = prefix_sum(wp.bit_count(pixels))
-        total = int(shuffle(wp.uint32(found), view.scene.lanes - 1))
-        for first in range(0, total, view.scene.lanes):
+        total = int(shuffle(wp.uint32(found), lanes - 1))
+        for first in range(0, total, lanes):
             number = first + view.lane
-            mine = deal(pixels, found, square, number, view.scene.lanes)
+            mine = deal(pixels, found, square, number, lanes)
             if number < total:
                 row = top + QUAD * (mine[0] // across) + 7 - mine[1] % 8
                 column = QUAD * (first_quad + mine[0] % across) + mine[1] // 8
+                e = load_ellipsoid(view)
                 if int(view.parts[row * view.width + column]) == view.k + 1:
                     sums = push_behind(sums, view, e, row, column, depth_weight, gradient)
                 else:
@@ -352,11 +377,10 @@ def partdr_forces(
     sums = SurfaceForces()
     view = make_view(scene, forces, gradient, wp.tid())
     if view.own.low[0] <= view.own.high[0]:
-        e = load_ellipsoid(view)
         if has_extent(gradient, view.own.label):
-            sums = walk_lines(sums, view, e, max_distance, gradient)
+            sums = walk_lines(sums, view, wp.max(view.shares // 2, 1), max_distance, gradient)
         if depth_weight != 0.0:
-            sums = walk_depths(sums, view, e, depth_weight, gradient)
+            sums = walk_depths(sums, view, (view.shares + 1) // 2, depth_weight, gradient)
     store_forces(forces, view, sums)
 
 

@@ -13,44 +13,92 @@ from ..labels import (
     EACH_BYTE,
     IGNORE,
     IGNORED,
+    MISSING,
     QUAD,
+    SURPLUS,
     LabelTarget,
     are_words,
-    byte_of,
     cost_of,
     flat,
-    load_word,
     note_wrong,
     target_of,
     unequal_bytes,
     words_of,
-    write_word,
 )
 from ..lanes import LANES, ballot, lowest_bit, shuffle, sum_lanes
 from .silhouette import Silhouette, along_row, depth_of, find_fault, inside_at, middle_at, row_lean, row_root, to_disc
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-# On CUDA a warp draws a tile of the picture strip by strip. Its threads draw four neighbouring pixels of a row each.
+# On CUDA a warp draws a tile of the picture strip by strip. Its threads draw eight neighbouring pixels of a row each.
 # Fewer, longer warps cost least, but small batches need many to fill the GPU.
-_STRIP_WIDTH = wp.constant(16)
+_STRIP_WIDTH = wp.constant(32)  # pixels, a sector of memory
 _STRIP_ROWS = wp.constant(8)
-_QUADS = wp.constant(4)  # a row of a strip
+_RUN = wp.constant(8)  # pixels a thread
+_RUNS = wp.constant(4)  # a row of a strip
 _BLOCK = 128
-_MAX_STRIPS = 8  # 64 bits hold one for each strip and each of a thread's 8 ellipsoids
-_Strips: Any = wp.types.vector(length=_MAX_STRIPS, dtype=wp.uint32)
+_MAX_STRIPS = 4  # at most 8: 64 bits hold one for each strip and each of a thread's 8 ellipsoids
+_Strips: Any = wp.types.vector(length=_MAX_STRIPS, dtype=wp.uint64)
+_Indices: Any = wp.types.vector(length=8, dtype=wp.int32)
+_Numbers: Any = wp.types.vector(length=8, dtype=wp.float32)
 _WARPS_TO_FILL = 4096  # of 132 multiprocessors
 _EACH_WORD = wp.constant(wp.uint64(0x0101010101010101))  # bit 0 of each byte
 _SLACK = wp.constant(1.0e-5)  # relative margin of bounds in float32
 
 
 @wp.func
-def pack(values: wp.vec4i):
-    """Four bytes as one word, in the order of memory."""
-    word = wp.uint32(values[0])
-    for i in range(1, QUAD):
-        word |= wp.uint32(values[i]) << wp.uint32(8 * i)
-    return word
+def are_runs(images: wp.array3d[wp.uint8]):
+    """True if contiguous images can be read eight pixels at once."""
+    return images.shape[2] % _RUN == 0 and images.ptr % wp.uint64(8) == wp.uint64(0)
+
+
+@wp.func
+def row_of_pixels(images: wp.array3d[wp.uint8], row: int):
+    """Row of contiguous images; rows are counted over all images."""
+    width = images.shape[2]
+    return wp.array(ptr=images.ptr + wp.uint64(row) * wp.uint64(width), shape=(width,), dtype=wp.uint8)
+
+
+@wp.func
+def runs_of(images: wp.array3d[wp.uint8], row: int):
+    """Row of images that ``are_runs``, eight pixels a number; rows are counted over all images."""
+    width = images.shape[2]
+    return wp.array(ptr=images.ptr + wp.uint64(row) * wp.uint64(width), shape=(width // 8,), dtype=wp.uint64)
+
+
+@wp.func
+def read_run(images: wp.array3d[wp.uint8], row: int, column: int, in_runs: bool):
+    """Eight pixels of a row, those of them that are in the picture, the first one lowest."""
+    run = wp.uint64(0)
+    if in_runs:
+        run = runs_of(images, row)[column // _RUN]
+    else:
+        for i in range(wp.min(_RUN, images.shape[2] - column)):
+            run |= wp.uint64(row_of_pixels(images, row)[column + i]) << wp.uint64(8 * i)
+    return run
+
+
+@wp.func
+def write_run(images: wp.array3d[wp.uint8], row: int, column: int, run: wp.uint64, in_runs: bool):
+    """Write eight pixels of a row, those of them that are in the picture."""
+    if in_runs:
+        runs_of(images, row)[column // _RUN] = run
+    else:
+        for i in range(wp.min(_RUN, images.shape[2] - column)):
+            row_of_pixels(images, row)[column + i] = wp.uint8(pixel_of(run, i))
+
+
+@wp.func
+def row_of_numbers(images: wp.array3d[float], row: int):
+    """Row of contiguous images; rows are counted over all images."""
+    width = images.shape[2]
+    return wp.array(ptr=images.ptr + wp.uint64(4) * wp.uint64(row) * wp.uint64(width), shape=(width,), dtype=float)
+
+
+@wp.func
+def pixel_of(run: wp.uint64, i: int):
+    """Pixel i of a run."""
+    return int(run >> wp.uint64(8 * i)) & 255
 
 
 @wp.func
@@ -82,13 +130,13 @@ def may_meet(s: Silhouette, left: float, right: float, top: float, bottom: float
 
 
 @wp.func
-def draw_quad(ellipsoids: wp.array[Silhouette], meets: wp.uint64, words: int, x: float, y: float):
-    """Index + 1 of the nearest ellipsoid at four pixels, and its nearness, of those that any thread says may meet them.
+def draw_run(ellipsoids: wp.array[Silhouette], meets: wp.uint64, words: int, x: float, y: float):
+    """Index + 1 of the nearest ellipsoid at eight pixels, and its nearness, of those that a thread says may meet them.
 
     Bit 8 word of ``meets`` says it of the thread's ellipsoid in that word.
     """
-    shown = wp.vec4i(0, 0, 0, 0)
-    best = wp.vec4(-wp.inf, -wp.inf, -wp.inf, -wp.inf)
+    shown = _Indices()
+    best = _Numbers(-wp.inf)
     for word in range(words):
         bits = ballot((meets >> wp.uint64(8 * word)) & wp.uint64(1) == wp.uint64(1))
         while bits != wp.uint32(0):
@@ -97,7 +145,7 @@ def draw_quad(ellipsoids: wp.array[Silhouette], meets: wp.uint64, words: int, x:
             s = ellipsoids[k]
             place = to_disc(s, x - s.mean[0], y - s.mean[1])
             first_middle = middle_at(s, x, y)
-            for i in range(QUAD):
+            for i in range(_RUN):
                 # Selects, not branches: neighbours disagree.
                 u = place[0] + float(i) * s.factor[0]
                 v = place[1] + float(i) * s.factor[1]
@@ -110,24 +158,55 @@ def draw_quad(ellipsoids: wp.array[Silhouette], meets: wp.uint64, words: int, x:
 
 
 @wp.func
-def note_strip(target: LabelTarget, b: int, label_word: wp.uint32, expected: wp.uint32, left: int, top: int):
+def first_pair(shown: wp.uint32, expected: wp.uint32, wrong: wp.uint32):
+    """Label shown and, times 256, label wanted at the first of four pixels that is wrong."""
+    shift = wp.uint32(lowest_bit(wrong) & 24)
+    return (shown >> shift & wp.uint32(255)) | (expected >> shift & wp.uint32(255)) << wp.uint32(8)
+
+
+@wp.func
+def without_pair(wrong: wp.uint32, shown: wp.uint32, expected: wp.uint32, pair: wp.uint32):
+    """Wrong pixels of four but those with a pair of labels."""
+    label = (pair & wp.uint32(255)) * EACH_BYTE
+    wanted = (pair >> wp.uint32(8)) * EACH_BYTE
+    return wrong & (unequal_bytes(shown, label) | unequal_bytes(expected, wanted))
+
+
+@wp.func
+def note_strip(target: LabelTarget, b: int, labels: wp.uint64, wanted: wp.uint64, left: int, top: int, lane: int):
     """Record where a strip is wrong, one pair of labels after another, the same for all threads."""
-    height, width = target.target.shape[1], target.target.shape[2]
-    wrong = unequal_bytes(label_word, expected) & unequal_bytes(expected, IGNORED)
-    waiting = ballot(wrong != wp.uint32(0))
+    low = wp.uint32(labels)
+    high = wp.uint32(labels >> wp.uint64(32))
+    low_wanted = wp.uint32(wanted)
+    high_wanted = wp.uint32(wanted >> wp.uint64(32))
+    low_wrong = unequal_bytes(low, low_wanted) & unequal_bytes(low_wanted, IGNORED)
+    high_wrong = unequal_bytes(high, high_wanted) & unequal_bytes(high_wanted, IGNORED)
+    waiting = ballot((low_wrong | high_wrong) != wp.uint32(0))
     while waiting != wp.uint32(0):
-        finder = lowest_bit(waiting)
-        shift = wp.uint32(lowest_bit(shuffle(wrong, finder)) & 24)
-        label = shuffle(label_word, finder) >> shift & wp.uint32(255)
-        wanted = shuffle(expected, finder) >> shift & wp.uint32(255)
-        other = unequal_bytes(label_word, label * EACH_BYTE) | unequal_bytes(expected, wanted * EACH_BYTE)
-        if wrong & ~other != wp.uint32(0):  # each of these threads says the same
-            reach = wp.vec4i(
-                height - top, wp.min(top + _STRIP_ROWS, height), width - left, wp.min(left + _STRIP_WIDTH, width)
-            )
-            note_wrong(target.extents, b, int(label), int(wanted), reach)
-        wrong &= other
-        waiting = ballot(wrong != wp.uint32(0))
+        pair = first_pair(high, high_wanted, high_wrong)
+        if low_wrong != wp.uint32(0):
+            pair = first_pair(low, low_wanted, low_wrong)
+        pair = shuffle(pair, lowest_bit(waiting))
+        note_pair(target, b, int(pair & wp.uint32(255)), int(pair >> wp.uint32(8)), left, top, lane)
+        low_wrong = without_pair(low_wrong, low, low_wanted, pair)
+        high_wrong = without_pair(high_wrong, high, high_wanted, pair)
+        waiting = ballot((low_wrong | high_wrong) != wp.uint32(0))
+
+
+@wp.func
+def note_pair(target: LabelTarget, b: int, shown: int, expected: int, left: int, top: int, lane: int):
+    """Record a strip for two labels as ``note_wrong`` does, by a thread for each of eight numbers."""
+    extents = target.extents
+    height, width = target.target.shape[1], target.target.shape[2]
+    side = lane % 4
+    reach = wp.where(side == 0, height - top, wp.min(top + _STRIP_ROWS, height))
+    if side >= 2:
+        reach = wp.where(side == 2, width - left, wp.min(left + _STRIP_WIDTH, width))
+    label = wp.where(lane < 4, shown, expected)
+    kind = wp.where(lane < 4, SURPLUS, MISSING)
+    if lane < 8 and label > 0 and label < extents.shape[2]:
+        numbers = wp.array(ptr=extents.ptr, shape=(4 * extents.shape[2],), dtype=int)
+        wp.atomic_max(numbers, 4 * ((b * extents.shape[1] + kind) * extents.shape[2] + label) + side, reach)
 
 
 @wp.kernel(launch_bounds=(_BLOCK, 8))  # 64 registers
@@ -158,7 +237,8 @@ def draw_tiles(
     ellipsoids = silhouettes[b]
     left = (tile % tiles) * _STRIP_WIDTH
     top = (tile // tiles) * tile_height
-    column = left + (lane % _QUADS) * QUAD
+    first_row = top + lane // _RUNS
+    column = left + (lane % _RUNS) * _RUN
     x = float(column) + 0.5
     right = float(left + _STRIP_WIDTH)
     count = silhouettes.shape[1]
@@ -166,13 +246,7 @@ def draw_tiles(
     t = target_of(target, b)
     has_labels = labels.shape[0] > 0
     has_losses = losses.shape[0] > 0
-    in_words = are_words(parts) and (are_words(labels) or not has_labels)
-    in_words = in_words and (are_words(target.target) or not has_losses)
-    # Views and places are found once: for each strip they would be half of the instructions.
-    part_words = words_of(parts[b])
-    label_words = words_of(labels[b])
-    target_words = words_of(target.target[t])
-    first_word = ((top + lane // _QUADS) * width + column) // QUAD
+    in_runs = are_runs(parts) and (are_runs(labels) or not has_labels) and (are_runs(target.target) or not has_losses)
     fault = float(0.0)
     if tile == 0 or depth.shape[0] > 0:  # one tile spoils the sum of losses
         fault = find_fault(ellipsoids, lane, LANES)
@@ -189,67 +263,61 @@ def draw_tiles(
                     first = float(top + strip * _STRIP_ROWS)
                     if may_meet(own, float(left), right, first, first + float(_STRIP_ROWS)):
                         meets |= wp.uint64(1) << wp.uint64(8 * word + strip)
-    pitch = _STRIP_ROWS * width // QUAD
-    if ballot(meets != wp.uint64(0)) == wp.uint32(0) and in_words and depth.shape[0] == 0:
+    if ballot(meets != wp.uint64(0)) == wp.uint32(0) and in_runs and depth.shape[0] == 0:
         # Most tiles are background, and should be. All loads come before any store, which might be to the same place.
         wanted = _Strips()
         for strip in range(_MAX_STRIPS):
-            if strip < strips and column < width and top + strip * _STRIP_ROWS + lane // _QUADS < height:
+            if strip < strips and column < width and first_row + strip * _STRIP_ROWS < height:
                 if has_losses:
-                    wanted[strip] = target_words[first_word + strip * pitch]
-        some = wp.uint32(0)
+                    wanted[strip] = read_run(target.target, t * height + first_row + strip * _STRIP_ROWS, column, True)
+        some = wp.uint64(0)
         for strip in range(_MAX_STRIPS):
             some |= wanted[strip]
-            if strip < strips and column < width and top + strip * _STRIP_ROWS + lane // _QUADS < height:
-                part_words[first_word + strip * pitch] = wp.uint32(0)
+            if strip < strips and column < width and first_row + strip * _STRIP_ROWS < height:
+                row = b * height + first_row + strip * _STRIP_ROWS
+                write_run(parts, row, column, wp.uint64(0), True)
                 if has_labels:
-                    label_words[first_word + strip * pitch] = wp.uint32(0)
-        if ballot(some != wp.uint32(0)) == wp.uint32(0):
+                    write_run(labels, row, column, wp.uint64(0), True)
+        if ballot(some != wp.uint64(0)) == wp.uint32(0):
             if has_losses and lane == 0:
                 losses[b, tile] = fault
             return
     loss = fault
     for strip in range(strips):
-        row = top + strip * _STRIP_ROWS + lane // _QUADS
+        row = first_row + strip * _STRIP_ROWS
         in_picture = row < height and column < width
-        at = first_word + strip * pitch
-        best = wp.vec4()
-        shown_word = wp.uint32(0)
-        label_word = wp.uint32(0)
+        expected = wp.uint64(0)
+        if has_losses and in_picture:
+            # Read early, not to wait for it later.
+            expected = read_run(target.target, t * height + row, column, in_runs)
+        shown = _Indices()
+        best = _Numbers()
+        shown_run = wp.uint64(0)
+        label_run = wp.uint64(0)
         mine = meets >> wp.uint64(strip)
         if ballot((mine & _EACH_WORD) != wp.uint64(0)) != wp.uint32(0):
-            shown, best = draw_quad(ellipsoids, mine, words, x, float(row) + 0.5)
-            shown_word = pack(shown)
-            for i in range(QUAD):
+            shown, best = draw_run(ellipsoids, mine, words, x, float(row) + 0.5)
+            for i in range(_RUN):
+                shown_run |= wp.uint64(shown[i]) << wp.uint64(8 * i)
                 if shown[i] > 0 and column + i < width:
-                    label_word |= wp.uint32(ellipsoids[shown[i] - 1].label) << wp.uint32(8 * i)
-        expected = wp.uint32(0)
+                    label_run |= wp.uint64(ellipsoids[shown[i] - 1].label) << wp.uint64(8 * i)
         if in_picture:
-            if in_words:
-                part_words[at] = shown_word
-                if has_labels:
-                    label_words[at] = label_word
-                if has_losses:
-                    expected = target_words[at]
-            else:
-                write_word(parts, b, row, column, shown_word, False)
-                if has_labels:
-                    write_word(labels, b, row, column, label_word, False)
-                if has_losses:
-                    expected = load_word(target.target[t], row, column, False)
+            write_run(parts, b * height + row, column, shown_run, in_runs)
+            if has_labels:
+                write_run(labels, b * height + row, column, label_run, in_runs)
             if depth.shape[0] > 0:
-                for i in range(QUAD):
+                numbers = row_of_numbers(depth, b * height + row)
+                for i in range(_RUN):
                     if column + i < width:
-                        shows = byte_of(shown_word, i) > 0
-                        depth[b, row, column + i] = fault + wp.where(shows, depth_of(best[i], perspective), wp.inf)
+                        numbers[column + i] = fault + wp.where(shown[i] > 0, depth_of(best[i], perspective), wp.inf)
         if has_losses:
             if not in_picture:
-                label_word = wp.uint32(0)
-            if expected != label_word:
-                for i in range(QUAD):
-                    loss += cost_of(target, byte_of(expected, i), byte_of(label_word, i))
+                label_run = wp.uint64(0)
+            if expected != label_run:
+                for i in range(_RUN):
+                    loss += cost_of(target, pixel_of(expected, i), pixel_of(label_run, i))
             if target.extents.shape[0] > 0:
-                note_strip(target, b, label_word, expected, left, top + strip * _STRIP_ROWS)
+                note_strip(target, b, label_run, expected, left, top + strip * _STRIP_ROWS, lane)
     if has_losses:
         total = sum_lanes(loss)
         if lane == 0:

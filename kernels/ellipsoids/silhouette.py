@@ -223,49 +223,28 @@ def see_ellipsoids(
     near: float,  # [m]
     perspective: bool,
     silhouettes: wp.array2d[Silhouette],  # (B, P)  OUTPUT
+    extents: wp.array3d[
+        wp.vec4i
+    ],  # (B, 3, L) of a ``LabelTarget``, set to 0 for the picture's kernel; or empty  OUTPUT
 ):
     """Silhouettes of all ellipsoids."""
     b, k = wp.tid()
     silhouettes[b, k] = see_ellipsoid(
         centres[b, k], axes[b, k], semi_axes[b, k], camera[b], int(part_labels[k]), near, perspective
     )
-
-
-@wp.kernel
-def find_neighbours(
-    silhouettes: wp.array2d[Silhouette],  # (B, P)
-    neighbours: wp.array3d[wp.uint32],  # (B, P, N) bit j: the boxes of the two outlines overlap  OUTPUT
-    creases: wp.array3d[wp.uint32],  # (B, P, N) bit j: and they may be equally near, with different labels  OUTPUT
-):
-    """Sets of the ellipsoids that may hide one another or meet: a bit each, 32 to a word."""
-    b, k = wp.tid()
-    s = silhouettes[b, k]
-    for word in range(neighbours.shape[2]):
-        near_bits = wp.uint32(0)
-        crease_bits = wp.uint32(0)
-        for bit in range(wp.min(32, silhouettes.shape[1] - 32 * word)):
-            j = 32 * word + bit
-            if j != k:
-                low = silhouettes[b, j].low
-                high = silhouettes[b, j].high
-                if low[0] < s.high[0] and low[1] < s.high[1] and high[0] > s.low[0] and high[1] > s.low[1]:
-                    one = wp.uint32(1) << wp.uint32(bit)
-                    near_bits |= one
-                    other = silhouettes[b, j]
-                    if other.label != s.label and other.closest > s.farthest and s.closest > other.farthest:
-                        crease_bits |= one
-        neighbours[b, k, word] = near_bits
-        creases[b, k, word] = crease_bits
+    if extents.shape[0] > 0:
+        for i in range(k, extents.shape[1] * extents.shape[2], centres.shape[1]):
+            extents[b, i // extents.shape[2], i % extents.shape[2]] = wp.vec4i()
 
 
 class Seen(NamedTuple):
     """B bodies of P ellipsoids as their cameras see them.
 
     Attributes:
-        silhouettes: Silhouettes that ``launch_see`` fills, shape (B, P).
-        neighbours: Sets of ellipsoids that may hide each ellipsoid or be hidden by it, which ``launch_find_neighbours``
-            fills, shape (B, P, N), uint32, with a bit for each.
-        creases: Sets of ellipsoids that may meet each ellipsoid, shape (B, P, N), uint32.
+        silhouettes: Silhouettes, which ``launch_see`` fills, shape (B, P).
+        neighbours: Sets of ellipsoids that may hide each ellipsoid or be hidden by it, with a bit for each, shape
+            (B, P, N), uint32. The gradient "coverage" fills them; for others they are empty.
+        creases: Sets of ellipsoids that may meet each ellipsoid, like ``neighbours``.
     """
 
     silhouettes: wp.array
@@ -273,9 +252,9 @@ class Seen(NamedTuple):
     creases: wp.array
 
     @classmethod
-    def empty(cls, batch: int, parts: int, device: wp.DeviceLike) -> "Seen":
-        """Allocate for a batch."""
-        sets = (batch, parts, (parts + 31) // 32)
+    def empty(cls, batch: int, parts: int, device: wp.DeviceLike, *, neighbours: bool) -> "Seen":
+        """Allocate for a batch, with or without the sets."""
+        sets = (batch, parts, (parts + 31) // 32) if neighbours else (0, 0, 0)
         return cls(
             wp.empty((batch, parts), dtype=Silhouette, device=device),
             wp.empty(sets, dtype=wp.uint32, device=device),
@@ -284,15 +263,15 @@ class Seen(NamedTuple):
 
 
 def launch_see(
-    ellipsoids: Sequence[wp.array], part_labels: wp.array, *, near: float, perspective: bool, seen: Seen
+    ellipsoids: Sequence[wp.array],
+    part_labels: wp.array,
+    *,
+    near: float,
+    perspective: bool,
+    seen: Seen,
+    extents: wp.array,
 ) -> None:
-    """Fill the silhouettes of ``seen`` from centres, axes, semi-axes and camera."""
+    """Fill the silhouettes of ``seen`` from centres, axes, semi-axes and camera; set ``extents``, if any, to 0."""
     device, shape = part_labels.device, seen.silhouettes.shape
     inputs = [*ellipsoids, part_labels, near, perspective]
-    wp.launch(see_ellipsoids, shape, inputs, [seen.silhouettes], device=device, block_dim=_FEW)
-
-
-def launch_find_neighbours(seen: Seen) -> None:
-    """Fill the sets of ``seen`` from its silhouettes."""
-    device, shape = seen.silhouettes.device, seen.silhouettes.shape
-    wp.launch(find_neighbours, shape, seen[:1], seen[1:], device=device, block_dim=_FEW)
+    wp.launch(see_ellipsoids, shape, inputs, [seen.silhouettes, extents], device=device, block_dim=_FEW)

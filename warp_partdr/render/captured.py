@@ -9,7 +9,6 @@ import torch
 import warp as wp
 
 from ..cameras import ScreenCamera
-from ..kernels.ellipsoids.forces import make_forces
 from ..kernels.refine.state import Drawn, EllipsoidArrays
 from .ellipsoid_passes import ellipsoid_passes
 from .renderers import RendererEllipsoids
@@ -47,7 +46,7 @@ class CapturedEllipsoids:
         target = passes.label_target(targets, batch)
         drawn = self.drawn = Drawn()
         self._draw, seen, drawn.loss = passes.prepare_picture(posed, target, parts=shown)
-        drawn.forces = make_forces(batch, parts, device)
+        drawn.forces = passes.make_forces(batch, parts, device)
         self._push = partial(passes.force_launcher(), posed, seen, shown, gradient=target, forces=drawn.forces)
         self._bodies = slice(0, batch)
 

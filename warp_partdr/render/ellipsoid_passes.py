@@ -63,6 +63,10 @@ class EllipsoidPasses:
         """Modules of the kernels that it launches."""
         return silhouette, ellipsoid_picture, _ESTIMATORS[self.gradient], forces
 
+    def make_forces(self, batch: int, parts: int, device: wp.Device) -> wp.array:
+        """Allocate the sums of forces, shape (B, P, S, 16)."""
+        return forces.make_forces(batch, parts, device, _ESTIMATORS[self.gradient].FEWEST_SHARES)
+
     def force_launcher(self) -> Callable[..., None]:
         """Launcher of the sums of forces on ellipsoids, with one signature for all estimators."""
         launch = partial(forces.launch_forces, perspective=self.perspective)
@@ -71,7 +75,7 @@ class EllipsoidPasses:
             sampling.steps_per_pixel = self.samples_per_pixel
             more = math.ceil(_MORE_HALVINGS * math.log2(max(self.samples_per_pixel, 1.0)))
             sampling.halvings = _HALVINGS + more
-            return partial(launch, coverage.coverage_forces, [sampling], neighbours=True)
+            return partial(launch, coverage.coverage_forces, [sampling])
         if self.gradient == "partdr":
             return partial(launch, partdr.partdr_forces, [self.max_distance, self.depth_weight])
         return partial(launch, edges.push_crossings, [])
@@ -110,8 +114,8 @@ class EllipsoidPasses:
         with on_torch_stream(device):
             posed = _arrays(map(contiguous, inputs))
             if seen is None:
-                seen = _empty_seen(posed)
-                self._prepare_see(device)(posed, seen=seen)
+                seen = self._empty_seen(posed)
+                self._prepare_see(device)(posed, seen=seen, extents=_nothing(3, wp.vec4i, posed[0].device.alias))
             dense = _dense_gradient(warp_array(contiguous(grad_maps.float())))
             launch = self._prepare_gradients(posed, seen, warp_array(picture.nearest), dense, grads)
         launch_bodies_on(device, launch, grad_maps.shape[0], (_ESTIMATORS[self.gradient], forces))
@@ -167,7 +171,8 @@ class EllipsoidPasses:
             faults: Array as in ``Picture``, if faults are asked for.
         """
         device, shape = posed[0].device, parts.shape
-        seen, losses, nearest = _empty_seen(posed), _nothing(2, float, device.alias), _nothing(3, float, device.alias)
+        seen = self._empty_seen(posed)
+        losses, nearest = _nothing(2, float, device.alias), _nothing(3, float, device.alias)
         if target is not None:
             num_losses = ellipsoid_picture.num_partial_losses(device, *shape)
             losses = wp.empty((shape[0], num_losses), dtype=float, device=device)
@@ -180,20 +185,25 @@ class EllipsoidPasses:
         if faults is None:
             faults = wp.empty(shape[0], dtype=float, device=device)
         outputs = parts, labels, depth, losses, faults
-        see, compared = self._prepare_see(wp.device_to_torch(device)), LabelTarget() if target is None else target
+        see, compared = self._prepare_see(wp.device_to_torch(device)), target
+        if compared is None:
+            compared = LabelTarget()
+            compared.extents = _nothing(3, wp.vec4i, device.alias)
 
         def launch(part: slice) -> None:
             here, cut = _cut_seen(seen, part), [_cut(array, part) for array in outputs]
-            see([_cut(array, part) for array in posed], seen=here)
+            see([_cut(array, part) for array in posed], seen=here, extents=_cut(compared.extents, part))
             scratch = _cut(nearest, part)
-            if target is not None and target.extents.size:
-                target.extents.zero_()
             ellipsoid_picture.launch_draw(here.silhouettes, compared, scratch, cut, perspective=self.perspective)
 
         return launch, seen, losses
 
+    def _empty_seen(self, posed: Sequence[wp.array]) -> Seen:
+        batch, count = posed[0].shape
+        return Seen.empty(batch, count, posed[0].device, neighbours=self.gradient == "coverage")
+
     def _prepare_see(self, device: torch.device | str) -> Callable[..., None]:
-        """Launcher that fills the silhouettes of ``seen`` from centres, axes, semi-axes and camera."""
+        """Launcher that fills ``seen`` from centres, axes, semi-axes and camera."""
         labels = warp_array(_on_device(self.labels, torch.device(device)))
         return partial(launch_see, part_labels=labels, near=self.near, perspective=self.perspective)
 
@@ -213,7 +223,7 @@ class EllipsoidPasses:
         batch, count = posed[0].shape
         if losses is None:
             losses = _nothing(2, float, posed[0].device.alias), _nothing(1, float, posed[0].device.alias)
-        sums, outputs = forces.make_forces(batch, count, posed[0].device), _arrays(grads)
+        sums, outputs = self.make_forces(batch, count, posed[0].device), _arrays(grads)
         launch_forces = self.force_launcher()
 
         def launch(part: slice) -> None:
@@ -254,11 +264,6 @@ def _arrays(tensors: Iterable[torch.Tensor]) -> list[wp.array]:
 def _nothing(ndim: int, dtype: type, device: str) -> wp.array:
     """An empty array for what is not asked for."""
     return wp.empty((0,) * ndim, dtype=dtype, device=device)
-
-
-def _empty_seen(posed: Sequence[wp.array]) -> Seen:
-    batch, count = posed[0].shape
-    return Seen.empty(batch, count, posed[0].device)
 
 
 def _cut(array: wp.array, part: slice) -> wp.array:
