@@ -14,12 +14,12 @@ _RATE = 0.005
 
 
 def training_step(scene: BenchScene, name: str) -> Callable[[], torch.Tensor]:
-    """A step of the bodies with the mean L_seg of ``crop_loss``; it returns the loss."""
+    """Step of the bodies with the mean L_seg of ``crop_loss``; it returns the loss."""
     return _step(scene, name, compiled=False)
 
 
 def compiled_step(scene: BenchScene, name: str) -> Callable[[], torch.Tensor]:
-    """The same step, from parameters to loss compiled as one graph. The compiler runs at the first call."""
+    """Step of the bodies, from parameters to loss compiled as one graph. The compiler runs at the first call."""
     return _step(scene, name, compiled=True)
 
 
