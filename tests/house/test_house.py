@@ -84,7 +84,7 @@ RIGHT_CARRIERS = {
     "__init__: Progress(*columns)": "columns of rich, which takes any number",
     "__init__: fuse_conv_bn_weights(*statistics)": "torch's own operator",
     "_read_union: kinds: tuple[Any, ...]": "types of a union, as typing gives them",
-    "call_captured: _Graph(*key)": "the cache's key is all that a graph depends on",
+    "find_together: _Graph(*key)": "the cache's key is all that a graph depends on",
     "are_good: _Graph(*key)": "the cache's key is all that a graph depends on",
     "forward: torch.cudnn_convolution_add_relu(*summed)": "torch's own operator",
     "from_json: cls(**fields)": "fields of a JSON object, by their names in the file",

@@ -42,8 +42,7 @@ class _Gate:
     def enter(self, captured: bool) -> None:
         """Begin what ``launching`` is for."""
         with self._changed:
-            if not captured and self._capturing is not None:
-                self._changed.wait_for(lambda: self._capturing in (None, threading.get_ident()))
+            self._changed.wait_for(lambda: captured or self._capturing in (None, threading.get_ident()))
             self._launching += 1
         self._own.count = getattr(self._own, "count", 0) + 1
 

@@ -217,7 +217,7 @@ class _LabelsBlock:
     @classmethod
     def empty(cls, batch: int, size: Size, length: int, device: torch.device) -> _LabelsBlock:
         """Block that is to be filled."""
-        num_bytes = _aligned(batch * math.prod(size)) + 4 * batch * (1 + length)
+        num_bytes = _whole_words(batch * math.prod(size)) + 4 * batch * (1 + length)
         return cls(batch, size, length, torch.empty(num_bytes, dtype=torch.uint8, device=device))
 
     @property
@@ -232,7 +232,7 @@ class _LabelsBlock:
 
     @property
     def _floats(self) -> torch.Tensor:
-        return self.memory[_aligned(math.prod(self._shape)) :].view(torch.float32)
+        return self.memory[_whole_words(math.prod(self._shape)) :].view(torch.float32)
 
     def copy(self) -> _LabelsBlock:
         """Copy of the block."""
@@ -240,7 +240,7 @@ class _LabelsBlock:
         return _LabelsBlock(batch, (size[0], size[1]), self._length, self.memory.clone())
 
 
-def _aligned(num_bytes: int) -> int:
+def _whole_words(num_bytes: int) -> int:
     """The next multiple of 16 bytes, so that kernels can read what follows in the widest words."""
     return -num_bytes // 16 * -16
 
