@@ -330,7 +330,7 @@ def test_first_calls_are_rows_of_fresh_processes(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.slow
 def test_a_first_call_is_timed_in_this_process(device: str) -> None:
-    seconds = first_call.time_this_process(device)
+    seconds = first_call.time_calls_here(device)
     assert list(seconds) == ["imports", first_call.FIRST, first_call.OTHER, first_call.LATER]
     assert all(each > 0 for each in seconds.values())
 

@@ -41,7 +41,7 @@ def _time_process(device: str) -> dict[str, float]:
     return durations
 
 
-def time_this_process(device: str) -> dict[str, float]:
+def time_calls_here(device: str) -> dict[str, float]:
     """Durations of imports and calls in this process by name [s]."""
     begin = time.perf_counter()
     import torch
@@ -70,4 +70,4 @@ def time_this_process(device: str) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(time_this_process(sys.argv[1])))
+    print(json.dumps(time_calls_here(sys.argv[1])))
