@@ -17,7 +17,7 @@ from warp_partdr.lab.harness import run_script
 from warp_partdr.models.anny import anny
 from warp_partdr.models.packaged import FINDINGS, findings_start
 from warp_partdr.models.reduction import few_name, find_few, first_count
-from warp_partdr.models.surfaces import SKIN, find_skin
+from warp_partdr.models.surfaces import SKIN, find_seen_vertices
 from warp_partdr.solve.mesh.drawn_model import few_joints
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
 
@@ -29,7 +29,7 @@ def main() -> None:
     whole, few = anny(), few_joints(anny())
     arrays: dict[str, Any] = {}
     for model in (whole, few):
-        arrays[findings_start(model, SKIN) + "seen"] = find_skin(model).bool().numpy()
+        arrays[findings_start(model, SKIN) + "seen"] = find_seen_vertices(model).bool().numpy()
     for options in (MeshOptions.at("balanced"), MeshOptions.at("accurate")):
         count = int(first_count(options.skin_error))
         start = findings_start(few, few_name(count))

@@ -1,4 +1,4 @@
-"""What is packaged about Anny is what the code finds, and is taken for no other model; and small rules of surfaces."""
+"""Packaged findings about Anny are what the code finds, and are taken for no other model; rules of surfaces."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from warp_partdr.models.anny import anny
 from warp_partdr.models.model import DetailedModel, unique_pairs
 from warp_partdr.models.packaged import packaged_findings
 from warp_partdr.models.reduction import few_name, find_few, first_count
-from warp_partdr.models.surfaces import SKIN, find_skin, is_closed, skin_vertices
+from warp_partdr.models.surfaces import SKIN, find_seen_vertices, is_closed, skin_vertices
 from warp_partdr.solve.mesh.drawn_model import few_joints
 from warp_partdr.solve.mesh.mesh_options import MeshOptions
 
@@ -35,7 +35,7 @@ def test_the_packaged_reduced_mesh_is_what_the_code_makes(quality) -> None:
 def test_the_packaged_skin_is_what_rays_find() -> None:
     for model in (anny(), few_joints(anny())):
         assert packaged_findings(model, SKIN) is not None
-        torch.testing.assert_close(skin_vertices(model), find_skin(model), rtol=0, atol=0)
+        torch.testing.assert_close(skin_vertices(model), find_seen_vertices(model), rtol=0, atol=0)
 
 
 def test_the_asset_holds_nothing_that_is_not_used() -> None:

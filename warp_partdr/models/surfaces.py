@@ -62,10 +62,10 @@ def skin_vertices(model: DetailedModel) -> torch.Tensor:
     found = packaged_findings(model, SKIN)
     if found is not None:
         return torch.from_numpy(found["seen"]).to(model.rest_vertices)
-    return find_skin(model)
+    return find_seen_vertices(model)
 
 
-def find_skin(model: DetailedModel) -> torch.Tensor:
+def find_seen_vertices(model: DetailedModel) -> torch.Tensor:
     """Find by rays what ``skin_vertices`` returns."""
     vertices = model.rest_vertices.contiguous()
     directions = torch.from_numpy(icosphere(1)[0]).to(vertices)

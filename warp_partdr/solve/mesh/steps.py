@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 
 from ...interop.adam import Adam, descend
 from ...interop.captured_step import CapturedStep
 from ...interop.graph_cache import graphs
+from ...interop.weighted_costs import backward_weighted
 from ..ellipsoids.stepper import FINAL_RATE
 from .energy import MeshEnergy
 from .starts import Starts, Unknowns
@@ -93,7 +93,7 @@ class Steps:
         if not self._pulls:
             factors = self.energy.factors(self.people)
             self._pulls = {name: torch.full_like(cost, factors[name]) for name, cost in self._costs.items()}
-        _Weighted.apply(tuple(self._pulls.values()), *self._costs.values()).backward()
+        backward_weighted(list(self._costs.values()), list(self._pulls.values()))
         self._adam.step(share)
 
     @torch.no_grad()
@@ -102,22 +102,6 @@ class Steps:
         torch._foreach_copy_(self.people.tensors(), people.tensors())
         self._moves.zero_()
         self._adam.restart()
-
-
-class _Weighted(torch.autograd.Function):
-    """Weighted sum of costs. Only its gradient is needed, which is the weights, so the sum is not computed.
-
-    ``torch.autograd.backward`` takes weights as well, but imports sympy to compare shapes, which takes half a second.
-    """
-
-    @staticmethod
-    def forward(ctx: Any, weights: tuple[torch.Tensor, ...], *costs: torch.Tensor) -> torch.Tensor:
-        ctx.weights = weights
-        return costs[0].new_empty(())
-
-    @staticmethod
-    def backward(ctx: Any, adjoint: torch.Tensor) -> Any:
-        return None, *ctx.weights
 
 
 class _CapturedSteps(Steps):
