@@ -14,6 +14,7 @@ from .forces import Ellipsoid, EllipsoidView, Sampling, Share, SurfaceForces, ad
 from .silhouette import Silhouette, inside_at, middle_at, to_disc
 
 _NEWTON_STEPS = wp.constant(4)  # towards a crease's end
+_MANY_CELLS = wp.constant(float(2**30))
 _NOWHERE = wp.constant(1.0e30)  # gap where one of the two ellipsoids does not cover the point
 _RIM = wp.constant(1.0e-3)  # smallest ``root_at`` at which a slope is taken, as a share of ``bulge``
 
@@ -291,7 +292,7 @@ def count_cells(view: EllipsoidView):
     for j in range(view.lane, view.silhouettes.shape[0], view.scene.lanes):
         if (view.creases[j // 32] >> wp.uint32(j % 32)) & wp.uint32(1) != wp.uint32(0):
             cells += float(crease_box(view, j)[3])
-    return int(wp.min(sum_lanes(cells), float(2**30)))  # clamped in float against overflow
+    return int(wp.min(sum_lanes(cells), _MANY_CELLS))  # clamped in float against overflow
 
 
 @wp.func
