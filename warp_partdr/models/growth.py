@@ -85,7 +85,7 @@ class Growth:
 
 
 class _GrowthTables(NamedTuple):
-    """What ``Growth`` knows of a model, whatever its shape."""
+    """Tables of a model for ``Growth``, which are the same for all shapes."""
 
     indices: torch.Tensor  # measure of each axis of each part, shape (20, 3)
     shares: torch.Tensor  # share of each vertex in its part's skin, shape (20, V)
