@@ -8,6 +8,8 @@ from typing import Any
 
 import warp as wp
 
+from .lanes import lowest_bit
+
 wp.set_module_options({"enable_backward": False})
 
 IGNORE = wp.constant(255)  # a target pixel that neither attracts nor repels
@@ -84,6 +86,13 @@ def load_block(image: wp.array2d[wp.uint8], top: int, left: int, in_words: bool)
 def byte_of(word: wp.uint32, i: int):
     """Byte i of a word, the first one in memory lowest."""
     return int(word >> wp.uint32(8 * i)) & 255
+
+
+@wp.func
+def first_pair(shown: wp.uint32, expected: wp.uint32, wrong: wp.uint32):
+    """Label shown and, times 256, label wanted at the first of four pixels that is wrong."""
+    shift = wp.uint32(lowest_bit(wrong) & 24)
+    return (shown >> shift & wp.uint32(255)) | (expected >> shift & wp.uint32(255)) << wp.uint32(8)
 
 
 @wp.func

@@ -19,6 +19,7 @@ from ..labels import (
     LabelTarget,
     are_words,
     cost_of,
+    first_pair,
     flat,
     note_wrong,
     target_of,
@@ -155,13 +156,6 @@ def draw_run(ellipsoids: wp.array[Silhouette], meets: wp.uint64, words: int, x: 
                 best[i] = wp.where(nearer, nearness, best[i])
                 shown[i] = wp.where(nearer, k + 1, shown[i])
     return shown, best
-
-
-@wp.func
-def first_pair(shown: wp.uint32, expected: wp.uint32, wrong: wp.uint32):
-    """Label shown and, times 256, label wanted at the first of four pixels that is wrong."""
-    shift = wp.uint32(lowest_bit(wrong) & 24)
-    return (shown >> shift & wp.uint32(255)) | (expected >> shift & wp.uint32(255)) << wp.uint32(8)
 
 
 @wp.func

@@ -42,7 +42,7 @@ def units_of(forces: Forces, b: int):
 
 
 @wp.func
-def add_force(forces: Forces, b: int, vertex: int, axis: int, count: float):
+def push_vertex(forces: Forces, b: int, vertex: int, axis: int, count: float):
     """Add a force [units] to a vertex."""
     if wp.abs(count) < _MOST:
         wp.atomic_add(forces.sums, b, vertex, axis, wp.int64(count))
@@ -103,7 +103,7 @@ def take_forces(
         sums[k] = wp.int64(0)
 
 
-def make_forces(
+def make_vertex_forces(
     size: tuple[int, int],
     num_vertices: int,
     num_edges: int,

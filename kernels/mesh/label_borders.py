@@ -12,7 +12,7 @@ import warp as wp
 
 from ..labels import QUAD, are_words, excess_at, first_bytes, flat, load_word, overload_gradients, unequal_bytes
 from ..lanes import ballot, deal, num_lanes, prefix_sum, shuffle
-from .forces import Forces, add_force, units_of
+from .forces import Forces, push_vertex, units_of
 from .rasterize import launch_bodies
 from .triangles import ImageArrays, MeshArrays, edge_values, load_triangle, make_edges, weights_3d
 
@@ -56,7 +56,7 @@ def push_border_between(
     weights = weights_3d(t, edge_values(make_edges(t), x, y), False)
     shares = weights * (excess * units / (weights[0] + weights[1] + weights[2]))
     for i in range(3):
-        add_force(forces, b, t.index[i], axis, shares[i])
+        push_vertex(forces, b, t.index[i], axis, shares[i])
 
 
 @wp.kernel

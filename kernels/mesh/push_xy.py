@@ -10,7 +10,7 @@ import warp as wp
 
 from ..labels import MISSING, SURPLUS, all_wrong, extent, flat, overload_gradients, pixel_gradient, pixels_of, weight_of
 from ..lanes import AT_ONCE, at_once
-from .forces import Forces, add_force, units_of
+from .forces import Forces, push_vertex, units_of
 from .rasterize import launch_bodies
 from .triangles import ImageArrays, MeshArrays, first_pixel
 
@@ -258,8 +258,8 @@ def push_edges(
             if pull != 0.0:
                 pull *= float(-inward) * factor
                 # either end, by how much it moves the crossing
-                add_force(forces, b, ends[0], axis, w0 * pull)
-                add_force(forces, b, ends[1], axis, w1 * pull)
+                push_vertex(forces, b, ends[0], axis, w0 * pull)
+                push_vertex(forces, b, ends[1], axis, w1 * pull)
 
 
 overload_gradients(find_silhouettes, push_edges)

@@ -28,7 +28,7 @@ from ..labels import (
     weight_of,
 )
 from ..lanes import LANES, ballot, deal, num_lanes, prefix_sum, shuffle
-from .forces import Forces, add_force, units_of
+from .forces import Forces, push_vertex, units_of
 from .rasterize import (
     BLOCKS_ACROSS,
     EMPTY_KEY,
@@ -229,7 +229,7 @@ def add_depth(forces: Forces, b: int, t: Triangle, weights: wp.vec3, amount: flo
     """Share ``amount`` among a face's vertices, by how much each moves the point that is seen."""
     shares = weights * (amount / (weights[0] + weights[1] + weights[2]))
     for i in range(3):
-        add_force(forces, b, t.index[i], 2, shares[i])
+        push_vertex(forces, b, t.index[i], 2, shares[i])
 
 
 overload_gradients(draw_hidden_faces, push_depths)

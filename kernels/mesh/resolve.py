@@ -17,6 +17,7 @@ from ..labels import (
     Block,
     LabelTarget,
     are_words,
+    first_pair,
     flat,
     grow,
     hidden_pixels,
@@ -113,7 +114,7 @@ def resolve_keys(
 
 
 @wp.func
-def first_pair(shown: Any, expected: Any, wrong: Any):  # Blocks, in which mypy sees no type
+def pair_of_blocks(shown: Any, expected: Any, wrong: Any):  # Blocks, in which mypy sees no type
     """Label that one of the wrong pixels shows, plus 256 times its target; 0 if none is wrong."""
     bits = wrong[0]
     shown_word = shown[0]
@@ -125,8 +126,7 @@ def first_pair(shown: Any, expected: Any, wrong: Any):  # Blocks, in which mypy 
             target_word = expected[k]
     if bits == wp.uint32(0):
         return wp.uint32(0)
-    shift = wp.uint32(lowest_bit(bits) & 24)
-    return (shown_word >> shift & wp.uint32(255)) | ((target_word >> shift & wp.uint32(255)) << wp.uint32(8))
+    return first_pair(shown_word, target_word, bits)
 
 
 @wp.func
@@ -202,7 +202,7 @@ def compare_labels(
             # one pair of labels after another, the same for all threads
             pair = wp.uint32(0)
             if target.extents:
-                pair = first_pair(shown, expected, wrong)
+                pair = pair_of_blocks(shown, expected, wrong)
             waiting = ballot(pair != wp.uint32(0))
             while waiting != wp.uint32(0):
                 pair = shuffle(pair, lowest_bit(waiting))
@@ -226,7 +226,7 @@ def compare_labels(
                         note_blocks(target, b, MISSING, target_label, blocks, first_row, first_column)
                         if shown_label != 0:
                             note_blocks(target, b, HIDDEN, target_label, blocks, first_row, first_column)
-                pair = first_pair(shown, expected, wrong)
+                pair = pair_of_blocks(shown, expected, wrong)
                 waiting = ballot(pair != wp.uint32(0))
         if hidden:
             hidden[b, square, block] = pixels

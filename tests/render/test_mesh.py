@@ -25,7 +25,7 @@ from warp_partdr.cameras import Perspective
 from warp_partdr.kernels.labels import HIDDEN, MISSING, NUM_EXTENTS, SURPLUS, DenseGradient, LabelTarget
 from warp_partdr.kernels.launch import get_num_threads, launch_in_slices, set_num_threads
 from warp_partdr.kernels.mesh import push_xy, push_z, rasterize, resolve
-from warp_partdr.kernels.mesh.forces import make_forces
+from warp_partdr.kernels.mesh.forces import make_vertex_forces
 from warp_partdr.kernels.mesh.triangles import ImageArrays, MeshArrays
 from warp_partdr.reference import mesh as reference
 from warp_partdr.reference.losses import label_gradient
@@ -310,7 +310,7 @@ def test_hidden_pixels_serve_again(device):
     gradient.maps = wp.from_torch(torch.randn(2, 20, *size, device=device))
     keys = rasterize.empty_keys((2, *size), wp.get_device(device))
     faults = wp.zeros(2, dtype=float, device=device)
-    forces = make_forces(size, points.shape[1], len(mesh.edges), faults, depth_slope=push_z.MAX_SLOPE)
+    forces = make_vertex_forces(size, points.shape[1], len(mesh.edges), faults, depth_slope=push_z.MAX_SLOPE)
     sums = []
     for label in (4, 7, 4, 7):
         gradient.label = label

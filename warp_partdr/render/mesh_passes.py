@@ -179,7 +179,7 @@ class MeshPasses:
         gradients = [given] if maps is None else _of_each_map(maps)
         size = pictures.labels.shape[1:]
         counts = vertices.shape[1], len(self.edges)
-        pushed = forces.make_forces(size, *counts, pictures.faults, depth_slope=push_z.MAX_SLOPE, maps=maps)
+        pushed = forces.make_vertex_forces(size, *counts, pictures.faults, depth_slope=push_z.MAX_SLOPE, maps=maps)
         bound = [] if maps is None else [partial(forces.launch_find_largest, maps, pushed)]
         take = partial(forces.launch_take_forces, pushed, self.depth_weight, warp_array(grad_vertices))
         if self.gradient == "edges":
