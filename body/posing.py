@@ -10,6 +10,7 @@ import numpy as np
 import torch
 import warp as wp
 
+from ..errors import check_whole
 from ..interop.captured_function import call_captured, find_together
 from ..interop.checks import check_numbers, check_tensor
 from ..interop.custom_operations import register_function, split_symbolic
@@ -21,6 +22,7 @@ from ..kernels import kinematics
 from . import plain_posing
 from .bone_launches import DTYPES, BoneLaunches, kinematic_arrays
 from .ellipbody import DEFAULT_SUBDIVISIONS, bone_tree
+from .icosphere import MAX_SUBDIVISIONS
 from .landmarks import landmark_points
 from .rotations import rotation_from_6d, rotation_from_axis_angle
 from .template import BODY_SHAPES, BODY_SIZES, NUM_JOINTS, NUM_PARTS
@@ -69,13 +71,17 @@ class Posed(Movable):
     def vertices(self, subdivisions: int = DEFAULT_SUBDIVISIONS) -> torch.Tensor:
         """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]; NaN where a size is 0 or less.
 
+        Raises:
+            ValueError: If ``subdivisions`` is not 0, 1, 2 or 3.
+
         Examples:
             >>> from warp_partdr import BodyParameters, ellipbody_mesh
             >>> posed = BodyParameters.mean(1).posed()
             >>> posed.vertices(1).shape, ellipbody_mesh(1).faces.shape
             (torch.Size([1, 840, 3]), torch.Size([1600, 3]))
         """
-        (vertices,) = _Vertices(subdivisions)(self.centres, self.axes, self.semi_axes)
+        level = check_whole("subdivisions", subdivisions, 0, MAX_SUBDIVISIONS)
+        (vertices,) = _Vertices(level)(self.centres, self.axes, self.semi_axes)
         return vertices.flatten(1, 2)
 
 

@@ -11,6 +11,7 @@ from helpers.bodies import random_parameters
 
 from warp_partdr.body.ellipbody import EllipBody, ellipbody_faces
 from warp_partdr.body.icosphere import icosphere
+from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.plain_posing import pose_bones_by_torch
 from warp_partdr.body.posing import Posed, pose
 from warp_partdr.body.rotations import rotation_from_6d, rotation_from_axis_angle
@@ -161,3 +162,9 @@ def test_bad_calls_name_the_argument():
     arrays = EllipBody.mean(1, device="cpu").numpy()
     with pytest.raises(ValueError, match="lengths: holds NaN"):
         EllipBody.from_numpy(**{**arrays, "lengths": arrays["lengths"] * np.nan})
+
+
+@pytest.mark.parametrize("level", [4, -1, 1e30, 1.0, True])
+def test_a_level_of_the_mesh_that_there_is_not_is_refused(level: object) -> None:
+    with pytest.raises(ValueError, match=r"subdivisions: .*; expected an integer from 0 to 3"):
+        BodyParameters.mean(1).posed().vertices(level)  # type: ignore[arg-type]
