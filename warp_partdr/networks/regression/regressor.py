@@ -20,6 +20,7 @@ from ...body.pose_prior import FREE_PARTS, packaged_prior
 from ...body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d
 from ...body.template import LENGTH_NAMES, LOCKED_PARTS, THICKNESS_NAMES, template
 from ...errors import check_whole
+from ...interop.custom_operations import register_operation
 from .landmarks import LANDMARKS
 from .predicted import Predicted, posed_landmarks
 
@@ -157,15 +158,16 @@ def _found_misfits(bodies: Predicted, keypoints: torch.Tensor) -> torch.Tensor:
     return found
 
 
-@torch.library.custom_op("warp_partdr::misfits", mutates_args=())
 def _misfits(bodies: Sequence[torch.Tensor], keypoints: torch.Tensor) -> torch.Tensor:
     orientation, rotations, lengths, thicknesses, log_scale, shift = bodies
     return misfits(Predicted(orientation, rotations, lengths, thicknesses, log_scale, shift), keypoints)
 
 
-@_misfits.register_fake
-def _(bodies: Sequence[torch.Tensor], keypoints: torch.Tensor) -> torch.Tensor:
-    return keypoints.new_empty(len(keypoints), MISFITS, dtype=torch.float32)
+register_operation(
+    "misfits(Tensor[] bodies, Tensor keypoints) -> Tensor",
+    _misfits,
+    lambda bodies, keypoints: keypoints.new_empty(keypoints.shape[0], MISFITS, dtype=torch.float32),
+)
 
 
 def _mean_estimate() -> torch.Tensor:
