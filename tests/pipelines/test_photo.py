@@ -294,15 +294,19 @@ def test_warnings_are_on_the_page(everyone, tmp_path):
 
 def test_pictures_of_a_person_show_the_photo_and_pale_guessed_limbs(everyone):
     photo, found = everyone
-    limbs = {**found.confidences[0].limbs, "left arm": LimbConfidence(0.3, "hidden")}
+    limbs = {
+        **found.confidences[0].limbs,
+        "left arm": LimbConfidence(0.3, "hidden"),
+        "right arm": LimbConfidence(0.3, "hidden"),
+    }
     guessed = replace(found, confidences={0: replace(found.confidences[0], limbs=limbs)})
     drawn = [draw_pictures(each, 0, photo) for each in (found, guessed)]
     (seen, whole, side), (_, pale, pale_side) = ([_pixels(each) for each in vars(one).values()] for one in drawn)
     assert seen.shape == whole.shape
     assert max(seen.shape[:2]) == max(side.shape[:2]) == 320
     assert 0.1 < (np.abs(whole - seen).max(-1) > 30).mean() < 0.7
-    for one, other in ((pale, whole), (pale_side, side)):  # an arm alone is paler
-        assert 0.005 < (np.abs(one - other).max(-1) > 20).mean() < 0.15
+    for one, other in ((pale, whole), (pale_side, side)):  # arms alone are paler
+        assert 0.01 < (np.abs(one - other).max(-1) > 20).mean() < 0.15
     assert np.abs(pale - seen).sum() < np.abs(whole - seen).sum()
     assert np.abs(pale_side - GRAY).sum() < np.abs(side - GRAY).sum()
 

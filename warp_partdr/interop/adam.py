@@ -91,7 +91,8 @@ class _Group(NamedTuple):
 
     @classmethod
     def of(cls, tensors: list[torch.Tensor], rate: float) -> _Group:
-        means, squares = ([torch.zeros_like(tensor) for tensor in tensors] for _ in range(2))
+        means = [torch.zeros_like(tensor) for tensor in tensors]
+        squares = [torch.zeros_like(tensor) for tensor in tensors]
         # ``adam`` counts the steps; on the device, so that a captured graph can count them, too
         counts = [torch.zeros((), device=piece.device) for piece in _pieces(means)]
         return cls(tensors, means, squares, counts, rate)

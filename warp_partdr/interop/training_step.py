@@ -340,7 +340,8 @@ class _Watch:
 
     def see(self, loss: torch.Tensor, norm: torch.Tensor) -> None:
         """Look at a step's numbers, on the device."""
-        loss_array, norm_array = (warp_array(each.float().reshape(1)) for each in (loss, norm))
+        loss_array = warp_array(loss.float().reshape(1))
+        norm_array = warp_array(norm.float().reshape(1))
         with on_torch_stream(self._device):
             launch_watch_step(loss_array, norm_array, *self._arrays)
 

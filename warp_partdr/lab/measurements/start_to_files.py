@@ -57,7 +57,9 @@ def measure_start_to_files(*, rounds: int = 5) -> Iterator[FigureTable]:
 
 def _programs(folder: Path) -> dict[str, Sequence[str]]:
     """Arguments of Python for each program; the first one is what the others are compared with."""
-    photo, keypoints, parts = (str(_EXAMPLE / name) for name in ("photo.png", "keypoints.json", "parts.png"))
+    photo = str(_EXAMPLE / "photo.png")
+    keypoints = str(_EXAMPLE / "keypoints.json")
+    parts = str(_EXAMPLE / "parts.png")
     labels = ("--keypoints", keypoints, "--parts", parts, "--labels", "cdcl14")
     return {
         "import torch, warp, numpy": ("-c", "import torch, warp, numpy"),
