@@ -22,9 +22,11 @@ from warp_partdr.lab.evaluation.datasets import Views, ViewSelection, read_real,
 from warp_partdr.lab.evaluation.datasets.lenses import find_lens
 from warp_partdr.lab.evaluation.datasets.mpi_inf_3dhp import _TRAIN_JOINTS
 from warp_partdr.lab.evaluation.datasets.views import concatenate_views
+from warp_partdr.lab.evaluation.evaluate import Method
 from warp_partdr.lab.evaluation.partbench.samples import make_sample
 from warp_partdr.lab.evaluation.real import real_methods
 from warp_partdr.lab.evaluation.sizes import trunk_and_legs
+from warp_partdr.solve.mesh.mesh_options import MeshOptions
 
 run = commands.run  # a fixture
 LSP = skeleton("lsp14").landmarks
@@ -576,6 +578,30 @@ def test_of_everybody_in_a_photo_the_person_counts_who_is_where_the_truth_is(mon
     alone = Keypoints2D(crown, sample.keypoints.points, shown)
     with pytest.raises(InputError, match="nobody found there, inf heights off"):
         methods["photo alone"].fit_sample(replace(sample, keypoints=alone), "cpu")
+
+
+def test_a_quality_changes_the_stages_and_the_mesh_stage(tmp_path, run):
+    """More steps end elsewhere, and the network's body, which takes none, stays where it is."""
+    write_views(tmp_path / "views.npz", made_views())
+    figures = {}
+    for quality in ("balanced", "accurate"):
+        out = tmp_path / f"{quality}.json"
+        rows = "--method network --method ellipsoids --method mesh --limit 1"
+        code, _, errors = run(f"evaluate real {tmp_path} --quality {quality} {rows} --out {out}")
+        assert code == 0, errors
+        found = json.loads(out.read_text())["pooled"]["a"]
+        figures[quality] = {name: found[name]["mpjpe_mm"] for name in ("network", "ellipsoids", "mesh")}
+    balanced, accurate = figures["balanced"], figures["accurate"]
+    assert balanced["network"] == accurate["network"]
+    assert balanced["ellipsoids"] != accurate["ellipsoids"]
+    assert balanced["mesh"] != accurate["mesh"]
+    (sample,) = view_samples(made_views(), np.arange(1))
+    method = real_methods("accurate")["mesh"]
+    assert isinstance(method, Method)
+    shorter = replace(method, options=replace(method.options, mesh=MeshOptions(iterations=2)))
+    assert not np.allclose(
+        method.fit_sample(sample, "cpu").vertices, shorter.fit_sample(sample, "cpu").vertices, atol=1e-3
+    )
 
 
 def test_a_focal_length_for_all_is_one_of_longer_sides(tmp_path, run):

@@ -12,6 +12,7 @@ from typer import Argument, Option
 
 from ..errors import InputError
 from .evaluate_fits import RunOptions, check_counts, choose_methods, fit_samples, one_thread_device
+from .fit_request import QualityName
 
 if TYPE_CHECKING:
     import numpy as np
@@ -76,6 +77,9 @@ class ViewOptions:
         ),
     ] = None
     network: Annotated[Path | None, Option(help="Label network that `partdr train` wrote.", metavar="FILE")] = None
+    quality: Annotated[QualityName, Option(help="Quality of fits: fast, balanced or accurate.", metavar="NAME")] = (
+        QualityName.balanced
+    )
     by: Annotated[str, Option(help="Print a table for each set, or for each person.", metavar="set|person")] = _SET
     intervals: Annotated[
         str,
@@ -164,6 +168,7 @@ def _evaluate_views(views: Views, rows: np.ndarray, chosen: ViewOptions, options
             f"--stature: {missing}; expected the array stature, joints from ankles to shoulders, or metres"
         )
     methods = real_methods(
+        chosen.quality.value,  # type: ignore[arg-type]  # its names
         camera=camera is not False,
         stature=stature,
         network=None if chosen.network is None else str(chosen.network),

@@ -13,6 +13,7 @@ from ...inputs.keypoints import Keypoints2D, person_height
 from ...inputs.sample import Sample
 from ...pipelines.photo import fit_photo
 from ...solve.ellipsoids.options import FitOptions
+from ...solve.ellipsoids.stages import Quality
 from ...solve.mesh.mesh_stage import MeshFit
 from .evaluate import Fitting, Method, no_labels
 from .partbench.methods import fit_anny
@@ -70,11 +71,16 @@ def _keypoint_distance(keypoints: Keypoints2D, other: Keypoints2D) -> float:
 
 
 def real_methods(
-    *, camera: bool = False, stature: bool | float = False, network: str | None = None
+    quality: Quality = "balanced",
+    *,
+    camera: bool = False,
+    stature: bool | float = False,
+    network: str | None = None,
 ) -> dict[str, Fitting]:
     """The methods by name.
 
     Args:
+        quality: Quality of the ellipsoids' stages and of the mesh stage, as ``FitOptions.at`` knows them.
         camera: A sample's is given.
         stature: A sample's is given, or one for all [m].
         network: File of a label network of `partdr train`. If it is None, the packaged one is taken.
@@ -84,7 +90,8 @@ def real_methods(
         >>> list(real_methods())
         ['network', 'ellipsoids', 'mesh', 'photo alone']
     """
-    options = FitOptions(network=network, stature=None if isinstance(stature, bool) else stature)
+    known = None if isinstance(stature, bool) else stature
+    options = replace(FitOptions.at(quality), network=network, stature=known)
     with_stature = stature is True
     return {
         NETWORK: Method(no_labels, replace(options, stages=(), search=()), camera=camera, stature=with_stature),

@@ -44,9 +44,9 @@ def fit_anny(
     device: str = "cpu",
     camera: Perspective | None = None,
 ) -> MeshFit:
-    """Fit EllipBody as ``fit_body`` does, and from there Anny (``refine_mesh``)."""
+    """Fit EllipBody as ``fit_body`` does, and from there Anny (``refine_mesh``), by ``mesh`` or the options' own."""
     first = fit_body(keypoints, parts, others=others, options=options, device=device, camera=camera)
-    return refine_mesh(first, options=mesh)
+    return refine_mesh(first, options=mesh or options.mesh)
 
 
 KNOWN_CAMERA = "parts, known camera"
