@@ -124,10 +124,10 @@ def test_stretches_of_one_are_none_and_of_all_scale_the_body(device: str) -> Non
         root = rest.joints[:, :1]
         assert (scaled.vertices - root - factor * (rest.vertices - root)).abs().max() < 1e-5
         assert (scaled.joints - root - factor * (rest.joints - root)).abs().max() < 1e-5
-    # The measures of a body follow: lengths and thicknesses by the factor.
+    # The measures of a body follow, to float32's rounding: lengths and thicknesses by the factor.
     body = Growth(model, shape)
     grown = body.stretches(torch.full((1, len(MEASURES)), 1.3, device=device))
-    assert (body.measured(shape, grown) - body.measured(shape)).sub(math.log(1.3)).abs().max() < 2e-4
+    assert (body.measured(shape, grown) - body.measured(shape)).sub(math.log(1.3)).abs().max() < 6e-5
 
 
 def test_inscribed_bodies_never_thin_the_person(device: str) -> None:
