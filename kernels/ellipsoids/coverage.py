@@ -12,8 +12,9 @@ import warp as wp
 
 from ..labels import overload_gradients
 from .creases import count_cells, walk_creases
-from .forces import BLOCK, Sampling, SceneArrays, SurfaceForces, find_neighbours, make_view, store_forces, take_share
+from .forces import BLOCK, Sampling, SceneArrays, find_neighbours, make_view, store_forces, take_share
 from .outlines import count_steps, walk_outline
+from .picture_forces import PictureForces, on_surface
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -28,7 +29,7 @@ def coverage_forces(
     forces: wp.array4d[float],  # as ``spread_forces`` reads them  OUTPUT
 ):
     """Sums over the forces on each ellipsoid."""
-    sums = SurfaceForces()
+    forces_here = PictureForces()
     view = make_view(scene, forces, gradient, wp.tid())
     s = view.own
     if s.low[0] < float(view.width) and s.low[1] < float(view.height) and s.high[0] > 0.0 and s.high[1] > 0.0:
@@ -39,12 +40,12 @@ def coverage_forces(
         steps = count_steps(view, sampling)
         share = take_share(view, view.shares - outlines, outlines, steps, 2)
         if share.count > 0:
-            sums = walk_outline(view, share, steps, sampling, gradient)
+            forces_here = walk_outline(forces_here, view, share, steps, sampling, gradient)
         if view.share < creases:
             share = take_share(view, 0, creases, count_cells(view), 1)
             if share.count > 0:
-                sums = walk_creases(sums, view, share, sampling, gradient)
-    store_forces(forces, view, sums)
+                forces_here = walk_creases(forces_here, view, share, sampling, gradient)
+    store_forces(forces, view, on_surface(view, forces_here), False)
 
 
 overload_gradients(coverage_forces)

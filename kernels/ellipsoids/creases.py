@@ -10,7 +10,8 @@ import warp as wp
 
 from ..lanes import ballot, lowest_bit, nth_bit, shuffle, sum_lanes
 from .borders import chord_shares, find_crossing, front_at, front_gap, radicand_at, radicand_slope, root_at, slope_at
-from .forces import Ellipsoid, EllipsoidView, Sampling, Share, SurfaceForces, add_nearness_force, load_ellipsoid
+from .forces import EllipsoidView, Sampling, Share
+from .picture_forces import PictureForces, add_picture_force
 from .silhouette import Silhouette, inside_at, middle_at, to_disc
 
 _NEWTON_STEPS = wp.constant(4)  # towards a crease's end
@@ -53,8 +54,9 @@ def is_hidden(view: EllipsoidView, j: int, place: wp.vec2):
 
 
 @wp.func
-def push_crease(sums: SurfaceForces, e: Ellipsoid, s: Silhouette, other: Silhouette, place: wp.vec2, cost: float):
+def push_crease(forces: PictureForces, view: EllipsoidView, other: Silhouette, place: wp.vec2, cost: float):
     """Add the force on an ellipsoid at a point of a crease: cost times the crease's motion along its normal."""
+    s = view.own
     x, y = place[0], place[1]
     middle = middle_at(s, x, y)
     other_middle = middle_at(other, x, y)
@@ -71,13 +73,15 @@ def push_crease(sums: SurfaceForces, e: Ellipsoid, s: Silhouette, other: Silhoue
     slope = slope_at(s, x, y, root)
     steepness = wp.length(slope - slope_at(other, x, y, other_root))
     if steepness > 0.0:
-        sums = add_nearness_force(sums, e, x, y, middle + root, slope, cost / steepness)
-    return sums
+        # A surface that moves by d changes the nearness at a fixed place by -slope . d.
+        amount = cost / steepness
+        forces = add_picture_force(forces, view, x, y, middle + root, -amount * slope, amount)
+    return forces
 
 
 @wp.func
 def push_chord(
-    sums: SurfaceForces, view: EllipsoidView, j: int, start: wp.vec2, end: wp.vec2, halvings: int, gradient: Any
+    forces: PictureForces, view: EllipsoidView, j: int, start: wp.vec2, end: wp.vec2, halvings: int, gradient: Any
 ):
     """Forces of a chord of the crease with ellipsoid j, as far as nothing hides it."""
     s = view.own
@@ -85,7 +89,7 @@ def push_chord(
     start_hidden = is_hidden(view, j, start)
     end_hidden = is_hidden(view, j, end)
     if start_hidden and end_hidden:
-        return sums
+        return forces
     if start_hidden != end_hidden:
         low = start
         high = end
@@ -101,15 +105,13 @@ def push_chord(
             end = 0.5 * (low + high)
     shares = chord_shares(view, start, end, s.label, other.label, gradient)
     if shares[0] != 0.0 or shares[1] != 0.0:
-        # Loaded only here: creases are few, and it would occupy registers everywhere else.
-        e = load_ellipsoid(view)
         shares *= wp.length(end - start)
         side = int(0)
         while side < 2:  # a loop over a constant range would be unrolled, which takes registers
             place = wp.where(side == 0, start, end)
-            sums = push_crease(sums, e, s, other, place, wp.where(side == 0, shares[0], shares[1]))
+            forces = push_crease(forces, view, other, place, wp.where(side == 0, shares[0], shares[1]))
             side += 1
-    return sums
+    return forces
 
 
 @wp.func
@@ -196,7 +198,7 @@ def crease_end_in(view: EllipsoidView, j: int, place: wp.vec2, low: wp.vec2, hig
 
 @wp.func
 def walk_cell(
-    sums: SurfaceForces, view: EllipsoidView, j: int, low: wp.vec2, high: wp.vec2, halvings: int, gradient: Any
+    forces: PictureForces, view: EllipsoidView, j: int, low: wp.vec2, high: wp.vec2, halvings: int, gradient: Any
 ):
     """Forces of the creases with ellipsoid j in a cell of the picture, as chords between its sides."""
     s = view.own
@@ -230,11 +232,11 @@ def walk_cell(
         fourth = crease_end_in(view, j, third, low, high)
         count += 1
     while count > 0:
-        sums = push_chord(sums, view, j, third, fourth, halvings, gradient)
+        forces = push_chord(forces, view, j, third, fourth, halvings, gradient)
         third = first
         fourth = second
         count -= 2
-    return sums
+    return forces
 
 
 @wp.func
@@ -296,7 +298,7 @@ def count_cells(view: EllipsoidView):
 
 
 @wp.func
-def walk_creases(sums: SurfaceForces, view: EllipsoidView, share: Share, sampling: Sampling, gradient: Any):
+def walk_creases(forces: PictureForces, view: EllipsoidView, share: Share, sampling: Sampling, gradient: Any):
     """Forces of a share of an ellipsoid's creases."""
     lane = view.lane
     lanes = view.scene.lanes
@@ -346,9 +348,9 @@ def walk_creases(sums: SurfaceForces, view: EllipsoidView, share: Share, samplin
                         high = low + wp.vec2(size, size)
                         other = view.silhouettes[cell[2]]
                         if cells == 1 or fronts_may_meet(s, other, 0.5 * (low + high), 0.5 * size):
-                            sums = walk_cell(sums, view, cell[2], low, high, sampling.halvings, gradient)
+                            forces = walk_cell(forces, view, cell[2], low, high, sampling.halvings, gradient)
                 total -= lanes
                 if total > 0:
                     cell = take_cell(row, column, j, nth_bit(finders, wp.bit_count(finders) - total + lane))
             waiting = wp.max(total, 0)
-    return sums
+    return forces

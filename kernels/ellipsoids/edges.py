@@ -16,15 +16,14 @@ from ..lanes import deal, prefix_sum, shuffle
 from .borders import find_crossing, front_at, front_gap, nearness_slope, outline_end, outward_at
 from .forces import (
     BLOCK,
-    Ellipsoid,
     EllipsoidView,
     SceneArrays,
     SurfaceForces,
-    load_ellipsoid,
     make_view,
     store_forces,
     take_share,
 )
+from .picture_forces import PictureForces, add_picture_force, on_surface
 from .silhouette import Silhouette, middle_at, pixel_box
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
@@ -85,45 +84,29 @@ def place_of(bit: int):
 
 
 @wp.func
-def push_outline_crossing(
-    sums: SurfaceForces, e: Ellipsoid, s: Silhouette, axis: int, x: float, y: float, excess: float
-):
+def push_outline_crossing(forces: PictureForces, view: EllipsoidView, axis: int, x: float, y: float, excess: float):
     """Force on an ellipsoid whose outline a line along an axis crosses at (x, y)."""
+    s = view.own
     normal = wp.normalize(outward_at(s, x, y))
     amount = excess * wp.abs(wp.where(axis == 0, normal[0], normal[1]))
-    return push_picture(sums, e, x, y, middle_at(s, x, y), amount * normal, 0.0)
+    return add_picture_force(forces, view, x, y, middle_at(s, x, y), amount * normal, 0.0)
 
 
 @wp.func
 def push_crease_crossing(
-    sums: SurfaceForces, e: Ellipsoid, s: Silhouette, other: Silhouette, axis: int, x: float, y: float, excess: float
+    forces: PictureForces, view: EllipsoidView, other: Silhouette, axis: int, x: float, y: float, excess: float
 ):
     """Force on an ellipsoid whose front crosses another's at (x, y) on a line along an axis."""
+    s = view.own
     slope = nearness_slope(s, x, y)
     away = slope - nearness_slope(other, x, y)
     across = wp.abs(wp.where(axis == 0, away[0], away[1]))
     length2 = wp.dot(away, away)
     if length2 == 0.0:
-        return sums
+        return forces
     amount = excess * across / length2
     # A surface that moves by d changes the nearness at a fixed place by -slope . d.
-    return push_picture(sums, e, x, y, front_at(s, x, y), -amount * slope, amount)
-
-
-@wp.func
-def push_picture(sums: SurfaceForces, e: Ellipsoid, x: float, y: float, nearness: float, push: wp.vec2, pull: float):
-    """Add dL/d(x, y) = push and dL/d nearness = pull of a surface point; the moment's lever starts at the centre."""
-    ray = wp.vec2((x - e.camera[2]) / e.camera[0], (y - e.camera[3]) / e.camera[1])
-    force = wp.vec3(e.camera[0] * push[0], e.camera[1] * push[1], -pull)
-    point = wp.vec3(ray[0], ray[1], -nearness)
-    if e.perspective:
-        point = wp.vec3(ray[0], ray[1], 1.0) / nearness
-        back = force[0] * ray[0] + force[1] * ray[1] + pull * nearness
-        force = nearness * wp.vec3(force[0], force[1], -back)
-    sums.force += force
-    sums.moment += wp.outer(force, point - e.centre)
-    sums.camera += wp.vec4(push[0] * ray[0], push[1] * ray[1], push[0], push[1])
-    return sums
+    return add_picture_force(forces, view, x, y, front_at(s, x, y), -amount * slope, amount)
 
 
 @wp.func
@@ -134,9 +117,7 @@ def distance_to_end(s: Silhouette, start: wp.vec2, axis: int, side: float, end: 
 
 
 @wp.func
-def push_border(
-    sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, row: int, column: int, axis: int, gradient: Any
-):
+def push_border(forces: PictureForces, view: EllipsoidView, row: int, column: int, axis: int, gradient: Any):
     """Force of the border between a pixel and the next along an axis, one of which shows the ellipsoid."""
     s = view.own
     at = row * view.width + column
@@ -160,7 +141,7 @@ def push_border(
         other = view.silhouettes[other_part - 1]
         behind = other.label
         if behind == s.label:
-            return sums
+            return forces
         begin = distance_to_end(other, start, axis, side, -side)
         if place < begin:
             behind = 0  # background is between them
@@ -169,7 +150,7 @@ def push_border(
             if place == 1.0 or end_gap <= 0.0:
                 begin_gap = front_gap(s, other, start[0] + begin * way[0], start[1] + begin * way[1])
                 if begin > 0.0 and begin_gap < 0.0:
-                    return sums  # the other's outline hides this one
+                    return forces  # the other's outline hides this one
                 meet = True
                 if begin_gap <= 0.0:
                     place = begin
@@ -180,27 +161,23 @@ def push_border(
     pixel = wp.min(int(y), view.height - 1) * view.width + wp.min(int(x), view.width - 1)
     excess = excess_at(gradient, view.target, s.label, behind, pixel)
     if excess == 0.0:
-        return sums
+        return forces
     if meet:
-        return push_crease_crossing(sums, e, s, other, axis, x, y, excess)
-    return push_outline_crossing(sums, e, s, axis, x, y, excess)
+        return push_crease_crossing(forces, view, other, axis, x, y, excess)
+    return push_outline_crossing(forces, view, axis, x, y, excess)
 
 
 @wp.func
 def push_borders(view: EllipsoidView, gradient: Any):
     """Share of one thread in the forces on an ellipsoid."""
-    sums = SurfaceForces()
+    forces = PictureForces()
     left, right, top, bottom = pixel_box(view.own, view.height, view.width)
     if left > right or top > bottom:
-        return sums
+        return SurfaceForces()
     scene = view.scene
     words = words_of(scene.parts[view.b])
     in_words = are_words(scene.parts)
     lanes = scene.lanes
-    e = Ellipsoid()  # the rest of it is loaded later: it would occupy registers meanwhile
-    e.centre = scene.centres[view.b, view.k]
-    e.camera = scene.camera[view.b]
-    e.perspective = scene.perspective
     # Squares of 4 by 4 pixels that hold the ellipsoid's pixels and the neighbours before them.
     first_quad = wp.max(left - 1, 0) // QUAD
     first_row = wp.max(top - 1, 0)
@@ -208,7 +185,7 @@ def push_borders(view: EllipsoidView, gradient: Any):
     squares = across * ((bottom - first_row) // QUAD + 1)
     share = take_share(view, 0, view.shares, squares, _WEIGHT)
     if share.count == 0:
-        return sums
+        return SurfaceForces()
     # Each thread searches a square, then all threads share the borders found: the search is cheap, the forces are not.
     for turn in range(share.number, (squares + share.turn - 1) // share.turn, share.count):
         square = turn * share.turn + view.lane
@@ -225,14 +202,8 @@ def push_borders(view: EllipsoidView, gradient: Any):
                 place = place_of(mine[1])
                 row = first_row + QUAD * (mine[0] // across) + place[0]
                 column = QUAD * (first_quad + mine[0] % across) + place[1]
-                sums = push_border(sums, view, e, row, column, place[2], gradient)
-    # The lever becomes the point of the unit sphere.
-    e = load_ellipsoid(view)
-    for i in range(3):
-        arm = wp.transpose(e.axes) * wp.vec3(sums.moment[i, 0], sums.moment[i, 1], sums.moment[i, 2])
-        for j in range(3):
-            sums.moment[i, j] = arm[j] / e.semi_axes[j]
-    return sums
+                forces = push_border(forces, view, row, column, place[2], gradient)
+    return on_surface(view, forces)
 
 
 @wp.kernel(launch_bounds=(BLOCK, 12))  # 80 registers
@@ -243,7 +214,7 @@ def push_crossings(
 ):
     """Sums over the forces on each ellipsoid."""
     view = make_view(scene, forces, gradient, wp.tid())
-    store_forces(forces, view, push_borders(view, gradient))
+    store_forces(forces, view, push_borders(view, gradient), False)
 
 
 overload_gradients(push_crossings)

@@ -177,28 +177,6 @@ class SurfaceForces:
 
 
 @wp.func
-def from_unit(e: Ellipsoid, unit: wp.vec3):
-    """Point of the ellipsoid relative to its centre [m], from a point of the unit sphere."""
-    return e.axes * wp.cw_mul(e.semi_axes, unit)
-
-
-@wp.func
-def to_unit(e: Ellipsoid, point: wp.vec3):
-    """Point of the unit sphere that corresponds to a surface point."""
-    return wp.cw_div(wp.transpose(e.axes) * (point - e.centre), e.semi_axes)
-
-
-@wp.func
-def unproject(e: Ellipsoid, x: float, y: float, nearness: float):
-    """Camera-frame point of a pixel position and a nearness [m]."""
-    rx = (x - e.camera[2]) / e.camera[0]
-    ry = (y - e.camera[3]) / e.camera[1]
-    if e.perspective:
-        return wp.vec3(rx, ry, 1.0) / nearness
-    return wp.vec3(rx, ry, -nearness)
-
-
-@wp.func
 def add_force(sums: SurfaceForces, force: wp.vec3, unit: wp.vec3):
     sums.force += force
     sums.moment += wp.outer(force, unit)
@@ -206,46 +184,8 @@ def add_force(sums: SurfaceForces, force: wp.vec3, unit: wp.vec3):
 
 
 @wp.func
-def add_image_force(sums: SurfaceForces, e: Ellipsoid, unit: wp.vec3, push: wp.vec2):
-    """Add dL/d(u, v) = push of the picture of a surface point [1/px]."""
-    point = e.centre + from_unit(e, unit)
-    ray = wp.vec2(point[0], point[1])
-    force = wp.vec3(e.camera[0] * push[0], e.camera[1] * push[1], 0.0)
-    if e.perspective:
-        ray = ray / point[2]
-        force = wp.vec3(force[0], force[1], -(force[0] * ray[0] + force[1] * ray[1])) / point[2]
-    sums = add_force(sums, force, unit)
-    sums.camera += wp.vec4(push[0] * ray[0], push[1] * ray[1], push[0], push[1])
-    return sums
-
-
-@wp.func
-def add_nearness_force(
-    sums: SurfaceForces, e: Ellipsoid, x: float, y: float, nearness: float, slope: wp.vec2, amount: float
-):
-    """Add dL/dn = amount of the nearness that the surface has at a fixed place of the picture.
-
-    The surface there moves with the normal part of its points' motion: dn = -N.dX / N_z for n = -z, and
-    dn = -N.dX / (z N.X) for n = 1/z. ``slope`` is the nearness' gradient in the picture, along which the camera moves
-    it.
-    """
-    point = unproject(e, x, y, nearness)
-    unit = to_unit(e, point)
-    normal = e.axes * wp.cw_div(unit, e.semi_axes)
-    ray = wp.vec2(point[0], point[1])
-    along = normal[2]
-    if e.perspective:
-        ray = ray / point[2]
-        along = point[2] * wp.dot(normal, point)
-    if along != 0.0:
-        sums = add_force(sums, -amount / along * normal, unit)
-        sums.camera -= amount * wp.vec4(slope[0] * ray[0], slope[1] * ray[1], slope[0], slope[1])
-    return sums
-
-
-@wp.func
-def store_forces(forces: wp.array4d[float], view: EllipsoidView, sums: SurfaceForces):
-    """Add up the threads of a share and store it; the forces on a BROKEN ellipsoid are NaN."""
+def store_forces(forces: wp.array4d[float], view: EllipsoidView, sums: SurfaceForces, more: bool):
+    """Add up the threads of a share and store it, or add it as ``more``; the forces on a BROKEN ellipsoid are NaN."""
     values = Sixteen()
     fault = wp.where(view.own.label == BROKEN, wp.nan, 0.0)
     for i in range(3):
@@ -257,10 +197,12 @@ def store_forces(forces: wp.array4d[float], view: EllipsoidView, sums: SurfaceFo
     share = forces[view.b, view.k, view.share]
     if view.scene.lanes == 1:
         for i in range(SIXTEEN):
-            share[i] = values[i]
+            share[i] = wp.where(more, share[i], 0.0) + values[i]
     else:
         total = sum_sixteen(values)
         if view.lane < SIXTEEN:
+            if more:
+                total += share[view.lane]
             share[view.lane] = total
 
 
@@ -372,7 +314,7 @@ def make_forces(batch: int, parts: int, device: wp.Device, fewest_shares: int) -
 
 
 def launch_forces(
-    kernel: wp.Kernel,  # takes the scene, its options, the gradient and the forces
+    kernels: Sequence[wp.Kernel],  # take the scene, its options, the gradient and the forces
     options: Sequence[object],
     ellipsoids: Sequence[wp.array],  # centres, axes, semi-axes, camera
     seen: Seen,
@@ -389,7 +331,8 @@ def launch_forces(
     scene.parts, scene.perspective, scene.lanes = parts, perspective, num_lanes(forces.device)
     dim = forces.size // NUM_SUMS * scene.lanes
     scene.least = max(forces.shape[0] * forces.shape[1] // _WORTH, 1)
-    wp.launch(kernel, dim, [scene, *options, gradient], [forces], device=forces.device, block_dim=BLOCK)
+    for kernel in kernels:
+        wp.launch(kernel, dim, [scene, *options, gradient], [forces], device=forces.device, block_dim=BLOCK)
 
 
 def launch_spread(

@@ -9,62 +9,20 @@ from typing import Any
 import warp as wp
 
 from ..lanes import ballot, lowest_bit, shuffle
-from ..rotations import column
 from .borders import chord_shares
-from .forces import Ellipsoid, EllipsoidView, Sampling, Share, SurfaceForces, add_image_force, from_unit, load_ellipsoid
-from .silhouette import inside_at, middle_at
+from .forces import EllipsoidView, Sampling, Share
+from .picture_forces import PictureForces, add_picture_force
+from .silhouette import Silhouette, inside_at, middle_at
 
 _MAX_STEPS = wp.constant(float(2**22))  # of an outline; float32 could hardly distinguish the angles of more
 _NO_BORDER = wp.constant(-1)  # instead of a label
 
 
 @wp.func
-def outline_circle(e: Ellipsoid):
-    """Outline on the unit sphere: this matrix times (1, cos, sin) of an angle is a point where a ray is tangent."""
-    # The direction away from the camera in the space where the ellipsoid is the unit sphere.
-    away = wp.cw_div(e.axes[2], e.semi_axes)
-    if e.perspective:
-        away = wp.cw_div(wp.transpose(e.axes) * e.centre, e.semi_axes)
-    direction = wp.normalize(away)
-    offset = float(0.0)
-    radius = float(1.0)
-    if e.perspective:
-        offset = -1.0 / wp.length(away)
-        radius = wp.sqrt(wp.max(1.0 - offset * offset, 0.0))
-    helper = wp.vec3(1.0, 0.0, 0.0)
-    if wp.abs(direction[0]) > 0.7:
-        helper = wp.vec3(0.0, 1.0, 0.0)
-    first = wp.normalize(wp.cross(direction, helper))
-    return wp.matrix_from_cols(offset * direction, radius * first, radius * wp.cross(direction, first))
-
-
-@wp.func
-def rim_of(e: Ellipsoid, circle: wp.mat33):
-    """Outline as an ``Ellipsoid`` whose "unit sphere" holds (1, cos, sin) of angles, for ``add_image_force``."""
-    rim = Ellipsoid()
-    rim.centre = e.centre
-    rim.axes = wp.matrix_from_cols(
-        from_unit(e, column(circle, 0)), from_unit(e, column(circle, 1)), from_unit(e, column(circle, 2))
-    )
-    rim.semi_axes = wp.vec3(1.0, 1.0, 1.0)
-    rim.camera = e.camera
-    rim.perspective = e.perspective
-    return rim
-
-
-@wp.func
-def turn_to(angle: float):
-    """Homogeneous unit vector (1, cos, sin) of an angle along the outline."""
-    return wp.vec3(1.0, wp.cos(angle), wp.sin(angle))
-
-
-@wp.func
-def image_of(rim: Ellipsoid, turn: wp.vec3):
-    """Projection of a point of the outline [px]."""
-    point = rim.centre + from_unit(rim, turn)
-    if rim.perspective:
-        point = point / point[2]
-    return wp.vec2(rim.camera[0] * point[0] + rim.camera[2], rim.camera[1] * point[1] + rim.camera[3])
+def outline_point(s: Silhouette, angle: float):
+    """Point of an outline at an angle of the unit circle of ``to_disc`` [px]."""
+    x = wp.cos(angle) / s.factor[0]
+    return s.mean + wp.vec2(x, (wp.sin(angle) - s.factor[1] * x) / s.factor[2])
 
 
 @wp.func
@@ -95,22 +53,21 @@ def look_behind(view: EllipsoidView, place: wp.vec2):
 
 
 @wp.func
-def push_outline(
-    sums: SurfaceForces, view: EllipsoidView, rim: Ellipsoid, start: wp.vec3, end: wp.vec3, behind: int, gradient: Any
-):
+def push_outline(forces: PictureForces, view: EllipsoidView, start: wp.vec2, end: wp.vec2, behind: int, gradient: Any):
     """Force of a piece of outline: cost times outward normal times length, the chord turned by 90 degrees."""
     if behind == _NO_BORDER:
-        return sums
-    here = image_of(rim, start)
-    there = image_of(rim, end)
-    shares = chord_shares(view, here, there, view.own.label, behind, gradient)
+        return forces
+    s = view.own
+    shares = chord_shares(view, start, end, s.label, behind, gradient)
     if shares[0] == 0.0 and shares[1] == 0.0:
-        return sums
-    normal = wp.vec2(there[1] - here[1], here[0] - there[0])
-    if wp.dot(normal, 0.5 * (here + there) - view.own.mean) < 0.0:
+        return forces
+    normal = wp.vec2(end[1] - start[1], start[0] - end[0])
+    if wp.dot(normal, 0.5 * (start + end) - s.mean) < 0.0:
         normal = -normal
-    sums = add_image_force(sums, rim, start, shares[0] * normal)
-    return add_image_force(sums, rim, end, shares[1] * normal)
+    forces = add_picture_force(
+        forces, view, start[0], start[1], middle_at(s, start[0], start[1]), shares[0] * normal, 0.0
+    )
+    return add_picture_force(forces, view, end[0], end[1], middle_at(s, end[0], end[1]), shares[1] * normal, 0.0)
 
 
 @wp.func
@@ -128,19 +85,19 @@ def count_steps(view: EllipsoidView, sampling: Sampling):
 
 
 @wp.func
-def walk_outline(view: EllipsoidView, share: Share, count: int, sampling: Sampling, gradient: Any):
+def walk_outline(
+    forces: PictureForces, view: EllipsoidView, share: Share, count: int, sampling: Sampling, gradient: Any
+):
     """Forces of a share of an ellipsoid's outline in ``count`` steps or more, divided among a warp's threads."""
-    sums = SurfaceForces()
-    e = load_ellipsoid(view)
+    s = view.own
     lane = view.lane
     lanes = view.scene.lanes
-    rim = rim_of(e, outline_circle(e))
     turns = (count + share.count * lanes - 1) // (share.count * lanes)
     step = 2.0 * wp.pi / float(turns * share.count * lanes)
     n = share.number * turns * lanes
     # End of a thread's step, and the label behind it.
-    place = turn_to(float(n) * step)
-    behind = look_behind(view, image_of(rim, place))
+    place = outline_point(s, float(n) * step)
+    behind = look_behind(view, place)
     # Step of this thread within which the label behind changes, and the labels before and after.
     changing = int(-1)
     before_change = int(0)
@@ -150,19 +107,18 @@ def walk_outline(view: EllipsoidView, share: Share, count: int, sampling: Sampli
         changes = bool(False)
         start_behind = int(behind)
         if turn < turns:
-            end = turn_to(float(n + 1) * step)
-            end_behind = look_behind(view, image_of(rim, end))
-            start = wp.vec3(
-                1.0,
+            end = outline_point(s, float(n + 1) * step)
+            end_behind = look_behind(view, end)
+            start = wp.vec2(
+                wp.cast(previous_lane(wp.cast(end[0], wp.uint32), wp.cast(place[0], wp.uint32), lane, lanes), float),
                 wp.cast(previous_lane(wp.cast(end[1], wp.uint32), wp.cast(place[1], wp.uint32), lane, lanes), float),
-                wp.cast(previous_lane(wp.cast(end[2], wp.uint32), wp.cast(place[2], wp.uint32), lane, lanes), float),
             )
             start_behind = int(previous_lane(wp.uint32(end_behind), wp.uint32(behind), lane, lanes))
             place = end
             behind = end_behind
             changes = start_behind != behind
             if not changes:
-                sums = push_outline(sums, view, rim, start, place, behind, gradient)
+                forces = push_outline(forces, view, start, place, behind, gradient)
         # Changes are few and bisection is slow: all threads do it at once, when one meets its second change or after
         # the last step.
         if ballot(turn == turns or (changes and changing >= 0)) != wp.uint32(0):
@@ -171,20 +127,19 @@ def walk_outline(view: EllipsoidView, share: Share, count: int, sampling: Sampli
                 high = low + step
                 for _ in range(sampling.halvings):
                     angle = 0.5 * (low + high)
-                    middle = image_of(rim, turn_to(angle))
-                    if look_behind(view, middle) == before_change:
+                    if look_behind(view, outline_point(s, angle)) == before_change:
                         low = angle
                     else:
                         high = angle
                 # Usually one of the two pieces is no border.
-                turn_place = turn_to(0.5 * (low + high))
+                turn_place = outline_point(s, 0.5 * (low + high))
                 piece = int(wp.where(before_change == _NO_BORDER, 1, 0))
                 pieces = int(wp.where(after_change == _NO_BORDER, 1, 2))
                 while piece < pieces:
-                    start = wp.where(piece == 0, turn_to(float(changing) * step), turn_place)
-                    end = wp.where(piece == 0, turn_place, turn_to(float(changing + 1) * step))
+                    start = wp.where(piece == 0, outline_point(s, float(changing) * step), turn_place)
+                    end = wp.where(piece == 0, turn_place, outline_point(s, float(changing + 1) * step))
                     now_behind = wp.where(piece == 0, before_change, after_change)
-                    sums = push_outline(sums, view, rim, start, end, now_behind, gradient)
+                    forces = push_outline(forces, view, start, end, now_behind, gradient)
                     piece += 1
             changing = -1
         if changes:
@@ -192,6 +147,4 @@ def walk_outline(view: EllipsoidView, share: Share, count: int, sampling: Sampli
             before_change = start_behind
             after_change = behind
         n += lanes
-    # From (1, cos, sin) to the point of the unit sphere. The circle is found again, for it would occupy registers.
-    sums.moment = sums.moment * wp.transpose(outline_circle(load_ellipsoid(view)))
-    return sums
+    return forces

@@ -2,7 +2,10 @@
 
 A pixel row and a column meet an outline in closed form; there the outline is pulled and pushed by pixels as a mesh's
 silhouette edge is, and the force acts on that point of the surface. ``reference/ellipsoids.py`` is the definition.
-Every thread adds in a fixed order.
+
+A wrong pixel of a label that a single ellipsoid shows finds the ends of its row and column without a walk: so all
+threads have work. Labels that several ellipsoids share, and dense gradients, are walked line by line. Every thread
+adds in a fixed order.
 """
 
 from typing import Any
@@ -13,320 +16,83 @@ from ..labels import (
     EACH_BYTE,
     HIGH_BITS,
     IGNORED,
-    MISSING,
     QUAD,
-    SURPLUS,
-    DenseGradient,
-    LabelTarget,
     all_wrong,
     are_words,
     expected_block,
-    extent,
     has_extent,
-    hidden_gradient,
     load_block,
-    may_have_gradient,
     overload_gradients,
-    pixel_gradient,
-    pixels_of,
     unequal_bytes,
-    wrong_on_line,
 )
-from ..lanes import AT_ONCE, at_once, ballot, deal, lowest_bit, prefix_sum, shuffle
-from ..mesh.push_z import MIN_DELTA_Z
+from ..lanes import deal, prefix_sum, shuffle
 from .borders import front_at, line_root, outline_end
-from .forces import (
-    BLOCK,
-    Ellipsoid,
-    EllipsoidView,
-    SceneArrays,
-    SurfaceForces,
-    add_force,
-    add_image_force,
-    load_ellipsoid,
-    make_view,
-    store_forces,
-    take_share,
-    to_unit,
-    unproject,
-)
-from .silhouette import Silhouette, depth_of, in_box, inside_at, middle_at, pixel_box
+from .depth_forces import may_push_depths, pull_forward, push_behind
+from .forces import BLOCK, EllipsoidView, SceneArrays, SurfaceForces, make_view, store_forces, take_share
+from .line_walks import walk_lines, wrong_box
+from .picture_forces import PictureForces, add_picture_force, on_surface
+from .silhouette import middle_at, pixel_box
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-
-FEWEST_SHARES = 4  # of an ellipsoid's work: two for lines and two for depths
-_WEIGHT = wp.constant(16)  # of a turn of ends of lines, or of squares of pixels
-
-
-@wp.func
-def label_at(silhouettes: wp.array[Silhouette], part: int):
-    """Label of an entry of the image of parts."""
-    if part == 0:
-        return 0
-    return silhouettes[part - 1].label
+FEWEST_SHARES = 4  # of an ellipsoid's work
+_WEIGHT = wp.constant(32)  # of a turn of squares of pixels
 
 
 @wp.func
-def shows_label(view: EllipsoidView, part: int, alone: bool):
-    """True if an entry of the image of parts shows the ellipsoid's label; ``alone``: no other ellipsoid has it."""
-    return part == view.k + 1 or (not alone and label_at(view.silhouettes, part) == view.own.label)
-
-
-@wp.func
-def pixels_within(reach: float, count: int):
-    """Number of the first ``count`` pixels of a line that are no farther from its first one than ``reach``."""
-    if float(count) > reach:
-        return int(wp.floor(reach)) + 1
-    return count
-
-
-@wp.func
-def walk_line(
-    view: EllipsoidView,
-    axis: int,
-    line: int,
-    side: int,  # -1: the outline's low end on this line, 1: its high end
-    crossing: float,
-    alone: bool,  # no other ellipsoid shows the label
-    edge_nearness: float,
-    max_distance: float,
-    gradient: Any,
-):
-    """Slope of the loss when the outline moves along one line where it crosses it."""
-    label = view.own.label
-    count = wp.where(axis == 0, view.width, view.height)
-    # First pixel centres strictly outside and at or inside the crossing, clamped in float against overflow.
-    place = wp.clamp(crossing, -1.0, float(count) + 1.0)
-    inside = int(wp.floor(place - 0.5))
-    outside = inside + 1
-    if side < 0:
-        inside = int(wp.ceil(place - 0.5))
-        outside = inside - 1
-    slope = float(0.0)
-    # Pixels of the line follow one another in memory by ``pitch``.
-    begin = wp.where(axis == 0, line * view.width, line)
-    pitch = wp.where(axis == 0, 1, view.width)
-    if outside >= 0 and outside < count:
-        # An outline inside its own label's picture bounds nothing.
-        part = int(view.parts[begin + outside * pitch])
-        if shows_label(view, part, alone):
-            return slope
-    far = -float(side) * wp.inf  # beyond which no pixel shows the label
-    if alone:
-        # One pixel more, since rounding decides what the outline covers.
-        across = float(line) + 0.5
-        far = outline_end(view.own, across, across, axis, -float(side)) - float(side)
-    pixels = pixels_of(gradient, view.target, label)
-    missing = wrong_on_line(extent(gradient, view.b, MISSING, label), axis, line, count)
-    last = wp.where(side > 0, missing[1], missing[0])
-    pixel = int(wp.where(side > 0, wp.max(outside, 0), wp.min(outside, count - 1)))
-    distance = wp.abs(float(pixel) + 0.5 - crossing)
-    left = pixels_within(max_distance - distance, (last - pixel) * side + 1)
-    done = int(0)
-    while done < left:
-        shown = wp.vec4i()
-        values = wp.vec4()
-        for i in range(AT_ONCE):
-            if i < at_once():
-                at = begin + (pixel + wp.min(done + i, left - 1) * side) * pitch
-                shown[i] = int(view.parts[at])
-                values[i] = pixel_gradient(pixels, at, label, False)
-        for i in range(AT_ONCE):
-            if i < at_once() and done + i < left and shows_label(view, shown[i], alone):
-                left = done + i
-            if i < at_once() and done + i < left and values[i] != 0.0:
-                switches = shown[i] == 0
-                if not switches:
-                    place = float(pixel + (done + i) * side) + 0.5
-                    x = wp.where(axis == 0, place, float(line) + 0.5)
-                    y = wp.where(axis == 0, float(line) + 0.5, place)
-                    switches = front_at(view.silhouettes[shown[i] - 1], x, y) < edge_nearness
-                if switches:
-                    slope += values[i] / wp.max(distance + float(done + i), 1.0)
-        done += at_once()
-    surplus = wrong_on_line(extent(gradient, view.b, SURPLUS, label), axis, line, count)
-    last = wp.where(side > 0, surplus[0], surplus[1])
-    pixel = int(wp.where(side > 0, wp.min(inside, count - 1), wp.max(inside, 0)))
-    distance = wp.abs(float(pixel) + 0.5 - crossing)
-    reach = wp.min(max_distance - distance, float(side) * (float(pixel) + 0.5 - far))
-    left = pixels_within(reach, (pixel - last) * side + 1)
-    done = int(0)
-    while done < left:
-        shown = wp.vec4i()
-        values = wp.vec4()
-        for i in range(AT_ONCE):
-            if i < at_once():
-                at = begin + (pixel - wp.min(done + i, left - 1) * side) * pitch
-                shown[i] = int(view.parts[at])
-                values[i] = pixel_gradient(pixels, at, label, True)
-        for i in range(AT_ONCE):
-            if i < at_once() and done + i < left and shown[i] == 0:
-                left = done + i
-            if i < at_once() and done + i < left and shows_label(view, shown[i], alone):
-                slope += values[i] / wp.max(distance + float(done + i), 1.0)
-        done += at_once()
-    return float(side) * slope
-
-
-@wp.func
-def is_alone(view: EllipsoidView):
-    """True if no other ellipsoid of the body shows the same label."""
-    others = bool(False)
-    for j in range(view.lane, view.silhouettes.shape[0], view.scene.lanes):
-        if j != view.k and view.silhouettes[j].label == view.own.label:
-            others = True
-    return ballot(others) == wp.uint32(0)
-
-
-@wp.func
-def wrong_box(view: EllipsoidView, gradient: Any):
-    """First and last column, first and last row of the outline's pixel box in which its label is wrong anywhere."""
-    left, right, top, bottom = pixel_box(view.own, view.height, view.width)
-    wrong = all_wrong(gradient, view.b, view.own.label)
-    return wp.max(left, wrong[2]), wp.min(right, wrong[3]), wp.max(top, wrong[0]), wp.min(bottom, wrong[1])
-
-
-@wp.func
-def walk_lines(sums: SurfaceForces, view: EllipsoidView, most: int, max_distance: float, gradient: Any):
-    """Forces in x and y: from rows and columns that meet the outline, two ends each."""
-    s = view.own
-    left, right, top, bottom = wrong_box(view, gradient)
-    rows = wp.max(bottom - top + 1, 0)
-    columns = wp.max(right - left + 1, 0)
-    alone = is_alone(view)
-    ends = 2 * (rows + columns)
-    share = take_share(view, 0, most, ends, _WEIGHT)
-    n = wp.where(share.count > 0 and view.lane < share.turn, share.number * share.turn + view.lane, ends)
-    while n < ends:
-        side = 2 * (n % 2) - 1
-        axis = 0
-        line = top + n // 2
-        if n >= 2 * rows:
-            axis = 1
-            line = left + (n - 2 * rows) // 2
-        across = float(line) + 0.5
-        if line_root(s, across, across, axis) > 0.0:
-            crossing = outline_end(s, across, across, axis, float(side))
-            x = wp.where(axis == 0, crossing, across)
-            y = wp.where(axis == 0, across, crossing)
-            nearness = middle_at(s, x, y)
-            slope = walk_line(view, axis, line, side, crossing, alone, nearness, max_distance, gradient)
-            if slope != 0.0:
-                e = load_ellipsoid(view)
-                unit = to_unit(e, unproject(e, x, y, nearness))
-                push = wp.vec2(wp.where(axis == 0, slope, 0.0), wp.where(axis == 0, 0.0, slope))
-                sums = add_image_force(sums, e, unit, push)
-        n += share.count * share.turn
-    return sums
-
-
-@wp.func
-def push_depth(sums: SurfaceForces, e: Ellipsoid, x: float, y: float, nearness: float, amount: float):
-    """Add a force along z on the surface point at (x, y)."""
-    unit = to_unit(e, unproject(e, x, y, nearness))
-    return add_force(sums, wp.vec3(0.0, 0.0, amount), unit)
-
-
-@wp.func
-def is_nearest_of_label(silhouettes: wp.array[Silhouette], k: int, nearness: float, x: float, y: float):
-    """True if no other ellipsoid of k's label is nearer there; of equal ones the lower index is."""
-    label = silhouettes[k].label
-    for j in range(silhouettes.shape[0]):
-        if j != k and silhouettes[j].label == label and in_box(silhouettes[j], x, y):
-            if inside_at(silhouettes[j], x, y) > 0.0:
-                there = front_at(silhouettes[j], x, y)
-                if there > nearness or (there == nearness and j < k):
-                    return False
-    return True
-
-
-@wp.func
-def depth_between(front: float, back: float, perspective: bool):
-    """Distance in depth of two nearnesses [m], never 0."""
-    return wp.max(depth_of(back, perspective) - depth_of(front, perspective), MIN_DELTA_Z)
-
-
-@wp.func
-def may_push_depths(g: LabelTarget, own: wp.uint32, shown: wp.uint32, expected: wp.uint32, label: int):
-    """Highest bit of each of four pixels where a depth may matter: the ellipsoid hides the target, or is it and hidden.
-
-    ``own`` are the bits of pixels that show the ellipsoid, ``shown`` the parts that pixels show.
-    """
+def may_push_outline(own: wp.uint32, expected: wp.uint32, label: int):
+    """Highest bit of each of four pixels where a label that one ellipsoid shows is wrong; ``own`` are its pixels."""
     wanted = unequal_bytes(expected, wp.uint32(label) * EACH_BYTE)
-    some = unequal_bytes(expected, wp.uint32(0)) & unequal_bytes(expected, IGNORED)
-    return (own & wanted & some) | (~own & ~wanted & unequal_bytes(shown, wp.uint32(0)))
+    return (own & wanted & unequal_bytes(expected, IGNORED)) | ~(own | wanted) & HIGH_BITS
 
 
 @wp.func
-def may_push_depths(g: DenseGradient, own: wp.uint32, shown: wp.uint32, expected: wp.uint32, label: int):
-    """Highest bit of each of four pixels that show a part."""
-    return unequal_bytes(shown, wp.uint32(0))
-
-
-@wp.func
-def push_behind(
-    sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, row: int, column: int, depth_weight: float, gradient: Any
-):
-    """Force back where the ellipsoid, which shows at a pixel, hides another that should."""
+def push_ends(forces: PictureForces, view: EllipsoidView, row: int, column: int, max_distance: float):
+    """Forces of a wrong pixel on the outline's ends in its row and column, as in ``walk_line``."""
     s = view.own
-    silhouettes = view.silhouettes
-    at = row * view.width + column
     x = float(column) + 0.5
     y = float(row) + 0.5
-    front = front_at(s, x, y)
-    for word in range((silhouettes.shape[0] + 31) // 32):
-        # First find the hidden ones: for each thread they are others, but few, so that all push together.
-        hidden = wp.uint32(0)
-        for bit in range(wp.min(32, silhouettes.shape[0] - 32 * word)):
-            j = 32 * word + bit
-            other = silhouettes[j].label
-            if (
-                other != s.label
-                and may_have_gradient(gradient, view.target, other, at)
-                and in_box(silhouettes[j], x, y)
-            ):
-                if inside_at(silhouettes[j], x, y) > 0.0:
-                    hidden |= wp.uint32(1) << wp.uint32(bit)
-        while hidden != wp.uint32(0):
-            j = 32 * word + lowest_bit(hidden)
-            hidden &= hidden - wp.uint32(1)
-            g = hidden_gradient(gradient, view.target, silhouettes[j].label, at)
-            back = front_at(silhouettes[j], x, y)
-            if g != 0.0 and is_nearest_of_label(silhouettes, j, back, x, y):
-                between = depth_between(front, back, e.perspective)
-                amount = depth_weight * g * wp.log(1.0 / between + 1.0)
-                sums = push_depth(sums, e, x, y, front, amount)
-    return sums
+    shown = int(view.parts[row * view.width + column])
+    own = shown == view.k + 1
+    front = float(-wp.inf)
+    if shown > 0 and not own:
+        front = front_at(view.silhouettes[shown - 1], x, y)
+    n = int(0)
+    while n < 4:  # a loop over a constant range would be unrolled
+        axis = n // 2
+        side = float(2 * (n % 2) - 1)
+        if line_root(s, x, y, axis) > 0.0:
+            crossing = outline_end(s, x, y, axis, side)
+            beyond = side * (wp.where(axis == 0, x, y) - crossing)
+            end_x = wp.where(axis == 0, crossing, x)
+            end_y = wp.where(axis == 0, y, crossing)
+            distance = wp.abs(beyond)
+            nearness = middle_at(s, end_x, end_y)
+            if (own or (beyond > 0.0 and front < nearness)) and distance <= max_distance:
+                slope = side * wp.where(own, 2.0, -2.0) / wp.max(distance, 1.0)
+                push = wp.vec2(wp.where(axis == 0, slope, 0.0), wp.where(axis == 0, 0.0, slope))
+                forces = add_picture_force(forces, view, end_x, end_y, nearness, push, 0.0)
+        n += 1
+    return forces
 
 
 @wp.func
-def pull_forward(
-    sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, row: int, column: int, depth_weight: float, gradient: Any
-):
-    """Force forward where the ellipsoid is hidden at a pixel that another shows."""
-    s = view.own
-    at = row * view.width + column
-    front = view.silhouettes[int(view.parts[at]) - 1]
-    x = float(column) + 0.5
-    y = float(row) + 0.5
-    if front.label != s.label and inside_at(s, x, y) > 0.0:
-        g = hidden_gradient(gradient, view.target, s.label, at)
-        if g != 0.0:
-            back = front_at(s, x, y)
-            if is_nearest_of_label(view.silhouettes, view.k, back, x, y):
-                between = depth_between(front_at(front, x, y), back, e.perspective)
-                amount = -depth_weight * g * wp.log(1.0 / between + 1.0)
-                sums = push_depth(sums, e, x, y, back, amount)
-    return sums
+def pixels_to_look_at(view: EllipsoidView, distinct: bool, gradient: Any):
+    """First and last column, first and last row of the pixels that may push an ellipsoid."""
+    if not has_extent(gradient, view.own.label):
+        return pixel_box(view.own, view.height, view.width)
+    if not distinct:
+        return wrong_box(view, gradient)
+    wrong = all_wrong(gradient, view.b, view.own.label)
+    return wrong[2], wrong[3], wrong[0], wrong[1]
 
 
 @wp.func
-def walk_depths(sums: SurfaceForces, view: EllipsoidView, most: int, depth_weight: float, gradient: Any):
-    """Forces in z: where the target's label is hidden, its ellipsoid comes forward, the one that hides it goes back."""
-    left, right, top, bottom = pixel_box(view.own, view.height, view.width)
-    if has_extent(gradient, view.own.label):
-        left, right, top, bottom = wrong_box(view, gradient)
+def push_pixels(view: EllipsoidView, max_distance: float, depth_weight: float, distinct: bool, gradient: Any):
+    """Forces of pixels: in z, and in x and y as far as ``walk_outlines`` does not add them."""
+    forces = PictureForces()
+    left, right, top, bottom = pixels_to_look_at(view, distinct, gradient)
+    pushes_outline = distinct and has_extent(gradient, view.own.label)
     image = view.scene.parts[view.b]
     in_words = are_words(view.scene.parts)
     four = wp.uint32(view.k + 1) * EACH_BYTE
@@ -334,13 +100,14 @@ def walk_depths(sums: SurfaceForces, view: EllipsoidView, most: int, depth_weigh
     across = wp.max(right // QUAD - first_quad + 1, 0)
     squares = across * wp.max((bottom - top) // QUAD + 1, 0)
     lanes = view.scene.lanes
-    share = take_share(view, view.shares - most, most, squares, _WEIGHT)
+    share = take_share(view, 0, view.shares, squares, _WEIGHT)
     if share.count == 0:
-        return sums
+        return SurfaceForces()
     # Each thread looks at 4 by 4 pixels, then all share those that matter.
     for turn in range(share.number, (squares + share.turn - 1) // share.turn, share.count):
         square = turn * share.turn + view.lane
         pixels = wp.uint32(0)
+        depth_pixels = wp.uint32(0)
         if view.lane < share.turn and square < squares:
             row = top + QUAD * (square // across)
             column = QUAD * (first_quad + square % across)
@@ -348,21 +115,33 @@ def walk_depths(sums: SurfaceForces, view: EllipsoidView, most: int, depth_weigh
             expected = expected_block(gradient, view.target, row, column)
             for i in range(QUAD):
                 own = unequal_bytes(shown[i], four) ^ HIGH_BITS
-                pixels |= may_push_depths(gradient, own, shown[i], expected[i], view.own.label) >> wp.uint32(i)
-        found = prefix_sum(wp.bit_count(pixels))
-        total = int(shuffle(wp.uint32(found), lanes - 1))
+                if pushes_outline:
+                    pixels |= may_push_outline(own, expected[i], view.own.label) >> wp.uint32(i)
+                if depth_weight != 0.0:
+                    found = may_push_depths(gradient, own, shown[i], expected[i], view.own.label)
+                    depth_pixels |= found >> wp.uint32(i)
+        before = prefix_sum(wp.bit_count(pixels))
+        total = int(shuffle(wp.uint32(before), lanes - 1))
         for first in range(0, total, lanes):
             number = first + view.lane
-            mine = deal(pixels, found, square, number, lanes)
+            mine = deal(pixels, before, square, number, lanes)
             if number < total:
                 row = top + QUAD * (mine[0] // across) + 7 - mine[1] % 8
                 column = QUAD * (first_quad + mine[0] % across) + mine[1] // 8
-                e = load_ellipsoid(view)
+                forces = push_ends(forces, view, row, column, max_distance)
+        before = prefix_sum(wp.bit_count(depth_pixels))
+        total = int(shuffle(wp.uint32(before), lanes - 1))
+        for first in range(0, total, lanes):
+            number = first + view.lane
+            mine = deal(depth_pixels, before, square, number, lanes)
+            if number < total:
+                row = top + QUAD * (mine[0] // across) + 7 - mine[1] % 8
+                column = QUAD * (first_quad + mine[0] % across) + mine[1] // 8
                 if int(view.parts[row * view.width + column]) == view.k + 1:
-                    sums = push_behind(sums, view, e, row, column, depth_weight, gradient)
+                    forces = push_behind(forces, view, row, column, depth_weight, distinct, gradient)
                 else:
-                    sums = pull_forward(sums, view, e, row, column, depth_weight, gradient)
-    return sums
+                    forces = pull_forward(forces, view, row, column, depth_weight, distinct, gradient)
+    return on_surface(view, forces)
 
 
 @wp.kernel(launch_bounds=(BLOCK, 8))  # 128 registers
@@ -370,6 +149,7 @@ def partdr_forces(
     scene: SceneArrays,
     max_distance: float,  # [px]
     depth_weight: float,
+    distinct: bool,  # no two ellipsoids show the same label, and the gradient is a LabelTarget
     gradient: Any,
     forces: wp.array4d[float],  # as ``spread_forces`` reads them  OUTPUT
 ):
@@ -377,11 +157,23 @@ def partdr_forces(
     sums = SurfaceForces()
     view = make_view(scene, forces, gradient, wp.tid())
     if view.own.low[0] <= view.own.high[0]:
-        if has_extent(gradient, view.own.label):
-            sums = walk_lines(sums, view, wp.max(view.shares // 2, 1), max_distance, gradient)
-        if depth_weight != 0.0:
-            sums = walk_depths(sums, view, (view.shares + 1) // 2, depth_weight, gradient)
-    store_forces(forces, view, sums)
+        sums = push_pixels(view, max_distance, depth_weight, distinct, gradient)
+    store_forces(forces, view, sums, False)
 
 
-overload_gradients(partdr_forces)
+@wp.kernel(launch_bounds=(BLOCK, 8))  # 128 registers
+def walk_outlines(
+    scene: SceneArrays,
+    max_distance: float,  # [px]
+    depth_weight: float,
+    distinct: bool,  # no two ellipsoids show the same label, and the gradient is a LabelTarget
+    gradient: Any,
+    forces: wp.array4d[float],  # as ``spread_forces`` reads them  MODIFIED
+):
+    """Add the forces in x and y that ``partdr_forces`` leaves out."""
+    view = make_view(scene, forces, gradient, wp.tid())
+    if view.own.low[0] <= view.own.high[0] and has_extent(gradient, view.own.label):
+        store_forces(forces, view, walk_lines(view, max_distance, gradient), True)
+
+
+overload_gradients(partdr_forces, walk_outlines)

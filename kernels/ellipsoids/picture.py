@@ -26,7 +26,7 @@ from ..labels import (
     unequal_bytes,
     words_of,
 )
-from ..lanes import LANES, ballot, lowest_bit, shuffle, sum_lanes
+from ..lanes import LANES, ballot, highest_bit, lowest_bit, shuffle, sum_lanes
 from .silhouette import Silhouette, along_row, depth_of, find_fault, inside_at, middle_at, row_lean, row_root, to_disc
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
@@ -111,9 +111,15 @@ def note_pixel(target: LabelTarget, b: int, row: int, column: int, expected: int
 
 
 @wp.func
+def box_meets(s: Silhouette, left: float, right: float, top: float, bottom: float):
+    """True if an outline's bounding box meets a rectangle of pixels: cheaper than ``may_meet``."""
+    return s.low[0] < right and s.high[0] > left and s.low[1] < bottom and s.high[1] > top
+
+
+@wp.func
 def may_meet(s: Silhouette, left: float, right: float, top: float, bottom: float):
     """False if an outline surely misses a rectangle of pixels."""
-    if not (s.low[0] < right and s.high[0] > left and s.low[1] < bottom and s.high[1] > top):
+    if not box_meets(s, left, right, top, bottom):
         return False
     # Within these rows the outline is farthest right in the row nearest to that of its rightmost point.
     half = s.high[0] - s.mean[0]
@@ -132,9 +138,10 @@ def may_meet(s: Silhouette, left: float, right: float, top: float, bottom: float
 
 @wp.func
 def draw_run(ellipsoids: wp.array[Silhouette], meets: wp.uint64, words: int, x: float, y: float):
-    """Index + 1 of the nearest ellipsoid at eight pixels, and its nearness, of those that a thread says may meet them.
+    """Index + 1 of the nearest ellipsoid at eight pixels, plus 256 times its label, and its nearness.
 
-    Bit 8 word of ``meets`` says it of the thread's ellipsoid in that word.
+    It is one of those that a thread says may meet them: bit 8 word of ``meets`` says it of the thread's ellipsoid in
+    that word.
     """
     shown = _Indices()
     best = _Numbers(-wp.inf)
@@ -144,6 +151,7 @@ def draw_run(ellipsoids: wp.array[Silhouette], meets: wp.uint64, words: int, x: 
             k = LANES * word + lowest_bit(bits)
             bits &= bits - wp.uint32(1)
             s = ellipsoids[k]
+            entry = k + 1 + 256 * s.label
             place = to_disc(s, x - s.mean[0], y - s.mean[1])
             first_middle = middle_at(s, x, y)
             for i in range(_RUN):
@@ -154,8 +162,16 @@ def draw_run(ellipsoids: wp.array[Silhouette], meets: wp.uint64, words: int, x: 
                 nearness = first_middle + float(i) * s.slope[0] + s.bulge * wp.sqrt(wp.max(inside, 0.0))
                 nearer = inside > 0.0 and nearness > best[i]
                 best[i] = wp.where(nearer, nearness, best[i])
-                shown[i] = wp.where(nearer, k + 1, shown[i])
+                shown[i] = wp.where(nearer, entry, shown[i])
     return shown, best
+
+
+@wp.func
+def words_cost(shown: wp.uint32, expected: wp.uint32):
+    """Sum of ``cost_of`` of four pixels."""
+    wrong = unequal_bytes(shown, expected) & unequal_bytes(expected, IGNORED)
+    dirtied = wrong & unequal_bytes(shown, wp.uint32(0)) & unequal_bytes(shown, IGNORED)
+    return wp.bit_count(dirtied) + wp.bit_count(wrong & unequal_bytes(expected, wp.uint32(0)))
 
 
 @wp.func
@@ -181,21 +197,34 @@ def note_strip(target: LabelTarget, b: int, labels: wp.uint64, wanted: wp.uint64
         if low_wrong != wp.uint32(0):
             pair = first_pair(low, low_wanted, low_wrong)
         pair = shuffle(pair, lowest_bit(waiting))
-        note_pair(target, b, int(pair & wp.uint32(255)), int(pair >> wp.uint32(8)), left, top, lane)
-        low_wrong = without_pair(low_wrong, low, low_wanted, pair)
-        high_wrong = without_pair(high_wrong, high, high_wanted, pair)
+        low_left = without_pair(low_wrong, low, low_wanted, pair)
+        high_left = without_pair(high_wrong, high, high_wanted, pair)
+        runs = ballot(low_left != low_wrong or high_left != high_wrong)
+        note_pair(target, b, int(pair & wp.uint32(255)), int(pair >> wp.uint32(8)), runs, left, top, lane)
+        low_wrong = low_left
+        high_wrong = high_left
         waiting = ballot((low_wrong | high_wrong) != wp.uint32(0))
 
 
 @wp.func
-def note_pair(target: LabelTarget, b: int, shown: int, expected: int, left: int, top: int, lane: int):
-    """Record a strip for two labels as ``note_wrong`` does, by a thread for each of eight numbers."""
+def note_pair(target: LabelTarget, b: int, shown: int, expected: int, runs: wp.uint32, left: int, top: int, lane: int):
+    """Record runs of a strip for two labels as ``note_wrong`` does, by a thread for each of eight numbers.
+
+    ``runs`` has a bit for each thread whose run has such a pixel.
+    """
     extents = target.extents
     height, width = target.target.shape[1], target.target.shape[2]
     side = lane % 4
-    reach = wp.where(side == 0, height - top, wp.min(top + _STRIP_ROWS, height))
+    columns = runs | runs >> wp.uint32(16)
+    columns |= columns >> wp.uint32(8)
+    columns = (columns | columns >> wp.uint32(4)) & wp.uint32(15)
+    first_row = lowest_bit(runs) // _RUNS
+    last_row = highest_bit(runs) // _RUNS
+    reach = wp.where(side == 0, height - top - first_row, top + last_row + 1)
     if side >= 2:
-        reach = wp.where(side == 2, width - left, wp.min(left + _STRIP_WIDTH, width))
+        first_column = left + _RUN * lowest_bit(columns)
+        last_column = left + _RUN * highest_bit(columns) + _RUN
+        reach = wp.where(side == 2, width - first_column, wp.min(last_column, width))
     label = wp.where(lane < 4, shown, expected)
     kind = wp.where(lane < 4, SURPLUS, MISSING)
     if lane < 8 and label > 0 and label < extents.shape[2]:
@@ -252,7 +281,7 @@ def draw_tiles(
         k = LANES * word + lane
         if k < count:
             own = ellipsoids[k]
-            if may_meet(own, float(left), right, float(top), float(top + tile_height)):
+            if box_meets(own, float(left), right, float(top), float(top + tile_height)):
                 for strip in range(strips):
                     first = float(top + strip * _STRIP_ROWS)
                     if may_meet(own, float(left), right, first, first + float(_STRIP_ROWS)):
@@ -292,9 +321,8 @@ def draw_tiles(
         if ballot((mine & _EACH_WORD) != wp.uint64(0)) != wp.uint32(0):
             shown, best = draw_run(ellipsoids, mine, words, x, float(row) + 0.5)
             for i in range(_RUN):
-                shown_run |= wp.uint64(shown[i]) << wp.uint64(8 * i)
-                if shown[i] > 0 and column + i < width:
-                    label_run |= wp.uint64(ellipsoids[shown[i] - 1].label) << wp.uint64(8 * i)
+                shown_run |= wp.uint64(shown[i] & 255) << wp.uint64(8 * i)
+                label_run |= wp.uint64(shown[i] >> 8) << wp.uint64(8 * i)
         if in_picture:
             write_run(parts, b * height + row, column, shown_run, in_runs)
             if has_labels:
@@ -307,9 +335,13 @@ def draw_tiles(
         if has_losses:
             if not in_picture:
                 label_run = wp.uint64(0)
-            if expected != label_run:
-                for i in range(_RUN):
-                    loss += cost_of(target, pixel_of(expected, i), pixel_of(label_run, i))
+            elif column + _RUN > width:
+                label_run &= (wp.uint64(1) << wp.uint64(8 * (width - column))) - wp.uint64(1)
+            low = wp.uint32(label_run)
+            high = wp.uint32(label_run >> wp.uint64(32))
+            low_wanted = wp.uint32(expected)
+            high_wanted = wp.uint32(expected >> wp.uint64(32))
+            loss += float(words_cost(low, low_wanted) + words_cost(high, high_wanted))
             if target.extents.shape[0] > 0:
                 note_strip(target, b, label_run, expected, left, top + strip * _STRIP_ROWS, lane)
     if has_losses:

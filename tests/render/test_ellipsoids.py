@@ -30,6 +30,7 @@ from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid
 from warp_partdr.render.part_mesh import ellipbody_mesh
 
 SMALL = [(21, 34), (30, 17)]
+DISTINCT = np.array([3, 1, 255, 5, 2, 4])  # each of one ellipsoid, in another order than theirs
 LSP6 = np.asarray(label_set("lsp6").part_groups[1:])
 # --- Forward -----------------------------------------------------------------------------------------------------
 
@@ -136,21 +137,27 @@ def test_partdr_gradient_of_the_label_loss_is_the_reference_on_bodies(device, la
     assert loss.item() == pytest.approx(np.abs(g).sum() / 2, rel=1e-5)
 
 
+@pytest.mark.parametrize("max_distance", [np.inf, 2.5])
+@pytest.mark.parametrize("labels", [GROUPS, DISTINCT], ids=["groups", "distinct"])
 @pytest.mark.parametrize("perspective", CAMERAS)
-def test_partdr_gradient_of_few_wrong_pixels_is_the_reference(device, perspective):
-    """Lines and pixels outside of the wrong ones' extent are left out, but what hides without a label is not."""
-    size, count, pushed = (33, 44), 4, 0
+def test_partdr_gradient_of_few_wrong_pixels_is_the_reference(device, perspective, labels, max_distance):
+    """Lines and pixels outside of the wrong ones' extent are left out, but what hides without a label is not.
+
+    Labels of one ellipsoid each are pushed pixel by pixel, without a walk.
+    """
+    size, count, pushed = (33, 44), int(labels[labels != IGNORE].max()), 0
+    options = {"max_distance": max_distance, "depth_weight": 0.7}
     for seed in range(16):
-        scene = random_scene(seed, size, perspective, labels=GROUPS)
+        scene = random_scene(seed, size, perspective, labels=labels)
         drawn, generator = reference.ray_cast(scene, size)[0], np.random.default_rng(seed)
         target = np.where(drawn == IGNORE, 0, drawn).astype(np.uint8)
         row, column = generator.integers(0, 24, 2)
         target[row : row + 9, column : column + 12] = generator.integers(0, count + 1)
         target[row + 2, column : column + 3] = IGNORE
         leaves = Leaves.of(scene, device=device)
-        _, image = leaves.push_by_loss(target, part_labels=GROUPS, gradient="partdr")
+        _, image = leaves.push_by_loss(target, part_labels=labels, gradient="partdr", **options)
         g = label_gradient(image.labels[0].cpu().numpy(), target, count)
-        want = reference.partdr_gradient(scene, image.parts[0].cpu().numpy(), g)
+        want = reference.partdr_gradient(scene, image.parts[0].cpu().numpy(), g, **options)
         if want.centres.any():
             pushed += 1
             check_forces(leaves, want)

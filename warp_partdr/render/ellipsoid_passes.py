@@ -75,10 +75,17 @@ class EllipsoidPasses:
             sampling.steps_per_pixel = self.samples_per_pixel
             more = math.ceil(_MORE_HALVINGS * math.log2(max(self.samples_per_pixel, 1.0)))
             sampling.halvings = _HALVINGS + more
-            return partial(launch, coverage.coverage_forces, [sampling])
+            return partial(launch, [coverage.coverage_forces], [sampling])
         if self.gradient == "partdr":
-            return partial(launch, partdr.partdr_forces, [self.max_distance, self.depth_weight])
-        return partial(launch, edges.push_crossings, [])
+            return partial(self._launch_partdr, launch)
+        return partial(launch, [edges.push_crossings], [])
+
+    def _launch_partdr(self, launch: Callable[..., None], *args: Any, gradient: Any, **others: Any) -> None:
+        """Launch the kernels of PartDR: lines are walked only where a wrong pixel can't find the ends that it moves."""
+        labels = [label for label in self.labels if 0 < label <= MAX_LABEL]
+        distinct = len(set(labels)) == len(labels) and not hasattr(gradient, "maps")
+        kernels = [partdr.partdr_forces] if distinct else [partdr.partdr_forces, partdr.walk_outlines]
+        launch(kernels, [self.max_distance, self.depth_weight, distinct], *args, gradient=gradient, **others)
 
     def draw(self, inputs: Tensors, size: Size) -> Picture:
         """Draw labels, depth and index + 1 of the nearest; the scratch is what cameras see of each ellipsoid."""
