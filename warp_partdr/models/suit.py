@@ -42,7 +42,7 @@ class Suit:
     cloth: np.ndarray
     _trunk: torch.Tensor  # indices of the vertices that are smoothed, shape (N,)
     _shares: torch.Tensor  # how much each of them is, shape (N, 1)
-    _smoothing: torch.Tensor  # weights that make a smooth surface of their surroundings, shape (N, N)
+    _means: torch.Tensor  # weights of the mean around each of them, shape (N, N)
 
     def put_on(self, vertices: torch.Tensor) -> torch.Tensor:
         """Return the vertices of one body in its suit.
@@ -55,7 +55,9 @@ class Suit:
         """
         worn = vertices.detach().to("cpu", torch.float32, copy=True)
         trunk = worn[self._trunk]
-        worn[self._trunk] = torch.lerp(trunk, self._smoothing @ trunk, self._shares)
+        # The mean of a curved surface lies inside of it. Twice the mean less the mean's mean lies on it.
+        inside = self._means @ trunk
+        worn[self._trunk] = torch.lerp(trunk, 2 * inside - self._means @ inside, self._shares)
         return worn
 
 
@@ -103,13 +105,11 @@ def suit_of(model: DetailedModel) -> Suit:
         cloth = np.stack([np.minimum(whole, above), np.minimum(whole, -above)], axis=1).clip(-_FAR, _FAR)
         smoothed = _smoothed_share(rest, whole)
         trunk = np.flatnonzero(smoothed)
-        means = torch.from_numpy(_trunk_means(rest, trunk).astype(np.float32))
         return Suit(
             cloth.astype(np.float32),
             torch.from_numpy(trunk),
             torch.from_numpy(smoothed[trunk, None].astype(np.float32)),
-            # The mean of a curved surface lies inside of it. Twice the mean less the mean's mean lies on it.
-            2 * means - means @ means,
+            torch.from_numpy(_trunk_means(rest, trunk).astype(np.float32)),
         )
 
 
