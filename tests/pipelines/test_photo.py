@@ -240,6 +240,20 @@ def test_files_of_everyone_are_saved_and_older_ones_go(everyone, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {*RESULT_FILES, "person0", "person1", "person8"}
 
 
+def test_guessed_limbs_are_pale_over_everyone_and_not_in_a_person_s_own_picture(everyone, tmp_path):
+    photo, found = everyone
+    limbs = {**found.confidences[0].limbs, "left arm": LimbConfidence(0.3, "hidden")}
+    guessed = replace(found, confidences={**found.confidences, 0: replace(found.confidences[0], limbs=limbs)})
+    pictures = []
+    for name, fit in (("whole", found), ("guessed", guessed)):
+        save_photo_fit(fit, tmp_path / name, photo=photo)
+        files = tmp_path / name / "person0" / "detailed.png", tmp_path / name / "overlay.png"
+        pictures.append([np.asarray(Image.open(file)) for file in files])
+    (own, overlay), (pale_own, pale_overlay) = pictures
+    np.testing.assert_array_equal(own, pale_own)
+    assert (overlay != pale_overlay).any()
+
+
 def test_the_page_shows_everyone_the_least_confident_first(everyone, tmp_path):
     photo, found = everyone
     sure, unsure = found.confidences[0], replace(found.confidences[1], probability=0.12)
