@@ -32,7 +32,7 @@ from warp_partdr.results.placements import place_on_ground
 from warp_partdr.results.result_sets import check_result
 from warp_partdr.results.save import DETAILED_FILES, RESULT_FILES, save_fit
 from warp_partdr.results.save_photo import PHOTO_FILES, save_photo_fit
-from warp_partdr.results.shading import Surface
+from warp_partdr.results.shading import BodySurface
 from warp_partdr.solve.confidence.judge import LimbConfidence
 from warp_partdr.solve.confidence.limbs import guessed_parts
 from warp_partdr.solve.ellipsoids import fitting
@@ -349,7 +349,7 @@ def test_a_body_is_upright_from_the_side_and_the_camera_is_at_the_left(device):
     lean = vertices.clone()
     lean[..., 2] += 0.5 * (lean[..., 1] - head)
     for points, leans in ((vertices, False), (lean, True)):
-        picture = draw_side_view(Surface.of_body(points, model), 200).astype(int)
+        picture = draw_side_view(BodySurface.of_body(points, model), 200).astype(int)
         assert max(picture.shape[:2]) == 200
         rows, columns = np.nonzero(np.abs(picture - GRAY).max(-1) > 12)
         assert rows.max() - rows.min() > 160

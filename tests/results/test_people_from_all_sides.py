@@ -11,7 +11,7 @@ from warp_partdr.cameras import Perspective, WeakPerspective
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.results.palette import PEOPLE_COLOURS
 from warp_partdr.results.placements import Placement
-from warp_partdr.results.shading import Surface
+from warp_partdr.results.shading import BodySurface
 from warp_partdr.results.views import _ABOVE, _FRONT, _SIDE, PlacedBody, _Scene, _View, draw_views, place_alone
 
 SIZE = (300, 400)
@@ -21,7 +21,7 @@ CAMERA = Perspective.of_picture(SIZE, focal=320.0)
 def placed(x, z, name="person0", *, feet=True, scale=1.0):
     placement = Placement(np.zeros(3), scale, z * scale)
     body = upright(x, z)
-    surface = Surface.of_body(body.detailed.vertices, body.model, bare=True)
+    surface = BodySurface.of_body(body.detailed.vertices, body.model, bare=True)
     return PlacedBody(name, body, CAMERA, placement, feet, lens_assumed=False, surface=surface)
 
 

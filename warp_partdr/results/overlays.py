@@ -15,7 +15,7 @@ from ..models.model import DetailedModel, detailed_mesh
 from ..models.registration import Registered
 from ..render.mesh import draw_mesh
 from ..solve.ellipsoids.result import FitResult
-from .shading import SKIN_COLOUR, Surface, blend, shade_body
+from .shading import SKIN_COLOUR, BodySurface, blend, shade_body
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -52,16 +52,18 @@ def skin_over(
         pale: Flags of the part labels that are drawn pale because they are guessed (``guessed_parts``), shape (21,).
         bare: True draws the skin alone. By default the body wears a plain T-shirt and shorts.
     """
-    return surface_over(picture, Surface.of_body(vertices, model, pale=pale, bare=bare), camera, colour)
+    return surface_over(picture, BodySurface.of_body(vertices, model, pale=pale, bare=bare), camera, colour)
 
 
-def surface_over(picture: np.ndarray, surface: Surface, camera: Camera, colour: np.ndarray = SKIN_COLOUR) -> np.ndarray:
+def surface_over(
+    picture: np.ndarray, surface: BodySurface, camera: Camera, colour: np.ndarray = SKIN_COLOUR
+) -> np.ndarray:
     """Draw the surface of a detailed body over a picture, like ``skin_over``, shape (H, W, 3), uint8."""
     return shaded_over(picture, surface.draw(camera, (picture.shape[0], picture.shape[1]), colour))
 
 
 def shaded_over(picture: np.ndarray, shaded: np.ndarray) -> np.ndarray:
-    """Lay a detailed body that ``Surface.draw`` has drawn over a picture, shape (H, W, 3), uint8."""
+    """Lay a detailed body that ``BodySurface.draw`` has drawn over a picture, shape (H, W, 3), uint8."""
     return blend(picture, shaded, _SKIN)
 
 
@@ -126,7 +128,7 @@ def draw_detailed(
     zoom, drawn_size = overlay_size(size)
     below = gray_picture(drawn_size) if photo is None else at_overlay_size(photo, size)
     if shaded is None:
-        surface = Surface.of_body(registered.detailed.vertices, registered.model, pale=pale, bare=bare)
+        surface = BodySurface.of_body(registered.detailed.vertices, registered.model, pale=pale, bare=bare)
         shaded = shade_for_overlay(surface, camera, size)
     drawn = shaded_over(below, shaded)
     if clothes is not None:
@@ -134,7 +136,7 @@ def draw_detailed(
     return Image.fromarray(drawn)
 
 
-def shade_for_overlay(surface: Surface, camera: Camera, size: tuple[int, int]) -> np.ndarray:
+def shade_for_overlay(surface: BodySurface, camera: Camera, size: tuple[int, int]) -> np.ndarray:
     """Draw a body for the overlay of a picture of (H, W) pixels, on a transparent ground: RGBA, uint8."""
     zoom, drawn_size = overlay_size(size)
     return surface.draw(zoomed(camera, zoom, drawn_size), drawn_size)

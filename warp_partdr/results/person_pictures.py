@@ -10,7 +10,7 @@ import torch
 
 from ..cameras import Crop, WeakPerspective
 from .overlays import GRAY, gray_picture, surface_over
-from .shading import Surface
+from .shading import BodySurface
 
 _MARGIN = 0.08  # margin around what is shown, as a share of it
 _BEYOND = 0.75  # farthest that a body is shown beyond the person's box, as a share of the box
@@ -57,13 +57,13 @@ def cut_window(photo: np.ndarray, crop: Crop) -> np.ndarray:
     return np.asarray(window.resize((crop.size[1], crop.size[0]), Image.Resampling.LANCZOS))
 
 
-def draw_side_view(surface: Surface, side: int) -> np.ndarray:
+def draw_side_view(surface: BodySurface, side: int) -> np.ndarray:
     """Draw a body as somebody at the right of the photo sees it, on gray, shape (H, W, 3), uint8.
 
     The camera of the photo is at the left, and what is vertical in the photo stays vertical.
 
     Args:
-        surface: Surface of the body in the frame of the camera.
+        surface: BodySurface of the body in the frame of the camera.
         side: Longer side of the picture [px].
     """
     turned = surface.moved(np.array(_FROM_THE_SIDE), -surface.vertices.mean(0, dtype=np.float64))

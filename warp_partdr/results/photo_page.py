@@ -21,7 +21,7 @@ from ..solve.confidence.sights import sight_in_words
 from ..solve.confidence.words import confidence_in_words
 from .overlays import clothes_over, overlay_size, surface_over
 from .person_pictures import cut_window, draw_side_view, jpeg_file, person_window
-from .shading import Surface
+from .shading import BodySurface
 
 PAGE = "report.html"
 _SIDE = 320  # [px], longer side of a person's pictures
@@ -57,7 +57,7 @@ class PersonPictures:
     side: bytes
 
 
-def person_surface(fit: PhotoFit, index: int, *, bare: bool = False) -> Surface:
+def person_surface(fit: PhotoFit, index: int, *, bare: bool = False) -> BodySurface:
     """Surface of a person's body in the frame of the photo's camera. Guessed limbs are pale.
 
     Args:
@@ -66,17 +66,17 @@ def person_surface(fit: PhotoFit, index: int, *, bare: bool = False) -> Surface:
         bare: True is the skin alone. By default the body wears a plain T-shirt and shorts.
     """
     body, pale = fit.fits[index].body, guessed_parts(fit.confidences[index].guessed)
-    return Surface.of_body(body.detailed.vertices, body.model, pale=pale, bare=bare)
+    return BodySurface.of_body(body.detailed.vertices, body.model, pale=pale, bare=bare)
 
 
-def draw_pictures(fit: PhotoFit, index: int, photo: np.ndarray, surface: Surface) -> PersonPictures:
+def draw_pictures(fit: PhotoFit, index: int, photo: np.ndarray, surface: BodySurface) -> PersonPictures:
     """Draw the pictures of one person, whose clothes are an outline.
 
     Args:
         fit: Fit of the photo.
         index: Index of the person.
         photo: Photo at the size of overlays, shape (H, W, 3), uint8.
-        surface: Surface of the person's body (``person_surface``).
+        surface: BodySurface of the person's body (``person_surface``).
     """
     mesh, size = fit.fits[index], (photo.shape[0], photo.shape[1])
     zoom, _ = overlay_size(fit.owners.shape)

@@ -171,7 +171,7 @@ def save_registered(
         formats: Formats in ``FURTHER``, for more files.
         bare: True draws and writes the skin. By default the picture and the meshes wear a plain T-shirt and shorts.
         views: Same body with its place before the camera, of which ``VIEWS`` is drawn, too; None: it is not drawn.
-        shaded: Body as ``shade_for_overlay`` has drawn it, for detailed.png; None: it is drawn.
+        shaded: Body for detailed.png, as ``shade_detailed`` draws it at the size of overlays; None: it is drawn.
         **about: Further entries of the report.
 
     Examples:

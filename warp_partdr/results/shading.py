@@ -77,7 +77,7 @@ def _coat_of(model: DetailedModel, pale: tuple[int, ...], bare: bool) -> _Coat:
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class BodySurface:
     """Surface of one body in its clothes, made once and drawn from any side.
 
     Attributes:
@@ -91,7 +91,7 @@ class Surface:
     coat: _Coat
 
     @classmethod
-    def of(cls, vertices: torch.Tensor, coat: _Coat) -> Surface:
+    def of(cls, vertices: torch.Tensor, coat: _Coat) -> BodySurface:
         """Surface with vertices (V, 3) [m]."""
         points = vertices.detach().cpu().float().numpy()
         return cls(points, vertex_normals(points, coat.mesh.faces.numpy()), coat)
@@ -99,13 +99,13 @@ class Surface:
     @classmethod
     def of_body(
         cls, vertices: torch.Tensor, model: DetailedModel, *, pale: np.ndarray | None = None, bare: bool = False
-    ) -> Surface:
+    ) -> BodySurface:
         """Surface of the first body of a model. The arguments are those of ``shade_skin``."""
         labels = () if pale is None else tuple(label for label in np.flatnonzero(pale).tolist() if label != BACKGROUND)
         worn = vertices[0] if bare else suit_of(model).put_on(vertices[0])
         return cls.of(worn, _coat_of(model, labels, bare))
 
-    def moved(self, rotation: np.ndarray, offset: np.ndarray | float = 0.0, scale: float = 1.0) -> Surface:
+    def moved(self, rotation: np.ndarray, offset: np.ndarray | float = 0.0, scale: float = 1.0) -> BodySurface:
         """The surface elsewhere: moved by an offset [m], scaled about the origin, then turned by a rotation (3, 3)."""
         vertices = (self.vertices.astype(np.float64) + offset) * scale @ rotation.T
         normals = (self.normals @ rotation.T).astype(np.float32)
@@ -180,7 +180,7 @@ def shade_skin(
         pale: Flags of the part labels that are drawn half transparent, shape (21,); None: no part is.
         bare: True draws the skin alone. By default the body wears a plain T-shirt and shorts in darker tones.
     """
-    return Surface.of_body(vertices, model, pale=pale, bare=bare).draw(camera, image_size, colour)
+    return BodySurface.of_body(vertices, model, pale=pale, bare=bare).draw(camera, image_size, colour)
 
 
 def shade_mesh(
@@ -188,11 +188,11 @@ def shade_mesh(
 ) -> np.ndarray:
     """Draw a mesh with vertices (1, V, 3) in the camera frame [m] in its labels' colours: RGBA, (H, W, 4), uint8."""
     coat = _Coat.of(mesh.to("cpu"), np.full((vertices.shape[1], 3), -1.0))
-    return Surface.of(vertices[0], coat).draw(camera, image_size, colours)
+    return BodySurface.of(vertices[0], coat).draw(camera, image_size, colours)
 
 
-def _shade(surface: Surface, camera: Camera, image_size: tuple[int, int], colours: np.ndarray) -> np.ndarray:
-    """Draw a surface as ``Surface.draw`` does, with colours of each label (21, 3)."""
+def _shade(surface: BodySurface, camera: Camera, image_size: tuple[int, int], colours: np.ndarray) -> np.ndarray:
+    """Draw a surface as ``BodySurface.draw`` does, with colours of each label (21, 3)."""
     points = torch.from_numpy(surface.vertices)[None]
     rgba = np.zeros((*image_size, 4), dtype=np.uint8)
     rows, columns = _window(points, camera, image_size)  # most of a photo shows no body
@@ -263,7 +263,7 @@ class _Paint:
     fields: np.ndarray
 
     @classmethod
-    def of(cls, surface: Surface, camera: Camera, shown: np.ndarray, colours: np.ndarray) -> _Paint:
+    def of(cls, surface: BodySurface, camera: Camera, shown: np.ndarray, colours: np.ndarray) -> _Paint:
         """Paint a surface whose faces ``shown``, -1 for none, are seen in a picture."""
         coat, faces = surface.coat, surface.coat.mesh.faces.numpy()
         screen = camera.project(torch.from_numpy(surface.vertices)[None])[0, :, :2].double().numpy()
@@ -304,7 +304,7 @@ def _opacity(guessed: np.ndarray) -> np.ndarray:
     return (1 - (1 - _PALE) * ((guessed - 0.5) / _FADE + 0.5).clip(0, 1)).astype(np.float32)
 
 
-def _brightness(surface: Surface, camera: Camera) -> np.ndarray:
+def _brightness(surface: BodySurface, camera: Camera) -> np.ndarray:
     """Brightness of each vertex in the light of a sky, a key lamp, a weak lamp and on rims, shape (V,)."""
     points, normals = surface.vertices, surface.normals
     view = -points / np.linalg.norm(points, axis=1, keepdims=True).clip(1e-6) if camera.perspective else [[0, 0, -1]]

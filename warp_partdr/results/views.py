@@ -21,7 +21,7 @@ from ..solve.scene.ground import ankle_confidence
 from .overlays import GRAY, gray_picture, surface_over
 from .palette import PALE_PEOPLE_COLOURS
 from .placements import Placement, camera_offset, with_usual_lens
-from .shading import SKIN_COLOUR, Surface
+from .shading import SKIN_COLOUR, BodySurface
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -59,7 +59,7 @@ class PlacedBody:
         placement: Position of the body in the scene.
         feet: True if the picture shows the feet, so that they tell where the ground is.
         lens_assumed: True if the camera is not known, so that distances are for an assumed lens.
-        surface: Surface of the body in the frame of ``camera``, which is drawn.
+        surface: BodySurface of the body in the frame of ``camera``, which is drawn.
     """
 
     name: str
@@ -68,9 +68,9 @@ class PlacedBody:
     placement: Placement
     feet: bool
     lens_assumed: bool
-    surface: Surface
+    surface: BodySurface
 
-    def turned_surface(self, rotation: np.ndarray) -> Surface:
+    def turned_surface(self, rotation: np.ndarray) -> BodySurface:
         """Surface in the scene, turned by a rotation (3, 3) from the camera's axes to a view's."""
         return self.surface.moved(rotation, self.placement.offset, self.placement.scale)
 
@@ -106,7 +106,7 @@ def place_alone(
     offset = camera_offset(camera, size)
     distance = float(body.detailed.joints[0, 0, 2]) + float(offset[2])
     placement = Placement(offset, 1.0, distance)
-    surface = Surface.of_body(body.detailed.vertices, body.model, bare=bare)
+    surface = BodySurface.of_body(body.detailed.vertices, body.model, bare=bare)
     return PlacedBody("person", body, camera, placement, feet_seen(keypoints), lens_assumed, surface)
 
 
