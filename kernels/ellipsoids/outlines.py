@@ -15,14 +15,17 @@ from .picture_forces import PictureForces, add_picture_force
 from .silhouette import Silhouette, inside_at, middle_at
 
 _MAX_STEPS = wp.constant(float(2**22))  # of an outline; float32 could hardly distinguish the angles of more
+# [rad], where a walk starts: beside the axes, which symmetric bodies have on the borders of pixels. There, rounding
+# would choose the pixel that a point of an outline lies in.
+_FIRST_ANGLE = wp.constant(0.01)
 _NO_BORDER = wp.constant(-1)  # instead of a label
 
 
 @wp.func
 def outline_point(s: Silhouette, angle: float):
     """Point of an outline at an angle of the unit circle of ``to_disc`` [px]."""
-    x = wp.cos(angle) / s.factor[0]
-    return s.mean + wp.vec2(x, (wp.sin(angle) - s.factor[1] * x) / s.factor[2])
+    x = wp.cos(_FIRST_ANGLE + angle) / s.factor[0]
+    return s.mean + wp.vec2(x, (wp.sin(_FIRST_ANGLE + angle) - s.factor[1] * x) / s.factor[2])
 
 
 @wp.func

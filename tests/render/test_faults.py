@@ -123,6 +123,22 @@ def test_unchecked_losses_and_maps_are_nan_and_checked_ones_are_refused(device, 
 
 
 @renderers
+def test_maps_of_bodies_are_nan_only_while_a_body_is_faulty(device, renderer):
+    """The same memory draws four times: a fault is not kept for the next picture."""
+    bodies = BodyParameters.mean(3, device=device)
+    camera = Perspective(torch.full((3, 2), 60.0, device=device), torch.full((3, 2), SIZE / 2, device=device))
+    far = torch.tensor([0.0, 0.0, 3.0], device=device).expand(3, -1)
+    for faulty in (False, True, False, True):
+        lengths = bodies.lengths.clone()
+        if faulty:
+            lengths[1, 10] = math.nan
+        numbers = [bodies.orientation, far, bodies.rotations, lengths, bodies.thicknesses]
+        maps = renderer.body_maps(numbers, camera, (SIZE, SIZE), validate=False)
+        assert maps.flatten(1).isnan().any(1).tolist() == [False, faulty, False]
+        assert maps[::2].sum() > 0
+
+
+@renderers
 @pytest.mark.parametrize("value", [math.nan, -0.1, 0.0])
 def test_posed_bodies_are_drawn_as_nan_or_refused(device, renderer, value):
     bodies = BodyParameters.mean(3, device=device)

@@ -206,14 +206,19 @@ def several(crowd: dict[str, list[FitResult]], device: str) -> list[FitResult]:
 
 
 def test_people_side_by_side_are_as_alone(crowd, device):
-    """Also the second time, when a graph takes other people than those it was captured for."""
+    """Also the second time, when a graph takes other people than those it was captured for.
+
+    Steps are few: rounding, which differs between batches, may move a pixel from one label to another, and many steps
+    after that make millimetres of it.
+    """
+    options = replace(QUICK_MESH, iterations=8)
     firsts, names = several(crowd, device), (*HIPS, "left_wrist", "right_ankle", "head")
-    alone = [refine_mesh(each, options=QUICK_MESH) for each in firsts]
+    alone = [refine_mesh(each, options=options) for each in firsts]
     for order in ([0, 1, 2, 3, 4, 5], [5, 4, 3, 2, 1, 0]):
-        together = refine_meshes([firsts[place] for place in order], options=QUICK_MESH)
+        together = refine_meshes([firsts[place] for place in order], options=options)
         for place, mesh in zip(order, together, strict=True):
             assert mesh.first is firsts[place]
-            np.testing.assert_allclose(mesh.landmarks(names), alone[place].landmarks(names), atol=2e-3)
+            np.testing.assert_allclose(mesh.landmarks(names), alone[place].landmarks(names), atol=1e-4)
             assert mesh.body.losses.keys() == alone[place].body.losses.keys()
             for name, loss in mesh.body.losses.items():
                 assert loss.shape == (1,)
