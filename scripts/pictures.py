@@ -48,7 +48,7 @@ MADE_ELSEWHERE = {
     "film.gif": "python scripts/film_pictures.py WHEEL",
     "views.png": "python scripts/film_pictures.py WHEEL",
     "bench-cpu.png": "partdr bench kernels --device cpu",
-    "bench-h100.png": "partdr bench kernels --device cuda",
+    "bench-h200.png": "partdr bench kernels --device cuda",
     "tradeoff-cpu.png": "partdr bench tradeoff --device cpu",
     "tradeoff-h200.png": "partdr bench tradeoff --device cuda",
 }
