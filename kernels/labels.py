@@ -24,7 +24,7 @@ _LOW_BITS = wp.constant(wp.uint32(0x7F7F7F7F))
 MISSING = wp.constant(0)  # should show the label and do not
 SURPLUS = wp.constant(1)  # show it and should not
 HIDDEN = wp.constant(2)  # should show it and show another part; recorded for meshes alone
-NUM_EXTENTS = 3
+NUM_EXTENTS = wp.constant(3)
 
 
 @wp.func
@@ -65,6 +65,25 @@ def load_word(image: wp.array2d[wp.uint8], row: int, column: int, in_words: bool
     return word
 
 
+@wp.func_native("""
+    wp::vec_t<4, wp::uint32> block;
+    // not unrolled: few images need this, and all kernels would keep more registers for it
+#pragma unroll 1
+    for (int k = 0; k < 4; ++k) {
+        unsigned int word = 0;
+#pragma unroll 1
+        for (int i = 0; i < 4; ++i)
+            if (top + k < height && left + i < width)
+                word |= (unsigned int)((const unsigned char*)image)[(top + k) * width + left + i] << (8 * i);
+        block[k] = word;
+    }
+    return block;
+""")
+def load_bytes(image: wp.uint64, height: int, width: int, top: int, left: int) -> Block:
+    """Four rows of four pixels, as ``load_word``, byte by byte."""
+    ...
+
+
 @wp.func
 def load_block(image: wp.array2d[wp.uint8], top: int, left: int, in_words: bool):
     """Four rows of four pixels, as ``load_word``; all four loads come at once, so that their latencies overlap."""
@@ -77,8 +96,7 @@ def load_block(image: wp.array2d[wp.uint8], top: int, left: int, in_words: bool)
         for k in range(QUAD):
             block[k] = words[first + k * (width // QUAD)]
     else:
-        for k in range(QUAD):
-            block[k] = load_word(image, top + k, left, in_words)
+        block = load_bytes(image.ptr, image.shape[0], image.shape[1], top, left)
     return block
 
 

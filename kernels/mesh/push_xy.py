@@ -23,7 +23,7 @@ _PUSH_EDGES_BOUNDS = (256, 4)
 # 256 x 256.
 _LINE_THREADS = 4096
 
-_COUNT_STRIDE = 16  # counters of two bodies lie in different cache lines, or their atomics would queue
+COUNT_STRIDE = 16  # counters of two bodies lie in different cache lines, or their atomics would queue
 
 
 @wp.func
@@ -280,7 +280,7 @@ class SilhouetteList(NamedTuple):
     def make(cls, batch: int, num_edges: int, device: str | wp.Device) -> Self:
         """Allocate an empty list for a batch."""
         return cls(
-            counts=wp.zeros((batch, _COUNT_STRIDE), dtype=wp.uint64, device=device),
+            counts=wp.zeros((batch, COUNT_STRIDE), dtype=wp.uint64, device=device),
             silhouettes=wp.empty((batch, num_edges), dtype=wp.vec2i, device=device),
         )
 

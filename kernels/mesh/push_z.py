@@ -31,7 +31,6 @@ from ..lanes import LANES, ballot, deal, num_lanes, prefix_sum, shuffle
 from .forces import Forces, push_vertex, units_of
 from .rasterize import (
     BLOCKS_ACROSS,
-    EMPTY_KEY,
     SQUARE_COLUMNS,
     SQUARE_ROWS,
     launch_bodies,
@@ -39,6 +38,7 @@ from .rasterize import (
     row_lane_bits,
 )
 from .triangles import (
+    MOST_FACES_IN_KEYS,
     ImageArrays,
     MeshArrays,
     Triangle,
@@ -46,7 +46,8 @@ from .triangles import (
     depth_at,
     depth_key,
     edge_values,
-    key_face,
+    empty_key,
+    is_empty,
     load_triangle,
     make_edges,
     pixel_columns,
@@ -55,6 +56,9 @@ from .triangles import (
 )
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+_FACE_BITS = wp.constant(wp.uint32(16))  # of a key that has two faces
+_FRONT = wp.constant(wp.uint32(MOST_FACES_IN_KEYS - 1))  # bits of the face that hides the other
 
 MIN_DELTA_Z = wp.constant(1.0e-4)  # [m]; equal depths would divide by zero in eq. 12
 MAX_SLOPE = math.log(1.0 / MIN_DELTA_Z + 1.0)  # of a face's depth by eq. 12, but for the loss gradient and its weight
@@ -69,7 +73,7 @@ def draw_hidden_faces(
     threads: int,  # of one body
     mesh: MeshArrays,
     lane_bits: int,  # 2 ** lane_bits threads share a face's rows
-    labels: wp.array3d[wp.uint8],  # (B, H, W) what is shown
+    images: ImageArrays,  # labels; without a face-index map, empty keys remember the faces that show
     gradient: Any,
     keys: wp.array3d[wp.uint64],  # (B, H, W), empty  MODIFIED: key of the target label's nearest face
 ):
@@ -97,7 +101,7 @@ def draw_hidden_faces(
     if first_row > last_row or left > right:
         return
     e = make_edges(t)
-    picture = flat(labels[b])
+    picture = flat(images.labels[b])
     body_keys = flat(keys[b])
     for row in range(first_row, last_row + 1, lanes):
         y = float(row) + 0.5
@@ -113,7 +117,10 @@ def draw_hidden_faces(
                 values = edge_values(e, float(column) + 0.5, y)
                 if covers(e, values):
                     depth = depth_at(t, weights_3d(t, values, mesh.perspective))
-                    wp.atomic_min(body_keys, at, depth_key(depth, face))
+                    faces = wp.uint32(face)
+                    if not images.face_index:  # the face in front is the same for all, and stays
+                        faces = (faces << _FACE_BITS) | (wp.uint32(body_keys[at]) & _FRONT)
+                    wp.atomic_min(body_keys, at, depth_key(depth, faces))
 
 
 @wp.func
@@ -154,7 +161,7 @@ def push_depths(
     threads: int,  # of one body
     mesh: MeshArrays,
     lanes: int,  # threads that share a square: a warp, or one
-    images: ImageArrays,  # labels and faces
+    images: ImageArrays,  # labels and, unless keys have room for two faces, faces
     hidden: wp.array3d[wp.uint32],  # (B, squares, 32) for a LabelTarget
     gradient: Any,
     keys: wp.array3d[wp.uint64],  # (B, H, W) the hidden face that should be seen  MODIFIED: emptied
@@ -167,29 +174,34 @@ def push_depths(
     thread = wp.tid()
     b = first_body + thread // threads
     lane = (thread % threads) & (lanes - 1)
-    square = thread % threads // lanes
+    warp = thread % threads // lanes
+    warps = threads // lanes
     width = keys.shape[2]
     body_keys = flat(keys[b])
-    faces = flat(images.face_index[b])
     for turn in range(LANES // lanes):
-        block = turn * lanes + lane
-        pixels = hidden_in_block(gradient, hidden[b], images.labels, b, square, block)
+        # from all over the picture, so that all warps have about as many pixels
+        block = (turn * lanes + lane) * warps + warp
+        pixels = hidden_in_block(gradient, hidden[b], images.labels, b, block // LANES, block % LANES)
         if ballot(pixels != wp.uint32(0)) != wp.uint32(0):
             found = prefix_sum(wp.bit_count(pixels))
             total = int(shuffle(wp.uint32(found), lanes - 1))
             for begin in range(0, total, lanes):
                 mine = deal(pixels, found, block, begin + lane, lanes)
                 if begin + lane < total:
-                    place = block_place(width, square, mine[0])
+                    place = block_place(width, mine[0] // LANES, mine[0] % LANES)
                     row = place[0] + 7 - mine[1] % 8
                     column = place[1] + mine[1] // 8
                     at = row * width + column
-                    # both loads before their first use, so that their latencies overlap
                     key = body_keys[at]
-                    front = faces[at]
-                    if key != EMPTY_KEY:
-                        body_keys[at] = EMPTY_KEY
-                        push_pixel(mesh, gradient, b, row, column, width, key_face(key), front, forces)
+                    if not is_empty(key):
+                        back = wp.uint32(key)
+                        front = back & _FRONT
+                        if images.face_index:
+                            front = wp.uint32(flat(images.face_index[b])[at])
+                        else:
+                            back = back >> _FACE_BITS
+                        body_keys[at] = empty_key(front)
+                        push_pixel(mesh, gradient, b, row, column, width, int(back), int(front), forces)
 
 
 @wp.func
@@ -246,7 +258,7 @@ def launch_push_depths(
     device = mesh.vertices.device
     (batch, height, width), faces = images.labels.shape, mesh.faces.shape[0]
     bits = row_lane_bits(batch * faces, device)
-    inputs = [mesh, bits, images.labels, gradient]
+    inputs = [mesh, bits, images, gradient]
     launch_bodies(draw_hidden_faces, batch, faces << bits, inputs, [keys], device)
     lanes = num_lanes(device)
     threads = math.prod(num_squares(height, width)) * lanes

@@ -7,6 +7,7 @@ import warp as wp
 
 from ..labels import QUAD, flat
 from .triangles import (
+    EMPTY_KEY,
     MeshArrays,
     covers,
     depth_at,
@@ -21,8 +22,6 @@ from .triangles import (
 )
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
-
-EMPTY_KEY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))  # behind every face
 
 # Pictures are read in squares of 8 by 4 blocks of 4 x 4 pixels, so that squares without a face cost next to nothing. On
 # CUDA a warp has a square, and a thread a block of it or a column.
@@ -50,8 +49,8 @@ class ZBuffer:
     """Scratch of a z-buffer, for one launch at a time.
 
     Attributes:
-        keys: Nearest face at a pixel as ``depth_key``, shape (B, H, W). It is ``EMPTY_KEY`` between launches: each
-            reader of a key puts it back, so that a picture costs only the pixels that show something.
+        keys: Nearest face at a pixel as ``depth_key``, shape (B, H, W). Each ``is_empty`` between launches: each
+            reader of a key makes it so, so that a picture costs only the pixels that show something.
         touched: Flag that is 1 where a face may lie in a square, shape (B, squares down, squares across), uint8. It is
             0 between launches.
         faults: Faults as in ``ImageArrays``, shape (B,). They are 0 between launches.

@@ -11,7 +11,7 @@ from ..labels import (
     EACH_BYTE,
     HIDDEN,
     IGNORED,
-    MISSING,
+    NUM_EXTENTS,
     QUAD,
     SURPLUS,
     Block,
@@ -19,7 +19,6 @@ from ..labels import (
     are_words,
     first_pair,
     flat,
-    grow,
     hidden_pixels,
     load_block,
     unequal_bytes,
@@ -27,25 +26,25 @@ from ..labels import (
 from ..lanes import LANES, ballot, highest_bit, lowest_bit, num_lanes, shuffle, sum_lanes, wait_for_lanes
 from .rasterize import (
     BLOCKS_ACROSS,
-    EMPTY_KEY,
     SQUARE_COLUMNS,
     SQUARE_ROWS,
     ZBuffer,
     launch_bodies,
 )
-from .triangles import ImageArrays, MeshArrays, key_depth, key_face
+from .triangles import EMPTY_KEY, ImageArrays, MeshArrays, empty_key, is_empty, key_depth, key_face
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 # On CUDA, threads a block and blocks a multiprocessor: enough threads to hide the memory's latency.
 _BOUNDS = (256, 4)
+_KEYS_AT_ONCE = wp.constant(4)  # a divisor of ``SQUARE_ROWS``
 
 
 @wp.func
 def resolve_square(
     mesh: MeshArrays,
     touched: wp.array3d[wp.uint8],  # (B, squares down, squares across)  MODIFIED: cleared
-    keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
+    keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied, with the face
     images: ImageArrays,  # labels, which are 0; depth and face-index map may be null  OUTPUT
     b: int,
     square: int,
@@ -65,26 +64,27 @@ def resolve_square(
     if shows:
         body_keys = flat(keys[b])
         for column in range(first_column + lane, wp.min(first_column + SQUARE_COLUMNS, width), lanes):
-            top = first_row * width + column
-            rows = wp.min(SQUARE_ROWS, height - first_row)
-            # all loads of a column first, so that their latencies overlap
-            found = wp.vector(EMPTY_KEY, length=SQUARE_ROWS, dtype=wp.uint64)
-            nearest = EMPTY_KEY
-            for k in range(SQUARE_ROWS):
-                if k < rows:
-                    found[k] = body_keys[top + k * width]
-                    nearest = wp.min(nearest, found[k])
-            if nearest != EMPTY_KEY:
-                for k in range(SQUARE_ROWS):
-                    if found[k] != EMPTY_KEY:
-                        at = top + k * width
-                        body_keys[at] = EMPTY_KEY
-                        face = key_face(found[k])
-                        flat(images.labels[b])[at] = mesh.face_labels[face]
-                        if images.face_index:
-                            flat(images.face_index[b])[at] = face
-                        if images.depth:
-                            flat(images.depth[b])[at] = key_depth(found[k])
+            row = first_row
+            while row < wp.min(first_row + SQUARE_ROWS, height):
+                # some loads first, so that their latencies overlap
+                found = wp.vector(EMPTY_KEY, length=_KEYS_AT_ONCE, dtype=wp.uint64)
+                nearest = EMPTY_KEY
+                for k in range(_KEYS_AT_ONCE):
+                    if row + k < height:
+                        found[k] = body_keys[(row + k) * width + column]
+                        nearest = wp.min(nearest, found[k])
+                if not is_empty(nearest):
+                    for k in range(_KEYS_AT_ONCE):
+                        if not is_empty(found[k]):
+                            at = (row + k) * width + column
+                            face = key_face(found[k])
+                            body_keys[at] = empty_key(face)
+                            flat(images.labels[b])[at] = mesh.face_labels[face]
+                            if images.face_index:
+                                flat(images.face_index[b])[at] = face
+                            if images.depth:
+                                flat(images.depth[b])[at] = key_depth(found[k])
+                row += _KEYS_AT_ONCE
         wait_for_lanes()  # for their labels, and until they have read the flag
         if lane == 0:
             flags[square] = wp.uint8(0)
@@ -145,7 +145,8 @@ def note_blocks(target: LabelTarget, b: int, kind: int, label: int, blocks: wp.u
         width - (left + columns[0] * QUAD),
         wp.min(left + (columns[1] + 1) * QUAD, width),
     )
-    grow(target.extents, b, kind, label, reach)
+    if label < target.extents.shape[2]:
+        wp.atomic_max(target.extents, b, kind, label, reach)  # a square has few: to look whether it has to takes longer
 
 
 @wp.kernel(launch_bounds=_BOUNDS)
@@ -158,7 +159,7 @@ def compare_labels(
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
     faults: wp.array[float],  # (B,)  MODIFIED: 0 again
     images: ImageArrays,  # labels, which are 0; depth and face-index map may be null  OUTPUT
-    target: LabelTarget,  # its extents, if it has any, are zeroed, as ``grow``  MODIFIED
+    target: LabelTarget,  # its extents, if it has any, are zeroed, as for ``grow``  MODIFIED
     hidden: wp.array3d[wp.uint32],  # (B, squares, 32) pixels of each block in which a part hides the target's  OUTPUT
     losses: wp.array2d[float],  # (B, squares)  OUTPUT
 ):
@@ -219,24 +220,24 @@ def compare_labels(
                 surplus |= wp.where(shown_label == lane, blocks, wp.uint32(0))
                 missing |= wp.where(target_label == lane, blocks, wp.uint32(0))
                 behind |= wp.where(target_label == lane and shown_label != 0, blocks, wp.uint32(0))
-                if lane == 0:
-                    if shown_label >= lanes:
-                        note_blocks(target, b, SURPLUS, shown_label, blocks, first_row, first_column)
-                    if target_label >= lanes:
-                        note_blocks(target, b, MISSING, target_label, blocks, first_row, first_column)
-                        if shown_label != 0:
-                            note_blocks(target, b, HIDDEN, target_label, blocks, first_row, first_column)
+                if lane == 0 and wp.max(shown_label, target_label) >= lanes:
+                    kind = int(0)
+                    while kind < NUM_EXTENTS:  # not unrolled, for the code is long
+                        label = wp.where(kind == SURPLUS, shown_label, target_label)
+                        if label >= lanes and (kind != HIDDEN or shown_label != 0):
+                            note_blocks(target, b, kind, label, blocks, first_row, first_column)
+                        kind += 1
                 pair = pair_of_blocks(shown, expected, wrong)
                 waiting = ballot(pair != wp.uint32(0))
         if hidden:
             hidden[b, square, block] = pixels
     if lane > 0:
-        if surplus != wp.uint32(0):
-            note_blocks(target, b, SURPLUS, lane, surplus, first_row, first_column)
-        if missing != wp.uint32(0):
-            note_blocks(target, b, MISSING, lane, missing, first_row, first_column)
-        if behind != wp.uint32(0):
-            note_blocks(target, b, HIDDEN, lane, behind, first_row, first_column)
+        kind = int(0)
+        while kind < NUM_EXTENTS:
+            blocks = wp.where(kind == HIDDEN, behind, wp.where(kind == SURPLUS, surplus, missing))
+            if blocks != wp.uint32(0):
+                note_blocks(target, b, kind, lane, blocks, first_row, first_column)
+            kind += 1
     total = sum_lanes(float(loss))
     if lane == 0:
         if square == 0:

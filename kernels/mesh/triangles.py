@@ -4,11 +4,18 @@ Vertices are in screen space: (u, v) in pixels, z in metres, camera frame. Pixel
 (column + 0.5, row + 0.5).
 """
 
+from typing import Any
+
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 _SIGN_BIT = wp.constant(wp.uint32(0x80000000))
+EMPTY_KEY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))  # behind every face
+
+# A mesh of so few faces has room for two of them in a key's lower half: the hidden one and the one that hides it. So a
+# gradient needs no face-index map.
+MOST_FACES_IN_KEYS = 1 << 16
 
 
 @wp.struct
@@ -205,7 +212,7 @@ def bound_row(e: Edge, y: float, ends: wp.vec2):
 
 
 @wp.func
-def depth_key(depth: float, face: int):
+def depth_key(depth: float, face: Any):
     """Key that sorts by depth, then by face index: the float's bits in an order-preserving form, then the face."""
     bits = wp.cast(depth, wp.uint32)
     if bits >= _SIGN_BIT:
@@ -219,6 +226,18 @@ def depth_key(depth: float, face: int):
 def key_face(key: wp.uint64):
     """Face of a key."""
     return int(key & wp.uint64(0xFFFFFFFF))
+
+
+@wp.func
+def is_empty(key: wp.uint64):
+    """True for a key behind every face; what it has in its lower half does not count."""
+    return key >= EMPTY_KEY - wp.uint64(0xFFFFFFFF)
+
+
+@wp.func
+def empty_key(face: Any):
+    """Key behind every face that remembers a face."""
+    return EMPTY_KEY - wp.uint64(0xFFFFFFFF) + wp.uint64(face)
 
 
 @wp.func

@@ -161,7 +161,7 @@ def test_a_z_buffer_serves_again_and_what_nobody_asked_for_stays(device):
         resolve.launch_resolve_keys(arrays_of(points, mesh), zbuffer, images, background=False)
         assert torch.equal(labels, want.labels)
         assert torch.equal(depth, torch.where(want.labels > 0, want.depth, -5.0))
-        assert (zbuffer.keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
+        assert (zbuffer.keys.numpy() >> np.uint64(32) == 0xFFFFFFFF).all()
         assert not zbuffer.touched.numpy().any()
 
 
@@ -196,7 +196,7 @@ def test_labels_are_compared_at_any_width_and_address(device, size, offset, labe
     zbuffer.touched.assign(padded.reshape(2, squares[0], 16, squares[1], 32).any((2, 4)))
     resolve.launch_compare_labels(mesh, zbuffer, images, target, hidden=hidden, losses=losses)
     assert np.array_equal(labels.cpu().numpy(), shown)
-    assert (zbuffer.keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
+    assert (zbuffer.keys.numpy() >> np.uint64(32) == 0xFFFFFFFF).all()
     assert not zbuffer.touched.numpy().any()
     assert not images.faults.numpy().any()
     wrong = (shown != wanted) & (wanted != 255)
@@ -252,6 +252,32 @@ def test_how_work_is_shared_changes_nothing(device, monkeypatch, how):
     have = results()
     assert how != "threads" or 37 in threads
     assert all(torch.equal(a, b) for a, b in zip(have, want, strict=True))
+
+
+@pytest.mark.parametrize("num_faces", [2**16, 2**16 + 1])
+def test_keys_have_room_for_two_faces_of_a_mesh_or_a_map_has_one(device, num_faces):
+    """Up to 65,536 faces, a gradient has no face-index map. Faces beside the picture change nothing."""
+    size = (40, 57)
+    leaf, mesh = projected_bodies(6, size, device, subdivisions=1, batch=2)
+    target = noisy_picture(draw_on_screen(leaf, mesh, size).labels, 20, 2)
+    first, count = leaf.shape[1], num_faces - len(mesh.faces)
+    strip = torch.arange(count + 2, device=device)
+    beside = torch.stack([-9.0 - strip % 2, 0.01 * strip, torch.ones_like(strip)], 1).expand(2, -1, -1)
+    more = torch.cat([leaf.detach(), beside], 1).requires_grad_()
+    indices = first + np.arange(count)[:, None] + np.arange(3)
+    indices = np.concatenate([indices, mesh.faces.cpu().numpy()])
+    labels = np.concatenate([np.full(count, 20), mesh.face_labels.cpu().numpy()])
+    larger = PartMesh.from_faces(indices, labels, device=device)
+    weights = torch.arange(1, 21, device=device)[:, None, None]
+
+    def gradients(leaf: torch.Tensor, mesh: PartMesh) -> list[torch.Tensor]:
+        loss = loss_on_screen(leaf, mesh, target)[0].sum()
+        maps = draw_on_screen(leaf, mesh, size, num_maps=20).maps
+        return [torch.autograd.grad(each, leaf)[0][:, :first] for each in (loss, (maps * weights).sum())]
+
+    for have, want in zip(gradients(more, larger), gradients(leaf, mesh), strict=True):
+        assert want[..., 2].abs().max() > 0
+        torch.testing.assert_close(have, want)
 
 
 @pytest.mark.parametrize("rule", [{"depth_weight": 0.7}, {"gradient": "edges"}])
@@ -315,7 +341,7 @@ def test_hidden_pixels_serve_again(device):
     for label in (4, 7, 4, 7):
         gradient.label = label
         push_z.launch_push_depths(arrays_of(points, mesh), images, gradient, keys=keys, hidden=None, forces=forces)
-        assert (keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
+        assert (keys.numpy() >> np.uint64(32) == 0xFFFFFFFF).all()
         sums.append(forces.sums.numpy().copy())
     assert np.abs(sums[0]).max() > 0
     assert not np.array_equal(sums[0], sums[1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from types import ModuleType
 from typing import Any, cast
@@ -14,14 +14,14 @@ import warp as wp
 
 from ..interop.arrays import contiguous, warp_array
 from ..interop.graph_cache import Launch
-from ..interop.layouts import Tensors
+from ..interop.layouts import Tensors, split_blocks, total_length
 from ..interop.loss_graph import Buffers
 from ..interop.streams import launch_bodies_on
 from ..kernels.labels import NUM_EXTENTS, DenseGradient, LabelTarget
 from ..kernels.lanes import LANES
 from ..kernels.launch import launch_side_by_side
 from ..kernels.mesh import forces, label_borders, push_xy, push_z, rasterize, resolve
-from ..kernels.mesh.triangles import ImageArrays, MeshArrays
+from ..kernels.mesh.triangles import MOST_FACES_IN_KEYS, ImageArrays, MeshArrays
 from .options import MeshGradient, cached
 from .pictures import Picture, Settings, Size
 
@@ -39,6 +39,34 @@ class _Scratch:
     keys: wp.array
     hidden: wp.array
     silhouettes: push_xy.SilhouetteList
+
+
+@dataclass(frozen=True)
+class _Zeroed:
+    """Arrays that are zero before a picture is drawn, in one block: each launch counts for a small batch.
+
+    Attributes:
+        counts: Counts of a ``SilhouetteList``, shape (B, 16), int64.
+        extents: Extents of a LabelTarget, shape (B, 3, L, 4), int32.
+        labels: Labels, shape (B, H, W), uint8.
+        clear: Launch that fills them with zeros.
+    """
+
+    counts: torch.Tensor
+    extents: torch.Tensor
+    labels: torch.Tensor
+    clear: Launch
+
+    @classmethod
+    def make(cls, shape: tuple[int, int, int], num_labels: int, device: torch.device) -> _Zeroed:
+        """Allocate them for a picture (B, H, W)."""
+        counts = torch.Size((shape[0], 2 * push_xy.COUNT_STRIDE))  # halves of them
+        extents = torch.Size((shape[0], NUM_EXTENTS, num_labels + 1, 4))
+        words = torch.Size((-(-math.prod(shape) // 4),))  # of labels
+        block = torch.empty(total_length((counts, extents, words)), dtype=torch.int32, device=device)
+        first, second, third = split_blocks(block, (counts, extents, words))
+        labels = third.view(torch.uint8)[: math.prod(shape)].view(shape)
+        return cls(first.view(torch.int64), second, labels, warp_array(block).zero_)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,31 +149,36 @@ class MeshPasses:
         (vertices,) = buffers.inputs
         (batch, *_), (*_, height, width), device = vertices.shape, buffers.target.shape, vertices.device
         shape = batch, height, width
-        images: Sequence[torch.Tensor] = _empty_picture(shape, device)[:4]
-        if not buffers.grads:
-            images = _labels_alone(images[0], images[3])
+        zeroed = _Zeroed.make(shape, self.num_labels, device)
+        faults = torch.empty(batch, device=device)
+        images = _labels_alone(zeroed.labels, faults)
+        if buffers.grads:
+            labels, depth, faces, _ = images
+            if self.gradient == "edges" or len(self.faces) > MOST_FACES_IN_KEYS:
+                faces = faces.new_empty(shape)
+            images = labels, depth.new_empty(shape), faces, faults
         mesh, pictures = self._arrays(vertices), _image_arrays(images)
         zbuffer = rasterize.ZBuffer.make(batch, height, width, mesh.vertices.device)
         scratch = self._scratch(shape, zbuffer.keys)
-        zeroed = [pictures.labels, scratch.silhouettes.counts]
+        silhouettes = scratch.silhouettes._replace(counts=warp_array(zeroed.counts, wp.uint64))
+        scratch = replace(scratch, silhouettes=silhouettes)
+        draw = _draw(mesh, zbuffer, zeroed.clear)
         if buffers.of_maps:
             split = partial(resolve.launch_resolve_keys, mesh, zbuffer, pictures, background=False)
             push = self._prepare_gradient(vertices, images, warp_array(buffers.target), buffers.grads[0], scratch)
-            return _in_turn(_draw(mesh, zbuffer, *zeroed), split, push)
+            return _in_turn(draw, split, push)
         target = LabelTarget()
         target.target = warp_array(buffers.target.expand(batch, -1, -1))  # a view: what is written later is seen
         if buffers.grads and self.gradient == "partdr":
-            extents = torch.empty((batch, NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
-            target.extents = warp_array(extents, wp.vec4i)
-            zeroed.append(target.extents)
+            target.extents = warp_array(zeroed.extents, wp.vec4i)
         losses = warp_array(buffers.losses)
         compare = partial(
             resolve.launch_compare_labels, mesh, zbuffer, pictures, target, hidden=scratch.hidden, losses=losses
         )
         if not buffers.grads:
-            return _in_turn(_draw(mesh, zbuffer, pictures.labels), compare)
+            return _in_turn(draw, compare)
         push = self._prepare_gradient(vertices, images, target, buffers.grads[0], scratch)
-        return _in_turn(_draw(mesh, zbuffer, *zeroed), compare, push)
+        return _in_turn(draw, compare, push)
 
     def _prepare_raster(
         self, vertices: torch.Tensor, images: Sequence[torch.Tensor], background: bool = True
@@ -155,7 +188,7 @@ class MeshPasses:
         batch, height, width = images[0].shape
         zbuffer = rasterize.ZBuffer.make(batch, height, width, mesh.vertices.device)
         split = partial(resolve.launch_resolve_keys, mesh, zbuffer, pictures, background=background)
-        return _in_turn(_draw(mesh, zbuffer, pictures.labels), split)
+        return _in_turn(_draw(mesh, zbuffer, pictures.labels.zero_), split)
 
     def _prepare_gradient(
         self,
@@ -240,9 +273,8 @@ def _in_turn(*launches: Launch) -> Launch:
     return launch_all
 
 
-def _draw(mesh: MeshArrays, zbuffer: rasterize.ZBuffer, *zeroed: wp.array) -> Launch:
-    """Launch that draws into a z-buffer and, beside that, fills arrays with zeros."""
-    clear = _in_turn(*(array.zero_ for array in zeroed))
+def _draw(mesh: MeshArrays, zbuffer: rasterize.ZBuffer, clear: Launch) -> Launch:
+    """Launch that draws into a z-buffer and, beside that, fills the labels with zeros by ``clear``."""
     return partial(launch_side_by_side, partial(rasterize.launch_draw_faces, mesh, zbuffer), clear)
 
 
