@@ -18,6 +18,8 @@ OWN = wp.constant(wp.uint8(1))  # group of a person of whom a mask is known
 OTHERS = wp.constant(wp.uint8(255))  # or ignored
 STEP = wp.constant(16)  # [px] of a row, of which the middle may tell that all are near, or none is
 MIDDLE = wp.constant(wp.float64(8.0))  # of a step
+# Judgements of a step, and kinds of a stretch of a row.
+NOT_NEAR, MAYBE_NEAR, NEAR, UNLABELLED = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
 NUM_COUNTS = 4  # of a group's pixels: looked at, within flesh, far and farther
 
 # Start (x, y), way to the end and its square; squared distance up to which pixels are near, and distance up to which
@@ -171,16 +173,6 @@ def near_bone(bodies: BodyArrays, n: int, last: int, x: wp.float64, y: wp.float6
 
 
 @wp.func
-def lies_along(bodies: BodyArrays, n: int, x: wp.float64, y: wp.float64) -> bool:
-    """True for a place so near to a bone that it is a seed."""
-    for s in range(bodies.num_bones[n]):
-        bone = bodies.bones[n, s]
-        if may_be_within(bone, bone[6] + wp.float64(1.0), x, y) and wp.sqrt(square_from(bone, x, y)) <= bone[6]:
-            return True
-    return False
-
-
-@wp.func
 def is_others(bodies: BodyArrays, n: int, x: wp.float64, y: wp.float64) -> bool:
     """True for a place within reach of others' bones, and nearer to them than to the person's."""
     reach = bodies.reaches[n, 0] * bodies.reaches[n, 0]
@@ -227,6 +219,36 @@ def distances_from(bodies: BodyArrays, n: int, x: wp.float64, y: wp.float64) -> 
 
 
 @wp.func
+def judge_step(bodies: BodyArrays, n: int, crowded: bool, last: int, x: wp.float64, y: wp.float64):
+    """Judge all pixels of a step by its middle: ``NEAR``, ``NOT_NEAR`` or ``MAYBE_NEAR``; and a bone that is near.
+
+    The bone that was near last comes first, for it mostly is again.
+    """
+    off = MIDDLE + wp.float64(1e-6)
+    reach, loose_reach = bodies.reaches[n, 0], bodies.reaches[n, 1]
+    if crowded:
+        far = distances_from(bodies, n, x, y)
+        certain = far.own + off <= reach or far.loose + off <= loose_reach
+        possible = far.own - off <= reach or far.loose - off <= loose_reach
+        if certain and (far.other - off > reach or far.own + off < far.other - off):
+            return NEAR, last
+        if possible and not (far.other + off <= reach and far.other + off < far.own - off):
+            return MAYBE_NEAR, last
+        return NOT_NEAR, last
+    judgement = int(NOT_NEAR)
+    for k in range(-1, bodies.num_bones[n]):
+        s = wp.where(k < 0, last, k)
+        bone = bodies.bones[n, s]
+        distance = wp.sqrt(square_from(bone, x, y))
+        limit = wp.where(bone[6] >= wp.float64(0.0), reach, loose_reach)
+        if distance + off <= limit:
+            return NEAR, s
+        if distance - off <= limit:
+            judgement = MAYBE_NEAR
+    return judgement, last
+
+
+@wp.func
 def beyond_flesh(bodies: BodyArrays, n: int, group: int, row: int, column: int) -> wp.float64:
     """Distance of a pixel from the flesh of a group, as a share of the height; at most 0 within."""
     x, y = wp.float64(column) + wp.float64(0.5), wp.float64(row) + wp.float64(0.5)
@@ -240,21 +262,82 @@ def beyond_flesh(bodies: BodyArrays, n: int, group: int, row: int, column: int) 
 
 
 @wp.func
-def follow_run(pixels: PixelArrays, row: Row, column: int, inside: bool, seeded: bool, start: int, count: int):
-    """Open the row's run at a column that is inside, and store an open one before a column that is not.
+def run_lies_along(bodies: BodyArrays, n: int, first_x: wp.float64, count: int, y: wp.float64) -> bool:
+    """True if a pixel of a run of a row is a seed; the middle of its first pixel is at ``first_x``.
 
-    Takes and returns the open run's first column, -1 where none is open, and the number of stored ones.
+    Along a row the distance from a bone falls to one place and rises from there, so that only the pixels about this
+    place are looked at. Where rounding may decide, all are.
     """
-    if inside:
-        return wp.where(start < 0, column, start), count
-    if start < 0:
-        return start, count
+    half, one, slack = wp.float64(0.5), wp.float64(1.0), wp.float64(1e-6)
+    last_x = first_x + wp.float64(count - 1)
+    for s in range(bodies.num_bones[n]):
+        bone = bodies.bones[n, s]
+        radius = bone[6]
+        above, below = bone[8] - radius - one, bone[10] + radius + one
+        if radius >= wp.float64(0.0) and y >= above and y <= below:
+            if last_x >= bone[7] - radius - one and first_x <= bone[9] + radius + one:
+                share = wp.float64(0.0)
+                if bone[3] != wp.float64(0.0):
+                    share = wp.clamp((y - bone[1]) / bone[3], wp.float64(0.0), one)
+                lowest = wp.clamp(bone[0] + share * bone[2], first_x, last_x)
+                x = wp.float64(floor_index(lowest - half)) + half
+                after = wp.min(x + one, last_x)
+                distance = wp.sqrt(wp.min(square_from(bone, x, y), square_from(bone, after, y)))
+                if distance <= radius:
+                    return True
+                if distance <= radius + slack:
+                    for k in range(count):
+                        if wp.sqrt(square_from(bone, first_x + wp.float64(k), y)) <= radius:
+                            return True
+    return False
+
+
+@wp.func
+def store_run(pixels: PixelArrays, row: Row, count: int, start: int, stop: int, seeded: bool):
+    """Store a run of a row that has ``count`` runs so far."""
     i = row.begin + count
     pixels.starts[i] = start
-    pixels.stops[i] = column
+    pixels.stops[i] = stop
     pixels.parents[i] = i
     pixels.seeded[i] = wp.uint8(wp.where(seeded, 1, 0))
-    return -1, count + 1
+
+
+@wp.func
+def fill_row(people: PeopleArrays, row: Row, picture_row: int, groups: wp.array[wp.uint8]):
+    """Fill the groups of a row as its picture tells them."""
+    n, row_begin, width = row.person, int(row.begin), int(row.width)
+    # Copies: whatever stands in an array would be read again for each pixel.
+    labels, number, area_left = people.labels, int(people.pictures[n, 3]), int(people.areas[n, 1])
+    left, step = wp.float64(people.boxes[n, 1]), wp.float64(people.boxes[n, 3])
+    picture_width = int(people.pictures[n, 2])
+    begin = people.pictures[n, 0] + picture_row * picture_width
+    if picture_row < 0 or picture_row >= people.pictures[n, 1]:
+        picture_width = 0
+    shift = floor_index(left) + area_left
+    same = number == 0 and step == wp.float64(1.0) and left == wp.float64(floor_index(left))
+    if same and shift >= 0 and shift + width <= picture_width:  # pixels of the window are the picture's
+        for column in range(width):
+            groups[row_begin + column] = labels[begin + shift + column]
+        return
+    for column in range(width):
+        picture_column = floor_index(left + (wp.float64(area_left + column) + wp.float64(0.5)) * step)
+        group = OTHERS
+        if picture_column >= 0 and picture_column < picture_width:
+            group = group_of(people, number, begin + picture_column)
+        groups[row_begin + column] = group
+
+
+@wp.func
+def end_stretch(
+    bodies: BodyArrays, pixels: PixelArrays, row: Row, kind: int, start: int, stop: int, x: wp.float64, y: wp.float64
+) -> bool:
+    """Store a stretch of a row, from ``x`` on, that is near as the row's next run; true if a seed is in the stretch."""
+    seeded = run_lies_along(bodies, row.person, x, stop - start, y)
+    if kind == NEAR:
+        count = pixels.num_runs[row.number]
+        store_run(pixels, row, count, start, stop, seeded)
+        pixels.num_runs[row.number] = count + 1
+    return seeded
 
 
 @wp.kernel
@@ -265,66 +348,51 @@ def find_near(
     first: int,
     pixels: PixelArrays,
 ):
-    """Fill groups, as the pictures tell them, and find runs of what is labelled near the bones."""
+    """Fill groups, as the pictures tell them near the bones, and find runs of what is labelled there.
+
+    What is labelled elsewhere is ``OTHERS``. A row is a series of stretches: near, not near, and not labelled.
+    """
     row = row_of(people, first + wp.tid())
-    n = row.person
-    window_row = people.areas[n, 0] + row.index
-    picture_row = picture_index(people, n, 0, window_row)
-    # Copies: whatever stands in an array would be read again for each pixel.
-    half, left, step = wp.float64(0.5), wp.float64(people.boxes[n, 1]), wp.float64(people.boxes[n, 3])
-    area_left, number, width = int(people.areas[n, 1]), int(people.pictures[n, 3]), int(people.pictures[n, 2])
-    begin = people.pictures[n, 0] + picture_row * width
-    if picture_row < 0 or picture_row >= people.pictures[n, 1]:
-        width = 0
-    reach, loose_reach = wp.float64(bodies.reaches[n, 0]), wp.float64(bodies.reaches[n, 1])
-    seed_reach = wp.float64(bodies.reaches[n, 2])
+    n, begin, width, groups = row.person, int(row.begin), int(row.width), pixels.groups
+    window_row, area_left = people.areas[n, 0] + row.index, int(people.areas[n, 1])
+    fill_row(people, row, picture_index(people, n, 0, window_row), groups)
+    pixels.num_runs[row.number] = 0
+    half, y = wp.float64(0.5), wp.float64(window_row) + wp.float64(0.5)
     crowded = bodies.first_theirs[n + 1] > bodies.first_theirs[n]
-    y, off = wp.float64(window_row) + half, MIDDLE + wp.float64(1e-6)
-    start, last, count = int(-1), int(0), int(0)
-    seeded, told = bool(False), bool(False)  # the run has a seed; the row has a labelled pixel along a bone
-    judged, certain, possible, seeds_certain, seeds_possible = (
-        int(-1),
-        bool(False),
-        bool(False),
-        bool(False),
-        bool(False),
-    )
-    for column in range(row.width):
-        x = wp.float64(area_left + column) + half
-        picture_column = floor_index(left + x * step)
-        group, near = OTHERS, bool(False)
-        if picture_column >= 0 and picture_column < width:
-            group = group_of(people, number, begin + picture_column)
-        pixels.groups[row.begin + column] = group
-        if shows_part(group):
+    last, judged, judgement = int(0), int(-1), int(NOT_NEAR)
+    told = bool(False)  # the row has a labelled pixel along a bone
+    start, kind = int(0), int(UNLABELLED)  # of the stretch that is open
+    column = int(0)
+    while column < width:
+        piece, own = int(column), int(UNLABELLED)
+        if shows_part(groups[begin + column]):
             if column // STEP != judged:
                 judged = column // STEP
                 middle = wp.float64(area_left + judged * STEP) + MIDDLE
-                far = distances_from(bodies, n, middle, y)
-                certain = far.own + off <= reach or far.loose + off <= loose_reach
-                certain = certain and (far.other - off > reach or far.own + off < far.other - off)
-                possible = far.own - off <= reach or far.loose - off <= loose_reach
-                possible = possible and not (far.other + off <= reach and far.other + off < far.own - off)
-                seeds_certain = far.own + off <= seed_reach
-                seeds_possible = far.own - off <= seed_reach
-            near = certain
-            if possible and not certain:
+                judgement, last = judge_step(bodies, n, crowded, last, middle, y)
+            own, stop = int(judgement), wp.min((judged + 1) * STEP, width)
+            if judgement == MAYBE_NEAR:
+                own, stop = int(NOT_NEAR), column + 1
+                x = wp.float64(area_left + column) + half
                 found = near_bone(bodies, n, last, x, y)
-                near = found >= 0
-                if near:
+                if found >= 0:
                     last = found
-                    if crowded:
-                        near = not is_others(bodies, n, x, y)
-            if seeds_possible and (not told or (near and (start < 0 or not seeded))):
-                along_bone = seeds_certain or lies_along(bodies, n, x, y)
-                told = told or along_bone
-                if near:
-                    seeded = (seeded and start >= 0) or along_bone
-            elif near and start < 0:
-                seeded = False
-        start, count = follow_run(pixels, row, column, near, seeded, start, count)
-    start, count = follow_run(pixels, row, row.width, False, seeded, start, count)
-    pixels.num_runs[row.number] = count
+                    if not crowded or not is_others(bodies, n, x, y):
+                        own = int(NEAR)
+            while column < stop and shows_part(groups[begin + column]):
+                if own == NOT_NEAR:
+                    groups[begin + column] = OTHERS
+                column += 1
+        else:
+            while column < width and not shows_part(groups[begin + column]):
+                column += 1
+        if own != kind:
+            if kind == NEAR or (kind == NOT_NEAR and not told):
+                x = wp.float64(area_left + start) + half
+                told = end_stretch(bodies, pixels, row, kind, start, piece, x, y) or told
+            start, kind = piece, own
+    if kind == NEAR or (kind == NOT_NEAR and not told):
+        told = end_stretch(bodies, pixels, row, kind, start, width, wp.float64(area_left + start) + half, y) or told
     if told:
         along[n] = 1
 
@@ -343,15 +411,17 @@ def find_stray(
     n = row.person
     group, start, count = int(chosen[n]), int(-1), int(0)
     seeded = bool(False)
-    for column in range(row.width):
+    for column in range(row.width + 1):
         beyond = bool(False)
-        if group != 0 and int(pixels.groups[row.begin + column]) == group:
+        if column < row.width and group != 0 and int(pixels.groups[row.begin + column]) == group:
             distance = beyond_flesh(bodies, n, group, people.areas[n, 0] + row.index, people.areas[n, 1] + column)
             beyond = distance > wp.float64(0.0)
             if beyond:
                 seeded = (seeded and start >= 0) or distance > far
-        start, count = follow_run(pixels, row, column, beyond, seeded, start, count)
-    start, count = follow_run(pixels, row, row.width, False, seeded, start, count)
+                start = wp.where(start < 0, column, start)
+        if start >= 0 and not beyond:
+            store_run(pixels, row, count, start, column, seeded)
+            start, count = int(-1), count + 1
     pixels.num_runs[row.number] = count
 
 
@@ -437,44 +507,40 @@ def settle(
     """Ignore all that is labelled but what hangs together with a seed (``kept``), or that; and measure the rest."""
     row = row_of(people, first + wp.tid())
     n = row.person
-    window_row, area_left = people.areas[n, 0] + row.index, int(people.areas[n, 1])
-    stride = int(bodies.strides[n])
-    left, right = int(-1), int(-1)
-    counted = window_row % stride == 0
-    next_column = ((area_left + stride - 1) // stride) * stride - area_left  # to be counted
-    current, found = wp.uint8(255), Counts()  # group of the pixels counted last, and their numbers
-    k, last_run = row.begin - 1, row.begin + pixels.num_runs[row.number] - 1
-    start, stop, seeded = int(0), int(0), bool(False)  # of the run that is the next to end
-    for column in range(row.width):
-        group = pixels.groups[row.begin + column]
-        while column >= stop and k < last_run:
-            k += 1
-            start, stop = int(pixels.starts[k]), int(pixels.stops[k])
-            seeded = pixels.seeded[root_of(pixels.parents, k)] != wp.uint8(0)
-        if shows_part(group):
-            if (seeded and column >= start and column < stop) != kept:
+    for k in range(row.begin, row.begin + pixels.num_runs[row.number]):
+        if (pixels.seeded[root_of(pixels.parents, k)] != wp.uint8(0)) != kept:
+            for column in range(pixels.starts[k], pixels.stops[k]):
                 pixels.groups[row.begin + column] = OTHERS
-            else:
-                left = wp.where(left < 0, column, left)
-                right = column
-                if counted and column == next_column:
-                    if group != current:
-                        add_counts(counts, n, current, found)
-                        current, found = group, Counts()
-                    found.looked += 1
-                    if int(group) < counts.shape[1] and bodies.complete[n, int(group)] != wp.uint8(0):
-                        distance = beyond_flesh(bodies, n, int(group), window_row, area_left + column)
-                        found.within += wp.where(distance <= wp.float64(0.0), 1, 0)
-                        found.far += wp.where(distance > far, 1, 0)
-                        found.farther += wp.where(distance > farther, 1, 0)
-        if column == next_column:
-            next_column += stride
+    left, right = int(0), row.width - 1
+    while left <= right and not shows_part(pixels.groups[row.begin + left]):
+        left += 1
+    if left > right:
+        return
+    while not shows_part(pixels.groups[row.begin + right]):
+        right -= 1
+    window_row, area_left = people.areas[n, 0] + row.index, people.areas[n, 1]
+    wp.atomic_min(limits, n, 0, window_row)
+    wp.atomic_max(limits, n, 1, window_row)
+    wp.atomic_min(limits, n, 2, area_left + left)
+    wp.atomic_max(limits, n, 3, area_left + right)
+    stride = int(bodies.strides[n])
+    if window_row % stride != 0:
+        return
+    current, found = wp.uint8(255), Counts()  # group of the pixels counted last, and their numbers
+    next_column = ((area_left + left + stride - 1) // stride) * stride - area_left  # to be counted
+    for column in range(next_column, right + 1, stride):
+        group = pixels.groups[row.begin + column]
+        if shows_part(group):
+            if group != current:
+                add_counts(counts, n, current, found)
+                current, found = group, Counts()
+            found.looked += 1
+            if int(group) < counts.shape[1] and bodies.complete[n, int(group)] != wp.uint8(0):
+                distance = beyond_flesh(bodies, n, int(group), window_row, area_left + column)
+                found.within += wp.where(distance <= wp.float64(0.0), 1, 0)
+                found.far += wp.where(distance > far, 1, 0)
+                found.farther += wp.where(distance > farther, 1, 0)
     add_counts(counts, n, current, found)
-    if left >= 0:
-        wp.atomic_min(limits, n, 0, window_row)
-        wp.atomic_max(limits, n, 1, window_row)
-        wp.atomic_min(limits, n, 2, area_left + left)
-        wp.atomic_max(limits, n, 3, area_left + right)
 
 
 @wp.kernel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -38,7 +39,10 @@ def no_camera(name: str, size: tuple[int, int]) -> None:
 
 def usual_camera(name: str, size: tuple[int, int]) -> UsualLens:
     """Camera that is assumed for a picture of (H, W) pixels, of which none is known."""
-    return UsualLens.of_size(size)
+    return _usual_lens(size)
+
+
+_usual_lens = lru_cache(maxsize=1024)(UsualLens.of_size)  # pictures share sizes
 
 
 @dataclass(frozen=True)

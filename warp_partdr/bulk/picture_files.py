@@ -28,12 +28,11 @@ from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import (
     PartLabels,
     PhotoFile,
+    ScannedPhoto,
     check_sizes,
     photo_warnings,
-    read_orientation,
     read_parts,
     read_photo,
-    scan_photo,
 )
 from ..inputs.person import Box
 from ..inputs.photo_files import KEYPOINTS, PARTS, LeftOut
@@ -48,7 +47,7 @@ from .containers import (
     read_member,
 )
 from .outages import is_passing
-from .sources import KnownPerson, ScannedPhoto, SourcePicture
+from .sources import KnownPerson, SourcePicture
 
 Beside = tuple[str, str, int]  # a photo's name, and ending and size of a file beside it
 
@@ -113,11 +112,13 @@ class PictureFiles:
                 return SourcePicture(self._films.open(self.folder / container).read(int(inside)))
             photo, keypoints = self.photo(name), None if self.digest is None else self.beside(name, KEYPOINTS)
             if keypoints is None:
-                found = SourcePicture(read_photo(photo))
-            else:
-                scanned = ScannedPhoto(photo, scan_photo(photo))
-                found = SourcePicture(scanned, tuple(map(_known, self.read_keypoints(keypoints, scanned))))
-            return replace(found, parts=self._read_labels(name, found.size), warnings=photo_warnings(photo))
+                pixels = read_photo(photo)
+                parts = self._read_labels(name, (pixels.shape[0], pixels.shape[1]))
+                return SourcePicture(pixels, parts=parts, warnings=photo_warnings(photo))
+            scanned = ScannedPhoto.of(photo)
+            people = tuple(map(_known, self.read_keypoints(keypoints, scanned)))
+            parts = self._read_labels(name, scanned.size)
+            return SourcePicture(scanned, people, parts=parts, warnings=photo_warnings(photo))
         except InputError as error:  # messages are the same wherever the folder is
             message = str(error).replace(str(self.folder / (container or name)), container or name)
             beside = str(self.folder / "_")[:-1]  # how names of files beside it begin
@@ -144,7 +145,7 @@ class PictureFiles:
         data = parse_json(text, str(file), "keypoints in JSON")
         orientation = None
         if photo is not None and isinstance(photo.file, NamedBytes):
-            beside, orientation = Path(photo.file.name.rpartition("#")[2]), read_orientation(photo.file)
+            beside, orientation = Path(photo.file.name.rpartition("#")[2]), photo.orientation
         return parse_keypoints(
             data, self.keypoint_format, name=str(file), photo=beside, size=size, orientation=orientation
         )

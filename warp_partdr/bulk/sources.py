@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
 
 from ..body.skeletons import Skeleton
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.part_labels import PartLabels, PhotoFile, read_photo
+from ..inputs.part_labels import PartLabels, PhotoFile, ScannedPhoto, read_photo
 from ..inputs.person import Box
 
 ANNOTATIONS = "annotations: "  # begins warnings about what was done to a picture's annotations
@@ -57,13 +57,6 @@ class FaultyPerson:
 
     error: str
     annotation: int | None = None
-
-
-class ScannedPhoto(NamedTuple):
-    """A photo that was looked through, but not kept: its file, and (H, W) (``scan_photo``)."""
-
-    file: PhotoFile
-    size: tuple[int, int]
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,7 @@ _SIZES = (
 _HOLDERS = ("image", "img", "picture", "photo", "image_info", "metadata", "meta", "info", "size")
 # Keys of a box: beside one of them, width and height are the box's.
 _BOX_KEYS = ("x", "y", "center", "left", "top", "x_min", "xmin", "x1", "center_x", "cx")
+_SIZE_KEYS = frozenset((*(width for width, _ in _SIDES), *_SIZES, *_HOLDERS, "width"))  # without any, no size is stated
 _THUMBNAIL = 0.02  # share of a side that rounding may change at most, in very small pictures
 
 
@@ -191,6 +192,8 @@ def find_size(entry: Mapping[str, Any], where: str) -> StatedSize | None:
     Raises:
         InputError: If a number there is no size.
     """
+    if _SIZE_KEYS.isdisjoint(entry):
+        return None
     for width, height in _SIDES:
         if entry.get(width) is not None and entry.get(height) is not None:
             size = stated_size(entry, where, width, height)

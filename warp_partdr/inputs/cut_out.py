@@ -38,7 +38,7 @@ from .own_pixels import Mask, Windows, extents, no_label_along_bones
 from .part_labels import PartLabels
 from .person import person_labels
 
-_PIXELS = {"cpu": 2**24, "cuda": 2**26}  # most pixels of the pictures in one batch
+_PIXELS = {"cpu": 2**25, "cuda": 2**26}  # most pixels of the pictures in one batch
 
 Found = dict[int, CutPerson | InputError]
 

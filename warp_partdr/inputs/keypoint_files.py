@@ -293,7 +293,9 @@ def _in_picture(
     where: str,
 ) -> list[Keypoints2D]:
     """Convert keypoints to pixels of the picture, if the file states another size of it."""
-    has_photo = photo is not None and (stated is not None or photo.is_file())  # maybe only the photo's name is known
+    has_photo = False
+    if photo is not None and (orientation is None or size is None):  # else its file is not asked for
+        has_photo = stated is not None or photo.is_file()  # maybe only the photo's name is known
     if orientation is None:
         orientation = read_orientation(photo) if has_photo and photo is not None else 1
     if size is None and has_photo and photo is not None:
@@ -537,7 +539,11 @@ def _checked(
     def listed(row: np.ndarray) -> str:
         return f"[{', '.join(f'{value:g}' for value in row)}]"
 
-    points, unknown = table[..., :2], np.isnan(table).all(axis=-1)
+    points = table[..., :2]
+    if table.shape[-1] == 3 and _are_plain(table):
+        missing = table[..., 2:] == 0
+        return np.where(missing, 0.0, points).astype(np.float32), table[..., 2].astype(np.float32), ()
+    unknown = np.isnan(table).all(axis=-1)
     confidence = table[..., 2] if table.shape[-1] == 3 else np.ones(table.shape[:2])
     missing = unknown | ((confidence == 0) if table.shape[-1] == 3 else (points == 0).all(axis=-1))
     minus = (points == -1).all(axis=-1)  # as many programs write missing points
@@ -567,6 +573,14 @@ def _checked(
     return points.astype(np.float32), np.minimum(confidence, 1.0).astype(np.float32), warnings
 
 
+def _are_plain(table: np.ndarray) -> bool:
+    """True if points (..., 3) are as most files have them: finite, in pixels, and with confidences from 0 to 1."""
+    confidence = table[..., 2]
+    low, high = float(confidence.min(initial=1.0)), float(confidence.max(initial=0.0))
+    # Comparisons with NaN are false.
+    return low >= 0.0 and high <= 1.0 and bool((np.abs(table) <= LARGEST_COORDINATE).all())
+
+
 def _largest_score(confidence: np.ndarray) -> float | None:
     """Largest of people's confidences (N, J) if they have another scale than 0 to 1, else None.
 
@@ -588,6 +602,8 @@ def _why_unusable(points: np.ndarray, confidence: np.ndarray) -> list[str | None
     extents = (highest - lowest).max(axis=1)
     largest = np.maximum(-lowest, highest).max(axis=1)
     reasons: list[str | None] = [None] * len(points)
+    if ((extents >= _MIN_EXTENT) & (largest > _MAX_NORMALISED)).all():
+        return reasons
     for person in np.flatnonzero(extents < _MIN_EXTENT):
         x, y = lowest[person]
         reasons[person] = f"all visible keypoints in one point ({x:g}, {y:g}); expected a person"

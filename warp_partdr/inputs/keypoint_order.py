@@ -96,10 +96,16 @@ def bone_excess(form: Skeleton, points: np.ndarray, confidence: np.ndarray) -> f
     if known.sum() < _FEWEST_BONES:
         return np.inf
     lengths = np.linalg.norm(points[edges[known, 0]] - points[edges[known, 1]], axis=1) / shares[known]
-    middle = float(np.median(lengths))
+    middle = _median(lengths.tolist())
     if middle <= 0:
         return np.inf
     return float(np.log(np.maximum(lengths / middle, 1.0)).mean())
+
+
+def _median(values: list[float]) -> float:
+    """Median of at least one number. ``numpy.median`` takes ten times as long for so few."""
+    ordered, half = sorted(values), len(values) // 2
+    return ordered[half] if len(values) % 2 else (ordered[half - 1] + ordered[half]) / 2
 
 
 @lru_cache

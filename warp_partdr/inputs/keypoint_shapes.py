@@ -99,6 +99,10 @@ class PersonEntry:
     loose: tuple[tuple[str, ...], ...] = ()
     further: tuple[list[float], ...] = ()
 
+    def of_picture(self, index: int) -> PersonEntry:
+        """Entry of the same person in a picture."""
+        return self if self.picture == index else replace(self, picture=index)
+
 
 @dataclass(frozen=True)
 class FilePicture:
@@ -173,7 +177,7 @@ def file_people(data: Any, where: str) -> FilePeople:
 def _with_loose_names(person: PersonEntry) -> PersonEntry:
     """Entry with the first of its loose lists that has as many names as there are points, if it has no names yet."""
     categorised = person.category is not None and person.category.skeleton is not None
-    if person.names is not None or categorised or not isinstance(person.keypoints, list):
+    if not person.loose or person.names is not None or categorised or not isinstance(person.keypoints, list):
         return person
     count = len(person.keypoints)
     nested = any(isinstance(row, list | Mapping) for row in person.keypoints)
@@ -298,7 +302,7 @@ def _add(found: FilePeople, data: Any, common: PersonEntry, picture: str | None,
     elif people is not None:
         _add_all(found, people, common, picture, where)
     elif any(key in data for key in KEYPOINTS):
-        found.people.append(_with_keypoints(data, replace(common, picture=_picture_index(found, picture))))
+        found.people.append(_with_keypoints(data, common.of_picture(_picture_index(found, picture))))
     elif _is_by_picture(data):
         for name, value in data.items():
             if isinstance(value, Mapping | list):

@@ -137,7 +137,9 @@ def _annotations(task: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 def _short_results(task: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Results in the short export format, JSON-MIN, in which each control of the tool has its own list."""
     lists = [value for value in task.values() if isinstance(value, list)]
-    return [entry for each in lists for entry in each if isinstance(entry, Mapping) and _LABELS in entry]
+    # Rows of numbers are lists: to ask first for their type takes a tenth of the time of asking if they are mappings.
+    objects = (entry for each in lists for entry in each if type(entry) is not list)
+    return [entry for entry in objects if isinstance(entry, Mapping) and _LABELS in entry]
 
 
 def _results(task: Mapping[str, Any], where: str) -> list[Mapping[str, Any]]:

@@ -233,11 +233,14 @@ def observe_batch(
     visible = np.concatenate([person.keypoints.confidence[person.keypoints.visible] for person in people])
     points = torch.from_numpy(in_crops.astype(np.float32)).to(device).split(counts)
     confidence = torch.from_numpy(visible.astype(np.float32)).to(device).split(counts)
+    crops = [
+        _square_crop(person.window, middle, half)
+        for person, middle, half in zip(people, middles.tolist(), halves.tolist(), strict=True)
+    ]
+    lenses = _crop_lenses([person.camera for person in people], crops, device)
     found: list[CutOut] = []
-    for n, person in enumerate(people):
-        crop = _square_crop(person.window, middles[n].tolist(), float(halves[n]))
+    for n, (person, crop, lens) in enumerate(zip(people, crops, lenses, strict=True)):
         names, marks = visible_names(person.keypoints.skeleton, person.keypoints.visible.tobytes())
-        lens = None if person.camera is None else crop_lens(person.camera, crop).to(device)
         observation = Observation(
             names,
             points[n],
@@ -263,9 +266,32 @@ def visible_names(form: str | Skeleton, visible: bytes) -> tuple[tuple[str, ...]
 
 def crop_lens(camera: Perspective, crop: Crop) -> torch.Tensor:
     """Focal length and principal point of a picture's camera in a square crop's coordinates, shape (3,)."""
-    focal, _, u, v = camera.in_crop(crop).intrinsics[0].tolist()
-    half = crop.size[0] / 2
-    return torch.tensor([focal / half, u / half - 1, v / half - 1])
+    (lens,) = _crop_lenses([camera], [crop], "cpu")
+    assert lens is not None
+    return lens
+
+
+def _crop_lenses(
+    cameras: Sequence[Perspective | None], crops: Sequence[Crop], device: torch.device | str
+) -> list[torch.Tensor | None]:
+    """``crop_lens`` for each camera and its crop, on a device; None without a camera.
+
+    Many are computed at once, as ``Perspective.in_crop`` does it for one: its checks take longer than its numbers.
+    """
+    known = [n for n, camera in enumerate(cameras) if camera is not None]
+    found: list[torch.Tensor | None] = [None] * len(cameras)
+    if not known:
+        return found
+    intrinsics = torch.cat([camera.intrinsics.cpu() for camera in cameras if camera is not None])
+    starts = torch.tensor([[crops[n].left, crops[n].top] for n in known])
+    zooms = torch.tensor([[crops[n].zoom] for n in known])
+    halves = np.array([[crops[n].size[0] / 2] for n in known])
+    focal = (intrinsics[:, :1] * zooms).numpy() / halves
+    centre = ((intrinsics[:, 2:] - starts) * zooms).numpy() / halves - 1
+    lenses = torch.from_numpy(np.concatenate([focal, centre], axis=1).astype(np.float32)).to(device)
+    for n, lens in zip(known, lenses.unbind(), strict=True):
+        found[n] = lens
+    return found
 
 
 def resize_nearest(labels: torch.Tensor, size: int) -> torch.Tensor:

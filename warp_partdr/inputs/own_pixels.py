@@ -16,7 +16,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..body.labels import BACKGROUND, LabelSet
+from ..body.labels import LabelSet
 from ..body.skeletons import Skeleton
 from ..cameras import Crop
 from ..errors import InputError
@@ -150,7 +150,7 @@ class Windows:
         if isinstance(picture, Mask):
             labelled = picture.owners[top:bottom, left:right].numpy() == picture.number
         else:
-            labelled = picture[top:bottom, left:right] != BACKGROUND
+            labelled = picture[top:bottom, left:right]  # 0 is BACKGROUND
         rows, columns = label_bounds(labelled)
         first = np.floor((np.array([top + rows.start, left + columns.start]) - start) * zoom).astype(np.int64) - 1
         stop = np.ceil((np.array([top + rows.stop, left + columns.stop]) - start) * zoom).astype(np.int64) + 1

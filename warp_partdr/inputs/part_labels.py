@@ -20,7 +20,7 @@ from importlib.util import find_spec
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -88,8 +88,8 @@ class PartLabels:
         if not isinstance(groups, np.ndarray) or groups.ndim != 2 or groups.dtype != np.uint8 or not groups.size:
             found = f"{groups.dtype} {groups.shape}" if isinstance(groups, np.ndarray) else type(groups).__name__
             raise InputError(f"groups: {found}; expected a picture of uint8 group ids (H, W)")
-        # In bytes, 255 + 1 is 0, so one comparison checks all ids.
-        if (groups + np.uint8(1)).max() > count + 1:
+        # In bytes, 255 + 1 is 0, so one comparison checks all ids; most pictures hold no 255, and need no copy for it.
+        if groups.max() > count and (groups + np.uint8(1)).max() > count + 1:
             strange = groups[(groups > count) & (groups != IGNORE)]
             raise InputError(f"groups: id {strange[0]}; expected 0 to {count} of {self.label_set.name}, or {IGNORE}")
         shape = (count + 1, *groups.shape)
@@ -163,24 +163,48 @@ def photo_warnings(path: PhotoFile) -> tuple[str, ...]:
     return (f"{count} pictures in the file; the first is taken",) if count > 1 else ()
 
 
+class ScannedPhoto(NamedTuple):
+    """Photo that was looked through, but not kept.
+
+    Attributes:
+        file: File of the photo.
+        size: Size (H, W) [px] that ``read_photo`` would give it.
+        orientation: Orientation in its EXIF data, as ``read_orientation`` returns it.
+    """
+
+    file: PhotoFile
+    size: tuple[int, int]
+    orientation: int
+
+    @classmethod
+    def of(cls, path: PhotoFile) -> ScannedPhoto:
+        """Check that a picture's file is complete.
+
+        A JPEG with an end marker is not decoded, which takes a twentieth of the time or less.
+
+        Raises:
+            InputError: If the file can't be read, or is cut off.
+        """
+        from PIL import ExifTags
+
+        with _opened(path, "a picture") as image:
+            width, height = image.size
+            orientation = _orientation(image)
+            # The search begins where PIL has stopped, at the pixels: an embedded small picture before them has an end.
+            if image.format != "JPEG" or _JPEG_END not in image.fp.read():  # type: ignore[attr-defined]  # of all files
+                image.draft("L", (1, 1))
+                image.load()
+            turned = image.getexif().get(ExifTags.Base.Orientation) in _ON_ITS_SIDE
+            return cls(path, (width, height) if turned else (height, width), orientation)
+
+
 def scan_photo(path: PhotoFile) -> tuple[int, int]:
     """Check that a picture's file is complete, and return the size (H, W) [px] that ``read_photo`` would give it.
-
-    A JPEG with an end marker is not decoded, which takes a twentieth of the time or less.
 
     Raises:
         InputError: If the file can't be read, or is cut off.
     """
-    from PIL import ExifTags
-
-    with _opened(path, "a picture") as image:
-        width, height = image.size
-        # The search begins where PIL has stopped, at the pixels: an embedded small picture before them has an end, too.
-        if image.format != "JPEG" or _JPEG_END not in image.fp.read():  # type: ignore[attr-defined]  # of all files
-            image.draft("L", (1, 1))
-            image.load()
-        turned = image.getexif().get(ExifTags.Base.Orientation) in _ON_ITS_SIDE
-        return (width, height) if turned else (height, width)
+    return ScannedPhoto.of(path).size
 
 
 def read_focal(path: PhotoFile) -> float:
@@ -222,11 +246,17 @@ def read_orientation(path: PhotoFile) -> int:
     Raises:
         InputError: If the file can't be read.
     """
-    from PIL import ExifTags, Image
-
     with _opened(path, "a picture") as image:
-        # PNG's own getexif would decode all pixels, because EXIF data may follow them, although no program does that.
-        orientation = Image.Image.getexif(image).get(ExifTags.Base.Orientation)
+        return _orientation(image)
+
+
+def _orientation(image: Image.Image) -> int:
+    """Orientation in an opened picture's EXIF data, 1 to 8."""
+    from PIL import ExifTags
+    from PIL.Image import Image as AnyImage
+
+    # PNG's own getexif would decode all pixels, because EXIF data may follow them, although no program does that.
+    orientation = AnyImage.getexif(image).get(ExifTags.Base.Orientation)
     return orientation if isinstance(orientation, int) and 1 <= orientation <= 8 else 1
 
 
@@ -342,12 +372,33 @@ def read_parts(path: PhotoFile, labels: LabelSet | str | Path) -> PartLabels:
     """
     labels = label_set(labels)
     suffix = ".png" if isinstance(path, BytesIO) else Path(path).suffix.lower()
-    if suffix == ".png" or isinstance(path, BytesIO):
-        array = _read_png(path)
-    elif suffix == ".npy":
-        array = _read_npy(path, len(labels.channel_ids))
-    else:
-        raise InputError(f"{path}: {suffix or 'no suffix'}; expected .png or .npy part labels")
+    if suffix == ".png":
+        return _png_parts(path, labels)
+    if suffix == ".npy" and not isinstance(path, BytesIO):
+        return _npy_parts(path, labels)
+    raise InputError(f"{path}: {suffix or 'no suffix'}; expected .png or .npy part labels")
+
+
+def _png_parts(path: PhotoFile, labels: LabelSet) -> PartLabels:
+    """Labels of a PNG's ids. Of bytes, only the part about the people is looked at, for most of it is background."""
+    with _opened(path, "a PNG of part labels") as image:
+        if image.mode not in ("1", "L", "P", "I", "I;16", "I;16B"):
+            raise InputError(f"{path}: {image.mode} picture; expected one channel of label ids (grayscale or palette)")
+        if image.mode not in ("L", "P") or labels.id_groups[0] != BACKGROUND:
+            array = np.asarray(image)
+            groups = _groups(array if array.dtype == np.uint8 else array.astype(np.int32), labels, str(path))
+            return _with_content(PartLabels(labels, groups), groups, str(path))
+        image.load()
+        left, top, right, bottom = image.getbbox() or (0, 0, 1, 1)
+        own = _groups(np.asarray(image.crop((left, top, right, bottom))), labels, str(path))
+        groups = np.full((image.height, image.width), BACKGROUND, dtype=np.uint8)
+        groups[top:bottom, left:right] = own
+        return _with_content(PartLabels(labels, groups), own, str(path))
+
+
+def _npy_parts(path: str | Path, labels: LabelSet) -> PartLabels:
+    """Labels of an array's file, by its shape and type."""
+    array = _read_npy(path, len(labels.channel_ids))
     if not array.size:
         raise InputError(f"{path}: shape {array.shape}; expected pixels")
     if array.ndim == 3 and array.dtype.kind == "f":
@@ -358,16 +409,7 @@ def read_parts(path: PhotoFile, labels: LabelSet | str | Path) -> PartLabels:
         parts = PartLabels(labels, _groups(array, labels, str(path)))
     else:
         raise InputError(f"{path}: shape {array.shape}; expected (H, W), (N, H, W) masks, or (K, H, W) probabilities")
-    _check_content(parts, str(path))
-    return parts
-
-
-def _read_png(path: PhotoFile) -> np.ndarray:
-    with _opened(path, "a PNG of part labels") as image:
-        if image.mode not in ("1", "L", "P", "I", "I;16", "I;16B"):
-            raise InputError(f"{path}: {image.mode} picture; expected one channel of label ids (grayscale or palette)")
-        array = np.asarray(image)
-        return array if array.dtype == np.uint8 else array.astype(np.int32)
+    return _with_content(parts, parts.groups, str(path))
 
 
 def _read_npy(path: str | Path, channels: int) -> np.ndarray:
@@ -448,9 +490,13 @@ def parts_from_maps(maps: np.ndarray, labels: LabelSet) -> PartLabels:
     return PartLabels(labels, groups, maps)
 
 
-def _check_content(parts: PartLabels, where: str) -> None:
-    """Raise InputError if labels show nobody, or only one part: a silhouette, which is likely a mistake."""
-    pixels = parts.groups.tobytes()  # searching bytes takes a hundredth of the time of an array
+def _with_content(parts: PartLabels, shown: np.ndarray, where: str) -> PartLabels:
+    """Labels, after a check of the part of them that may show people.
+
+    Raises:
+        InputError: If labels show nobody, or only one part: a silhouette, which is likely a mistake.
+    """
+    pixels = shown.tobytes()  # searching bytes takes a hundredth of the time of an array
     groups = list(islice((group for group in range(1, parts.label_set.num_groups + 1) if group in pixels), 2))
     if not groups:
         raise InputError(
@@ -461,3 +507,4 @@ def _check_content(parts: PartLabels, where: str) -> None:
         raise InputError(
             f"{where}: one part only ({name}); expected several of {parts.label_set.name}, or the label set full1"
         )
+    return parts

@@ -82,12 +82,17 @@ def check_near(keypoints: Keypoints2D, size: tuple[float, float], region: str) -
 
 
 def label_bounds(mask: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns from the first to the last true pixel of a mask (H, W); empty slices if no pixel is true."""
-    rows = np.flatnonzero(mask.any(axis=1))
+    """Rows and columns from the first to the last pixel of a mask or of bytes (H, W) that is not 0; empty without any.
+
+    The largest byte of a row is found in less time than whether there is any.
+    """
+    if not mask.size:
+        return slice(0, 0), slice(0, 0)
+    rows = np.flatnonzero(mask.max(axis=1))
     if not rows.size:
         return slice(0, 0), slice(0, 0)
     used = slice(int(rows[0]), int(rows[-1]) + 1)
-    columns = np.flatnonzero(mask[used].any(axis=0))
+    columns = np.flatnonzero(mask[used].max(axis=0))
     return used, slice(int(columns[0]), int(columns[-1]) + 1)
 
 
