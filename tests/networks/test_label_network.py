@@ -381,8 +381,11 @@ def test_files_that_are_no_networks_are_named(network, tmp_path):
     refused("format None")
     save_label_network(path, weights, replace(SMALL, places=5), {})
     refused("size mismatch")
-    save_label_network(path, {**weights, "keypoints.0.bias": torch.full((32,), float("nan"))}, SMALL, {})
-    refused("NaN")
+    for number in (float("nan"), float("inf"), float("-inf")):
+        bias = torch.zeros(32)
+        bias[7] = number
+        save_label_network(path, {**weights, "keypoints.0.bias": bias}, SMALL, {})
+        refused("NaN")
     for sizes, said in (
         ({"size": "64"}, "size: '64'; expected a whole number"),
         ({"places": -1}, "expected a network"),

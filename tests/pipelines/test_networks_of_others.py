@@ -115,6 +115,35 @@ def test_keypoints_and_parts_of_given_networks_are_taken_together(
     assert error_mm(both) < error_mm(alone)
 
 
+def test_given_networks_have_all_threads_and_the_fit_has_one(found: FoundPerson) -> None:
+    """Small tensors lose time with several threads, and large networks of others gain it."""
+    threads: dict[str, int] = {}
+    parts, keypoints = part_network(found), keypoint_network(found)
+
+    def counted(name: str, predict: Callable[[torch.Tensor], torch.Tensor]) -> Callable[[torch.Tensor], torch.Tensor]:
+        def ask(pictures: torch.Tensor) -> torch.Tensor:
+            threads[name] = torch.get_num_threads()
+            return predict(pictures)
+
+        return ask
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        fit_photo(
+            PHOTO,
+            options=FAST,
+            parts_from=replace(parts, predict=counted("parts", parts.predict)),
+            keypoints_from=replace(keypoints, predict=counted("keypoints", keypoints.predict)),
+            progress=lambda name, done, total: threads.update({name: torch.get_num_threads()}),
+        )
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)
+    assert threads.pop("parts") == threads.pop("keypoints") == 3
+    assert set(threads.values()) == {1}
+
+
 def test_what_sees_nothing_is_told_and_left_out(found: FoundPerson, alone: PhotoFit) -> None:
     blind = part_network(found, np.zeros_like)
     beside = keypoint_network(found, 5.0)

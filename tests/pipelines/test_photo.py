@@ -27,11 +27,12 @@ from warp_partdr.pipelines.photo import PACKAGED, PhotoFit, fit_photo, mask_labe
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.results.overlays import GRAY, draw_detailed
 from warp_partdr.results.person_pictures import draw_side_view
-from warp_partdr.results.photo_page import PAGE, draw_pictures, in_order
+from warp_partdr.results.photo_page import PAGE, draw_pictures, in_order, person_surface
 from warp_partdr.results.placements import place_on_ground
 from warp_partdr.results.result_sets import check_result
 from warp_partdr.results.save import DETAILED_FILES, RESULT_FILES, save_fit
 from warp_partdr.results.save_photo import PHOTO_FILES, save_photo_fit
+from warp_partdr.results.shading import BodySurface
 from warp_partdr.solve.confidence.judge import LimbConfidence
 from warp_partdr.solve.confidence.limbs import guessed_parts
 from warp_partdr.solve.ellipsoids import fitting
@@ -88,7 +89,7 @@ def test_half_a_body_of_a_real_photo_is_fitted(device):
     distances = mesh.ellipbody.camera.project(points)[0, :, :2].cpu().numpy() - keypoints.points[rows]
     assert np.linalg.norm(distances, axis=1).max() < 8  # [px], of 188 between the shoulders
     assert {"left leg", "right leg"} <= set(found.confidences[0].guessed)
-    assert _pixels(draw_pictures(found, 0, photo).body).shape[0] == 320
+    assert _pixels(draw_pictures(found, 0, photo, person_surface(found, 0)).body).shape[0] == 320
 
 
 def test_everyone_stands_before_the_same_usual_lens_also_who_is_asked_for_alone(tmp_path):
@@ -239,6 +240,20 @@ def test_files_of_everyone_are_saved_and_older_ones_go(everyone, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {*RESULT_FILES, "person0", "person1", "person8"}
 
 
+def test_guessed_limbs_are_pale_over_everyone_and_not_in_a_person_s_own_picture(everyone, tmp_path):
+    photo, found = everyone
+    limbs = {**found.confidences[0].limbs, "left arm": LimbConfidence(0.3, "hidden")}
+    guessed = replace(found, confidences={**found.confidences, 0: replace(found.confidences[0], limbs=limbs)})
+    pictures = []
+    for name, fit in (("whole", found), ("guessed", guessed)):
+        save_photo_fit(fit, tmp_path / name, photo=photo)
+        files = tmp_path / name / "person0" / "detailed.png", tmp_path / name / "overlay.png"
+        pictures.append([np.asarray(Image.open(file)) for file in files])
+    (own, overlay), (pale_own, pale_overlay) = pictures
+    np.testing.assert_array_equal(own, pale_own)
+    assert (overlay != pale_overlay).any()
+
+
 def test_the_page_shows_everyone_the_least_confident_first(everyone, tmp_path):
     photo, found = everyone
     sure, unsure = found.confidences[0], replace(found.confidences[1], probability=0.12)
@@ -300,7 +315,7 @@ def test_pictures_of_a_person_show_the_photo_and_pale_guessed_limbs(everyone):
         "right arm": LimbConfidence(0.3, "hidden"),
     }
     guessed = replace(found, confidences={0: replace(found.confidences[0], limbs=limbs)})
-    drawn = [draw_pictures(each, 0, photo) for each in (found, guessed)]
+    drawn = [draw_pictures(each, 0, photo, person_surface(each, 0)) for each in (found, guessed)]
     (seen, whole, side), (_, pale, pale_side) = ([_pixels(each) for each in vars(one).values()] for one in drawn)
     assert seen.shape == whole.shape
     assert max(seen.shape[:2]) == max(side.shape[:2]) == 320
@@ -321,7 +336,7 @@ def test_guessed_limbs_do_not_make_the_photo_small(everyone):
     shapes = []
     for confidence in (found.confidences[1], cut):
         one = replace(found, people=people, confidences={1: confidence})
-        shapes.append(_pixels(draw_pictures(one, 1, photo).photo).shape)
+        shapes.append(_pixels(draw_pictures(one, 1, photo, person_surface(one, 1)).photo).shape)
     assert shapes[0][0] == 320  # a person who stands is higher than wide
     assert shapes[1][1] / shapes[1][0] > 1.25 * shapes[0][1] / shapes[0][0]
 
@@ -334,7 +349,7 @@ def test_a_body_is_upright_from_the_side_and_the_camera_is_at_the_left(device):
     lean = vertices.clone()
     lean[..., 2] += 0.5 * (lean[..., 1] - head)
     for points, leans in ((vertices, False), (lean, True)):
-        picture = draw_side_view(points, model, 200).astype(int)
+        picture = draw_side_view(BodySurface.of_body(points, model), 200).astype(int)
         assert max(picture.shape[:2]) == 200
         rows, columns = np.nonzero(np.abs(picture - GRAY).max(-1) > 12)
         assert rows.max() - rows.min() > 160

@@ -11,6 +11,7 @@ from warp_partdr.cameras import Perspective, WeakPerspective
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.results.palette import PEOPLE_COLOURS
 from warp_partdr.results.placements import Placement
+from warp_partdr.results.shading import BodySurface
 from warp_partdr.results.views import _ABOVE, _FRONT, _SIDE, PlacedBody, _Scene, _View, draw_views, place_alone
 
 SIZE = (300, 400)
@@ -19,7 +20,9 @@ CAMERA = Perspective.of_picture(SIZE, focal=320.0)
 
 def placed(x, z, name="person0", *, feet=True, scale=1.0):
     placement = Placement(np.zeros(3), scale, z * scale)
-    return PlacedBody(name, upright(x, z), CAMERA, placement, feet, lens_assumed=False)
+    body = upright(x, z)
+    surface = BodySurface.of_body(body.detailed.vertices, body.model, bare=True)
+    return PlacedBody(name, body, CAMERA, placement, feet, lens_assumed=False, surface=surface)
 
 
 def hues(picture, colour):
@@ -32,7 +35,7 @@ def hues(picture, colour):
 def test_people_have_one_colour_in_all_views_and_stand_where_they_are():
     """The person at the right is there from above, too, and the nearer one is lower and, from the side, at the left."""
     bodies = [placed(-0.8, 4.0), placed(0.9, 3.0, "person1")]
-    scene = _Scene.of(bodies, SIZE, bare=True)
+    scene = _Scene.of(bodies, SIZE)
     expected = (0.5 * PEOPLE_COLOURS[:2] + 127.5).astype(np.uint8)
     np.testing.assert_array_equal(scene.colours, expected)
     front, side, above = (scene.draw(rotation, 0.0) for rotation in (_FRONT, _SIDE, _ABOVE))
@@ -44,14 +47,14 @@ def test_people_have_one_colour_in_all_views_and_stand_where_they_are():
 
 def test_the_nearer_person_hides_the_other():
     for places in ((2.0, 4.0), (4.0, 2.0)):
-        scene = _Scene.of([placed(0.0, places[0]), placed(0.0, places[1], "person1")], SIZE, bare=True)
+        scene = _Scene.of([placed(0.0, places[0]), placed(0.0, places[1], "person1")], SIZE)
         shown = [len(hues(scene.draw(_FRONT, 0.0), colour)[0]) for colour in scene.colours]
         assert (shown[0] > 3 * shown[1]) == (places[0] < places[1])
 
 
 def test_lengths_are_those_of_the_scene():
     body = placed(0.0, 3.0)
-    scene = _Scene.of([body], SIZE, bare=True)
+    scene = _Scene.of([body], SIZE)
     for rotation, axis in ((_FRONT, 1), (_SIDE, 1), (_ABOVE, 2)):
         view = _View.around(scene, rotation, with_camera=rotation is not _FRONT)
         assert view.has_camera == (rotation is not _FRONT)
@@ -74,16 +77,16 @@ def test_a_body_that_grows_about_the_camera_stands_farther_away():
 
 
 def test_the_ground_is_left_out_where_no_feet_are_seen_and_the_camera_where_it_is_far():
-    scene = _Scene.of([placed(0.0, 3.0, feet=False)], SIZE, bare=True)
+    scene = _Scene.of([placed(0.0, 3.0, feet=False)], SIZE)
     assert math.isnan(scene.ground)
     assert "no feet" in scene.note()
-    assert "1 m" in _Scene.of([placed(0.0, 3.0)], SIZE, bare=True).note()
+    assert "1 m" in _Scene.of([placed(0.0, 3.0)], SIZE).note()
     picture = np.asarray(scene.draw(_ABOVE, 0.0))
-    grounded = np.asarray(_Scene.of([placed(0.0, 3.0)], SIZE, bare=True).draw(_ABOVE, 0.0))
+    grounded = np.asarray(_Scene.of([placed(0.0, 3.0)], SIZE).draw(_ABOVE, 0.0))
     floor = (236, 238, 241)
     assert (grounded == floor).all(-1).sum() > 10_000
     assert (picture == floor).all(-1).sum() < 100
-    far = _Scene.of([placed(0.0, 30.0)], SIZE, bare=True)
+    far = _Scene.of([placed(0.0, 30.0)], SIZE)
     assert not _View.around(far, _SIDE, with_camera=True).has_camera
 
 

@@ -379,7 +379,7 @@ def test_pictures_and_meshes_wear_a_suit_unless_skin_is_asked_for(
 ) -> None:
     """The arrays are of the body in either case. Views are written for whoever asks for them."""
     size, thick = (512, 384), torch.full((1, 8), 0.02)
-    views = place_alone(registered, result.camera, size, result.evidence.keypoints, lens_assumed=True)
+    views = place_alone(registered, result.camera, size, result.evidence.keypoints, lens_assumed=True, bare=bare)
     save.save_registered(registered, tmp_path, result.camera, size, clothes=thick, bare=bare, views=views)
     worn, skin = (
         np.asarray(draw_detailed(registered, result.camera, size, clothes=thick, bare=each)) for each in (False, True)
@@ -396,4 +396,4 @@ def test_pictures_and_meshes_wear_a_suit_unless_skin_is_asked_for(
     with np.load(tmp_path / "detailed.npz") as saved:
         np.testing.assert_array_equal(saved["rotations"], registered.rotations[0].numpy())
     sheet = np.asarray(Image.open(tmp_path / "views.png"))
-    np.testing.assert_array_equal(sheet, np.asarray(draw_views([views], size, bare=bare)))
+    np.testing.assert_array_equal(sheet, np.asarray(draw_views([views], size)))

@@ -12,7 +12,7 @@ from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.results.overlays import CLOTHES_COLOUR, clothes_over
 from warp_partdr.results.palette import PART_COLOURS
-from warp_partdr.results.shading import shade_mesh, shade_skin
+from warp_partdr.results.shading import BodySurface, shade_mesh, shade_skin
 
 SIZE = (240, 120)
 WHITE = np.full((21, 3), 200, dtype=np.uint8)
@@ -155,3 +155,17 @@ def near(covered):
     padded = np.pad(covered, 1, mode="edge")
     around = [padded[y : y + covered.shape[0], x : x + covered.shape[1]] for y, x in np.ndindex(3, 3)]
     return np.any(around, axis=0) & ~np.all(around, axis=0)
+
+
+@pytest.mark.parametrize("bare", [False, True])
+def test_a_surface_that_is_moved_looks_like_one_that_is_made_there(bare):
+    """The light stays where it is, so that normals turn with the body."""
+    turn, offset, scale = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]), np.array([0.1, 0.0, 0.2]), 0.9
+    surface = BodySurface.of_body(standing(), anny(), bare=bare)
+    there = torch.from_numpy((standing()[0].double().numpy() + offset) * scale @ turn.T).float()[None]
+    moved = surface.moved(turn, offset, scale).draw(from_ahead(), SIZE).astype(int)
+    made = shade_skin(there, anny(), from_ahead(), SIZE, bare=bare).astype(int)
+    assert (moved[..., 3] > 0).sum() > 2000
+    assert (np.abs(moved - made).max(-1) > 2).mean() < 0.001
+    still = surface.draw(from_ahead(), SIZE)
+    np.testing.assert_array_equal(still, shade_skin(standing(), anny(), from_ahead(), SIZE, bare=bare))

@@ -152,7 +152,7 @@ def _save_mesh(mesh: MeshFit, request: FitRequest, picture: BodyPicture) -> str:
         clothes=mesh.clothes,
         formats=request.run.formats,
         bare=request.bare,
-        views=picture.views(mesh.body),
+        views=picture.views(mesh.body, bare=request.bare),
         seconds=round(mesh.ellipbody.stage_seconds["mesh"], 2),
     )
     return describe_detailed(report, request.out)

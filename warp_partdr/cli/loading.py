@@ -14,10 +14,11 @@ def load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> None
     """Compile a fit's kernels, or load compiled ones; later, this would count as a stage's time."""
     import warp as wp
 
-    from ..kernels import kinematics, labels, own_pixels, own_targets
+    from ..kernels import kinematics, own_pixels, own_targets
     from ..kernels.ellipsoids import picture, silhouette
     from ..kernels.mesh import label_borders, push_xy, push_z, rasterize, resolve
     from ..kernels.refine import state
+    from ..render.ellipsoid_passes import estimator
     from ..render.renderers import RendererEllipsoids, RendererMesh
 
     modules: list[Any] = [kinematics, rasterize, resolve]
@@ -28,8 +29,7 @@ def load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> None
     elif with_labels and device == "cpu":
         drawn = [stage.renderer for stage in options.stages if stage.size]
         gradients = sorted({each.gradient for each in drawn if isinstance(each, RendererEllipsoids)})
-        modules += [labels, silhouette, picture]
-        modules += [f"warp_partdr.kernels.ellipsoids.{gradient}" for gradient in gradients]
+        modules += [silhouette, picture, *map(estimator, gradients)]
     for module in modules:
         wp.load_module(module, device=device)
     for module in (own_pixels, own_targets) if with_labels else ():  # a single person is cut out on the CPU

@@ -181,14 +181,14 @@ class BodyPicture:
     evidence: Evidence | None
     lens_assumed: bool | None = None
 
-    def views(self, body: Registered) -> PlacedBody | None:
-        """The body placed before the camera, for views of it; None if they are not drawn."""
+    def views(self, body: Registered, *, bare: bool) -> PlacedBody | None:
+        """The body placed before the camera, for views of it, with or without its suit; None if they are not drawn."""
         from ..results.views import place_alone
 
         if self.evidence is None or self.lens_assumed is None:
             return None
         keypoints = self.evidence.keypoints
-        return place_alone(body, self.camera, self.image_size, keypoints, lens_assumed=self.lens_assumed)
+        return place_alone(body, self.camera, self.image_size, keypoints, lens_assumed=self.lens_assumed, bare=bare)
 
 
 def _refine(request: RegisterRequest, photo: np.ndarray | None, parts: PartLabels | None) -> str:
@@ -326,7 +326,7 @@ def clothe(
         evidence=picture.evidence,
         formats=formats,
         bare=bare,
-        views=picture.views(registered),
+        views=picture.views(registered, bare=bare),
         seconds=seconds,
     )
     return describe_detailed(report, out)

@@ -161,12 +161,14 @@ def _part_tables(model: DetailedModel) -> _PartTables:
         )
 
 
+@lru_cache(maxsize=16)
 def _edges(model: DetailedModel, parts: tuple[str, ...]) -> torch.Tensor:
     """Edges of the faces of some parts, shape (E, 2)."""
-    labels = torch.tensor([PART_NAMES.index(part) + 1 for part in parts], device=model.faces.device)
-    corners = model.faces[torch.isin(model.face_parts.long(), labels)].long()
-    sides = torch.stack([corners.flatten(), corners.roll(1, 1).flatten()]).sort(dim=0).values
-    return unique_pairs(sides, model.num_vertices).T
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        labels = torch.tensor([PART_NAMES.index(part) + 1 for part in parts], device=model.faces.device)
+        corners = model.faces[torch.isin(model.face_parts.long(), labels)].long()
+        sides = torch.stack([corners.flatten(), corners.roll(1, 1).flatten()]).sort(dim=0).values
+        return unique_pairs(sides, model.num_vertices).T
 
 
 def _girths(vertices: torch.Tensor, edges: torch.Tensor, level: torch.Tensor) -> torch.Tensor:

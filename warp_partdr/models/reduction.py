@@ -105,7 +105,9 @@ def reduce_model(model: DetailedModel, vertices: int) -> Reduced:
 
     def rows(values: torch.Tensor) -> torch.Tensor:
         """Values of the kept vertices, then of the landmarks' points, from values of all vertices (..., V, C)."""
-        return torch.cat([values[..., some, :], points @ values], dim=-2)
+        columns = values.movedim(-2, 0)  # (V, ..., C), for one product of matrices instead of one for each shape value
+        sums = (points @ columns.flatten(1)).unflatten(1, columns.shape[1:]).movedim(0, -2)
+        return torch.cat([values[..., some, :], sums], dim=-2)
 
     rests, bends = rows(model.rest_vertices), model.pose_directions
     rests[: len(some)] += torch.from_numpy(few.moves).to(rests)
@@ -242,7 +244,9 @@ def _landmark_points(model: DetailedModel) -> tuple[torch.Tensor, torch.Tensor, 
     shares = by_vertex @ model.skin_weights  # of each landmark that each joint carries
     landmarks, joints = (shares.abs() > _NOTHING).nonzero(as_tuple=True)
     share = shares[landmarks, joints]
-    points = by_vertex[landmarks] * model.skin_weights[:, joints].mT / share[:, None]
+    points = by_vertex[landmarks]  # a copy of many megabytes, so the rest is done in its memory
+    points *= model.skin_weights.mT[joints]
+    points /= share[:, None]
     weights = torch.zeros(len(by_vertex), len(share)).to(share)
     weights[landmarks, torch.arange(len(share), device=share.device)] = share
     return points, joints, torch.cat([weights, model.landmark_weights[:, vertices:]], dim=1)

@@ -5,6 +5,7 @@ The suit is for looks alone. A fit, its measurements and its arrays are of the b
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -42,7 +43,7 @@ class Suit:
     cloth: np.ndarray
     _trunk: torch.Tensor  # indices of the vertices that are smoothed, shape (N,)
     _shares: torch.Tensor  # how much each of them is, shape (N, 1)
-    _smoothing: torch.Tensor  # weights that make a smooth surface of their surroundings, shape (N, N)
+    _means: torch.Tensor  # weights of the mean around each of them, shape (N, N)
 
     def put_on(self, vertices: torch.Tensor) -> torch.Tensor:
         """Return the vertices of one body in its suit.
@@ -55,7 +56,9 @@ class Suit:
         """
         worn = vertices.detach().to("cpu", torch.float32, copy=True)
         trunk = worn[self._trunk]
-        worn[self._trunk] = torch.lerp(trunk, self._smoothing @ trunk, self._shares)
+        # The mean of a curved surface lies inside of it. Twice the mean less the mean's mean lies on it.
+        inside = self._means @ trunk
+        worn[self._trunk] = torch.lerp(trunk, 2 * inside - self._means @ inside, self._shares)
         return worn
 
 
@@ -103,13 +106,12 @@ def suit_of(model: DetailedModel) -> Suit:
         cloth = np.stack([np.minimum(whole, above), np.minimum(whole, -above)], axis=1).clip(-_FAR, _FAR)
         smoothed = _smoothed_share(rest, whole)
         trunk = np.flatnonzero(smoothed)
-        means = torch.from_numpy(_trunk_means(rest, trunk).astype(np.float32))
+        trunk = trunk[rest.points[trunk, 1].argsort(kind="stable")]  # by height, as ``_means`` takes them
         return Suit(
             cloth.astype(np.float32),
             torch.from_numpy(trunk),
             torch.from_numpy(smoothed[trunk, None].astype(np.float32)),
-            # The mean of a curved surface lies inside of it. Twice the mean less the mean's mean lies on it.
-            2 * means - means @ means,
+            torch.from_numpy(_trunk_means(rest, trunk).astype(np.float32)),
         )
 
 
@@ -154,14 +156,21 @@ def _areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _means(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Weights of the mean around each of N points, over those that face the same way, shape (N, N)."""
-    squares = (points**2).sum(1)
-    means = np.empty((len(points), len(points)))
+    """Weights of the mean around each of N points, over those that face the same way, shape (N, N).
+
+    The points are in the order of their heights, so that those near some of them lie side by side.
+    """
+    squares, heights = (points**2).sum(1), points[:, 1]
+    means = np.zeros((len(points), len(points)))
     for start in range(0, len(points), _ROWS):  # so few rows that their numbers stay in the processor's cache
         rows = slice(start, start + _ROWS)
-        distances = (squares[rows, None] + squares - 2 * points[rows] @ points.T) / widths[rows, None] ** 2
+        reach = math.sqrt(_FARTHEST) * widths[rows].max()
+        low, high = np.searchsorted(heights, (heights[rows][0] - reach, heights[rows][-1] + reach)).tolist()
+        some = slice(low, high)
+        distances = squares[rows, None] + squares[some] - 2 * points[rows] @ points[some].T
+        distances /= widths[rows, None] ** 2
         # Without a limit, most weights would be too small for float32 to multiply quickly.
         near = np.where(distances < _FARTHEST, np.exp(-distances / 2), 0.0)
-        weights = near * (normals[rows] @ normals.T).clip(0) * areas
-        means[rows] = weights / weights.sum(1, keepdims=True)
+        weights = near * (normals[rows] @ normals[some].T).clip(0) * areas[some]
+        means[rows, some] = weights / weights.sum(1, keepdims=True)
     return means

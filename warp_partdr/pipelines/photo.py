@@ -23,6 +23,7 @@ from ..inputs.own_pixels import Mask
 from ..inputs.part_labels import PartLabels, exif_focal_length, read_photo
 from ..inputs.person import PersonInputs
 from ..interop.arrays import tensor_over
+from ..interop.torch_threads import all_torch_threads, one_torch_thread
 from ..models.measuring import heights
 from ..models.model import DetailedModel
 from ..networks.detection import MIN_SCORE, LandmarkNetwork
@@ -83,6 +84,7 @@ class PhotoFit:
         return np.flatnonzero(counts > _HIDDEN * max(drawn.sum(), 1)).tolist()
 
 
+@one_torch_thread()
 def fit_photo(
     photo: np.ndarray | str | Path,
     *,
@@ -202,7 +204,8 @@ class _PeopleEvidence:
         person = self._people[index]
         readings = [person_evidence(person.keypoints, self._owners, index)] if person.seen else []
         if self._keypoints_from is not None:
-            given = find_keypoints(self._keypoints_from, self._picture, person)
+            with all_torch_threads():
+                given = find_keypoints(self._keypoints_from, self._picture, person)
             weighed = [] if given is None else _weighed(given, readings[0].picture if readings else None)
             if not weighed:
                 warnings.append(
@@ -211,7 +214,8 @@ class _PeopleEvidence:
             else:
                 readings, names["keypoints"] = weighed, self._keypoints_from.name
         if self._parts is not None:
-            parts = self._parts.of(index)
+            with all_torch_threads():
+                parts = self._parts.of(index)
             weighed = [] if parts is None else _weighed(readings[0].keypoints, parts)
             if not weighed:
                 warnings.append("labels: the given network found none along the bones; the mask is used")

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
+from importlib import import_module
 from types import ModuleType
 from typing import Any
 
@@ -16,7 +17,7 @@ from ..interop.arrays import contiguous, warp_array, warp_arrays
 from ..interop.layouts import Tensors
 from ..interop.loss_graph import Buffers
 from ..interop.streams import launch_bodies_on, on_torch_stream
-from ..kernels.ellipsoids import coverage, edges, forces, partdr, silhouette
+from ..kernels.ellipsoids import edges, forces, partdr, silhouette
 from ..kernels.ellipsoids import picture as ellipsoid_picture
 from ..kernels.ellipsoids.silhouette import Seen, launch_see
 from ..kernels.labels import NUM_EXTENTS, DenseGradient, LabelTarget
@@ -26,9 +27,13 @@ from .pictures import Picture, Settings, Size
 
 _HALVINGS = 4  # of a step at one sample a pixel, to find where on it the cost changes
 _MORE_HALVINGS = 1.6  # for each doubling of the samples
-_ESTIMATORS = {"edges": edges, "coverage": coverage, "partdr": partdr}  # modules of their kernels
 
 Launch = Callable[[slice], None]  # the work of some bodies of the batch
+
+
+def estimator(gradient: Gradient) -> ModuleType:
+    """Module of an estimator's kernels. It is imported when it is wanted, because Warp takes long to read kernels."""
+    return import_module(f"..kernels.ellipsoids.{gradient}", __package__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,16 +66,17 @@ class EllipsoidPasses:
     @property
     def modules(self) -> Sequence[ModuleType]:
         """Modules of the kernels that it launches."""
-        return silhouette, ellipsoid_picture, _ESTIMATORS[self.gradient], forces
+        return silhouette, ellipsoid_picture, estimator(self.gradient), forces
 
     def make_forces(self, batch: int, parts: int, device: wp.Device) -> wp.array:
         """Allocate the sums of forces, shape (B, P, S, 16)."""
-        return forces.make_forces(batch, parts, device, _ESTIMATORS[self.gradient].FEWEST_SHARES)
+        return forces.make_forces(batch, parts, device, estimator(self.gradient).FEWEST_SHARES)
 
     def force_launcher(self) -> Callable[..., None]:
         """Launcher of the sums of forces on ellipsoids, with one signature for all estimators."""
         launch = partial(forces.launch_forces, perspective=self.perspective)
         if self.gradient == "coverage":
+            coverage = estimator("coverage")
             sampling = forces.Sampling()
             sampling.steps_per_pixel = self.samples_per_pixel
             more = math.ceil(_MORE_HALVINGS * math.log2(max(self.samples_per_pixel, 1.0)))
@@ -118,7 +124,7 @@ class EllipsoidPasses:
                 self._prepare_see(device)(posed, seen=seen, extents=_nothing(3, wp.vec4i, posed[0].device.alias))
             dense = _dense_gradient(warp_array(contiguous(grad_maps.float())))
             launch = self._prepare_gradients(posed, seen, warp_array(picture.nearest), dense, grads)
-        launch_bodies_on(device, launch, grad_maps.shape[0], (_ESTIMATORS[self.gradient], forces))
+        launch_bodies_on(device, launch, grad_maps.shape[0], (estimator(self.gradient), forces))
         return grads
 
     def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:

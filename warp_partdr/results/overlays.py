@@ -15,7 +15,7 @@ from ..models.model import DetailedModel, detailed_mesh
 from ..models.registration import Registered
 from ..render.mesh import draw_mesh
 from ..solve.ellipsoids.result import FitResult
-from .shading import SKIN_COLOUR, blend, shade_body, shade_skin
+from .shading import SKIN_COLOUR, BodySurface, blend, shade_body
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -52,8 +52,19 @@ def skin_over(
         pale: Flags of the part labels that are drawn pale because they are guessed (``guessed_parts``), shape (21,).
         bare: True draws the skin alone. By default the body wears a plain T-shirt and shorts.
     """
-    size = picture.shape[0], picture.shape[1]
-    return blend(picture, shade_skin(vertices, model, camera, size, colour, pale=pale, bare=bare), _SKIN)
+    return surface_over(picture, BodySurface.of_body(vertices, model, pale=pale, bare=bare), camera, colour)
+
+
+def surface_over(
+    picture: np.ndarray, surface: BodySurface, camera: Camera, colour: np.ndarray = SKIN_COLOUR
+) -> np.ndarray:
+    """Draw the surface of a detailed body over a picture, like ``skin_over``, shape (H, W, 3), uint8."""
+    return shaded_over(picture, surface.draw(camera, (picture.shape[0], picture.shape[1]), colour))
+
+
+def shaded_over(picture: np.ndarray, shaded: np.ndarray) -> np.ndarray:
+    """Lay a detailed body that ``BodySurface.draw`` has drawn over a picture, shape (H, W, 3), uint8."""
+    return blend(picture, shaded, _SKIN)
 
 
 def gray_picture(size: tuple[int, int]) -> np.ndarray:
@@ -98,6 +109,7 @@ def draw_detailed(
     *,
     clothes: torch.Tensor | None = None,
     bare: bool = False,
+    shaded: np.ndarray | None = None,
 ) -> Image:
     """Draw the detailed body over the photo, or over gray; at most ``OVERLAY_SIDE`` pixels a side.
 
@@ -109,16 +121,25 @@ def draw_detailed(
         pale: Flags of the part labels that are drawn pale because they are guessed (``guessed_parts``), shape (21,).
         clothes: Thicknesses of clothes on the parts ``CLOTHED`` [m], whose outline is drawn, shape (1, 8); None: none.
         bare: True draws the skin alone. By default the body wears a plain T-shirt and shorts.
+        shaded: Body as ``shade_for_overlay`` has drawn it with these arguments; None: it is drawn.
     """
     from PIL import Image
 
     zoom, drawn_size = overlay_size(size)
     below = gray_picture(drawn_size) if photo is None else at_overlay_size(photo, size)
-    vertices, camera = registered.detailed.vertices, zoomed(camera, zoom, drawn_size)
-    drawn = skin_over(below, vertices, registered.model, camera, pale=pale, bare=bare)
+    if shaded is None:
+        surface = BodySurface.of_body(registered.detailed.vertices, registered.model, pale=pale, bare=bare)
+        shaded = shade_for_overlay(surface, camera, size)
+    drawn = shaded_over(below, shaded)
     if clothes is not None:
-        drawn = clothes_over(drawn, registered, clothes, camera)
+        drawn = clothes_over(drawn, registered, clothes, zoomed(camera, zoom, drawn_size))
     return Image.fromarray(drawn)
+
+
+def shade_for_overlay(surface: BodySurface, camera: Camera, size: tuple[int, int]) -> np.ndarray:
+    """Draw a body for the overlay of a picture of (H, W) pixels, on a transparent ground: RGBA, uint8."""
+    zoom, drawn_size = overlay_size(size)
+    return surface.draw(zoomed(camera, zoom, drawn_size), drawn_size)
 
 
 def clothes_over(picture: np.ndarray, registered: Registered, clothes: torch.Tensor, camera: Camera) -> np.ndarray:

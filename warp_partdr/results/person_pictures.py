@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from ..cameras import Crop, WeakPerspective
-from ..models.model import DetailedModel
-from .overlays import GRAY, gray_picture, skin_over
+from .overlays import GRAY, gray_picture, surface_over
+from .shading import BodySurface
 
 _MARGIN = 0.08  # margin around what is shown, as a share of it
 _BEYOND = 0.75  # farthest that a body is shown beyond the person's box, as a share of the box
@@ -57,26 +57,20 @@ def cut_window(photo: np.ndarray, crop: Crop) -> np.ndarray:
     return np.asarray(window.resize((crop.size[1], crop.size[0]), Image.Resampling.LANCZOS))
 
 
-def draw_side_view(
-    vertices: torch.Tensor, model: DetailedModel, side: int, pale: np.ndarray | None = None, *, bare: bool = False
-) -> np.ndarray:
-    """Draw the first body as somebody at the right of the photo sees it, on gray, shape (H, W, 3), uint8.
+def draw_side_view(surface: BodySurface, side: int) -> np.ndarray:
+    """Draw a body as somebody at the right of the photo sees it, on gray, shape (H, W, 3), uint8.
 
     The camera of the photo is at the left, and what is vertical in the photo stays vertical.
 
     Args:
-        vertices: Vertices of the model's bodies in the camera frame [m], shape (B, V, 3).
-        model: Model of the bodies.
+        surface: BodySurface of the body in the frame of the camera.
         side: Longer side of the picture [px].
-        pale: Flags of the part labels that are drawn pale, as in ``skin_over``.
-        bare: True draws the skin alone.
     """
-    turned = vertices[:1].detach() @ vertices.new_tensor(_FROM_THE_SIDE).T
-    turned = turned - turned.mean(1, keepdim=True)
-    points = 1000 * turned[0, :, :2].cpu().numpy().astype(np.float64)  # one millimetre is a pixel of the full picture
+    turned = surface.moved(np.array(_FROM_THE_SIDE), -surface.vertices.mean(0, dtype=np.float64))
+    points = 1000 * turned.vertices[:, :2].astype(np.float64)  # one millimetre is a pixel of the full picture
     crop = _window_of(points.min(0), points.max(0), side)
-    camera = WeakPerspective(vertices.new_full((1,), 1000.0), vertices.new_zeros(1, 2)).in_crop(crop)
-    return skin_over(gray_picture(crop.size), turned, model, camera, pale=pale, bare=bare)
+    camera = WeakPerspective(torch.full((1,), 1000.0), torch.zeros(1, 2)).in_crop(crop)
+    return surface_over(gray_picture(crop.size), turned, camera)
 
 
 def jpeg_file(picture: np.ndarray) -> bytes:

@@ -19,8 +19,9 @@ from ..solve.confidence.limbs import guessed_parts
 from ..solve.confidence.model import packaged_model
 from ..solve.confidence.sights import sight_in_words
 from ..solve.confidence.words import confidence_in_words
-from .overlays import clothes_over, overlay_size, skin_over
+from .overlays import clothes_over, overlay_size, surface_over
 from .person_pictures import cut_window, draw_side_view, jpeg_file, person_window
+from .shading import BodySurface
 
 PAGE = "report.html"
 _SIDE = 320  # [px], longer side of a person's pictures
@@ -56,14 +57,26 @@ class PersonPictures:
     side: bytes
 
 
-def draw_pictures(fit: PhotoFit, index: int, photo: np.ndarray, *, bare: bool = False) -> PersonPictures:
-    """Draw the pictures of one person, whose guessed limbs are pale, and whose clothes are an outline.
+def person_surface(fit: PhotoFit, index: int, *, bare: bool = False) -> BodySurface:
+    """Surface of a person's body in the frame of the photo's camera. Guessed limbs are pale.
+
+    Args:
+        fit: Fit of the photo.
+        index: Index of the person.
+        bare: True is the skin alone. By default the body wears a plain T-shirt and shorts.
+    """
+    body, pale = fit.fits[index].body, guessed_parts(fit.confidences[index].guessed)
+    return BodySurface.of_body(body.detailed.vertices, body.model, pale=pale, bare=bare)
+
+
+def draw_pictures(fit: PhotoFit, index: int, photo: np.ndarray, surface: BodySurface) -> PersonPictures:
+    """Draw the pictures of one person, whose clothes are an outline.
 
     Args:
         fit: Fit of the photo.
         index: Index of the person.
         photo: Photo at the size of overlays, shape (H, W, 3), uint8.
-        bare: True draws the skin alone. By default the body wears a plain T-shirt and shorts.
+        surface: BodySurface of the person's body (``person_surface``).
     """
     mesh, size = fit.fits[index], (photo.shape[0], photo.shape[1])
     zoom, _ = overlay_size(fit.owners.shape)
@@ -73,11 +86,11 @@ def draw_pictures(fit: PhotoFit, index: int, photo: np.ndarray, *, bare: bool = 
     points = camera.project(vertices)[0, :, :2].cpu().numpy()[np.unique(known)]
     crop = person_window(np.array(fit.people[index].box) * zoom, points, _SIDE)
     seen = cut_window(photo, crop)
-    over = skin_over(seen, vertices, model, camera.in_crop(crop), pale=pale, bare=bare)
+    over = surface_over(seen, surface, camera.in_crop(crop))
     return PersonPictures(
         jpeg_file(seen),
         jpeg_file(clothes_over(over, mesh.body, mesh.clothes, camera.in_crop(crop))),
-        jpeg_file(draw_side_view(vertices, model, _SIDE, pale, bare=bare)),
+        jpeg_file(draw_side_view(surface, _SIDE)),
     )
 
 

@@ -39,7 +39,7 @@ from .body_file import BodyFile
 from .ellipbody_files import ellipbody_glb
 from .fit_charts import loss_chart, panels
 from .further_files import save_further
-from .overlays import draw_detailed, draw_overlay, overlay_size
+from .overlays import draw_detailed, draw_overlay, overlay_size, shade_for_overlay
 from .palette import group_colours
 from .png_files import save_png
 from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, names_file, replacing
@@ -150,6 +150,7 @@ def save_registered(
     formats: Sequence[str] = (),
     bare: bool = False,
     views: PlacedBody | None = None,
+    shaded: np.ndarray | None = None,
     **about: Any,
 ) -> dict[str, Any]:
     """Write the first body as ``DETAILED_FILES``, and return the report.
@@ -170,6 +171,7 @@ def save_registered(
         formats: Formats in ``FURTHER``, for more files.
         bare: True draws and writes the skin. By default the picture and the meshes wear a plain T-shirt and shorts.
         views: Same body with its place before the camera, of which ``VIEWS`` is drawn, too; None: it is not drawn.
+        shaded: Body for detailed.png, as ``shade_detailed`` draws it at the size of overlays; None: it is drawn.
         **about: Further entries of the report.
 
     Examples:
@@ -183,7 +185,9 @@ def save_registered(
     """
     model = registered.model
     clothed = registered if clothes is None else replace(registered, detailed=registered.clothed(clothes))
-    picture = draw_detailed(registered, camera, size, photo, clothes=clothes, bare=bare)
+    if views is not None:
+        shaded = shade_for_overlay(views.surface, camera, size)
+    picture = draw_detailed(registered, camera, size, photo, clothes=clothes, bare=bare, shaded=shaded)
     losses = {name: round(float(value[0]), 4) for name, value in registered.losses.items()}
     report: dict[str, Any] = {
         "model": model.name,
@@ -207,7 +211,7 @@ def save_registered(
         save_detailed_arrays(registered, temporary, clothes)
         save_png(picture, temporary / "detailed.png")
         if views is not None:
-            save_png(draw_views([views], size, photo, bare=bare), temporary / VIEWS)
+            save_png(draw_views([views], size, photo), temporary / VIEWS)
         if model.name in POSES and bool((registered.growth[0] == 1).all()):
             smplx = to_smplx(model, registered.shape[:1], registered.rotations[:1], registered.translation[:1])
             of_smplx: dict[str, Any] = {**smplx, **camera_arrays(camera, size)}

@@ -15,13 +15,12 @@ from ..interop.torch_threads import one_torch_thread
 from ..models.suit import in_suit
 from ..pipelines.photo import PhotoFit
 from ..solve.confidence.judge import confidence_record
-from ..solve.confidence.limbs import guessed_parts
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .further_files import FURTHER_FILES
 from .mesh_files import NamedMesh, meshes_glb
-from .overlays import at_overlay_size, draw_detailed, draw_keypoints, overlay_size
+from .overlays import at_overlay_size, draw_keypoints, overlay_size, shade_for_overlay, shaded_over
 from .palette import PART_COLOURS
-from .photo_page import PAGE, draw_pictures, write_photo_page
+from .photo_page import PAGE, draw_pictures, person_surface, write_photo_page
 from .placements import Placement, place_on_ground
 from .png_files import save_png
 from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, replacing
@@ -89,13 +88,12 @@ def save_photo_fit(
     placements = dict(zip(fit.fits, place_on_ground(list(fit.fits.values()), keypoints, size), strict=True))
     report: dict[str, Any] = {"people": [_describe(fit, index, placements[index]) for index in fit.fits]}
     small = at_overlay_size(photo)  # once for all people, because it takes long
+    placed = {index: _placed(fit, index, placement, bare=bare) for index, placement in placements.items()}
     overlay = small
-    for index in sorted(fit.fits, key=lambda index: -placements[index].distance):  # the farthest first
-        pale = guessed_parts(fit.confidences[index].guessed)
-        overlay = np.asarray(
-            draw_detailed(fit.fits[index].body, fit.fits[index].camera, size, overlay, pale, bare=bare)
-        )
-    for index, mesh in fit.fits.items():
+    for index in sorted(placed, key=lambda index: -placements[index].distance):  # the farthest first
+        mesh = fit.fits[index]
+        shaded = shade_for_overlay(placed[index].surface, mesh.camera, size)
+        overlay = shaded_over(overlay, shaded)
         own, found = folder / _name(index), mesh.ellipbody
         background = small if found.evidence.picture is not None else photo
         save_fit(
@@ -109,21 +107,10 @@ def save_photo_fit(
         save_registered(
             mesh.body, own, found.camera, size, photo=small, evidence=found.evidence, clothes=mesh.clothes,
             seconds=round(found.stage_seconds["mesh"], 2), formats=formats, bare=bare,
+            shaded=None if fit.confidences[index].guessed else shaded,  # a person's own picture has no pale limbs
         )  # fmt: skip
-    placed = [
-        PlacedBody(
-            _name(index),
-            mesh.body,
-            mesh.camera,
-            placements[index],
-            feet_seen(fit.people[index].keypoints),
-            mesh.ellipbody.camera_guessed or not mesh.camera.perspective,
-            guessed_parts(fit.confidences[index].guessed),
-        )
-        for index, mesh in fit.fits.items()
-    ]
-    views = draw_views(placed, size, small, bare=bare)
-    pictures = {index: draw_pictures(fit, index, small, bare=bare) for index in fit.fits}
+    views = draw_views(list(placed.values()), size, small)
+    pictures = {index: draw_pictures(fit, index, small, each.surface) for index, each in placed.items()}
     page = write_photo_page(report, pictures, overlay, np.asarray(views), size=size, folder=folder, name=name)
     _remove_others(folder, {_name(index) for index in fit.fits})
     # people.json is written last: if it is there, all people are. It outdates a single person's fit with its overlay.
@@ -166,6 +153,20 @@ def _picture(pixels: np.ndarray) -> Image:
 def _name(index: int) -> str:
     """Name of a person's folder."""
     return f"person{index}"
+
+
+def _placed(fit: PhotoFit, index: int, placement: Placement, *, bare: bool) -> PlacedBody:
+    """Body of a person in the scene."""
+    mesh = fit.fits[index]
+    return PlacedBody(
+        _name(index),
+        mesh.body,
+        mesh.camera,
+        placement,
+        feet_seen(fit.people[index].keypoints),
+        mesh.ellipbody.camera_guessed or not mesh.camera.perspective,
+        person_surface(fit, index, bare=bare),
+    )
 
 
 def _describe(fit: PhotoFit, index: int, placement: Placement) -> dict[str, Any]:

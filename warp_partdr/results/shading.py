@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import torch
 
+from ..body.labels import BACKGROUND
 from ..body.posing import Posed
 from ..body.rotations import rotation_from_axis_angle
 from ..cameras import Camera, Crop, WeakPerspective, first_of
@@ -34,23 +36,93 @@ _FEW_SAMPLES, _MANY_SAMPLES = 2, 3  # samples of a pixel in each direction, for 
 _SMALL = 15_000  # [px], area of a picture up to which a pixel has many samples
 
 
-@dataclass(frozen=True)
-class _Surface:
-    """_Surface of one body, as it is drawn.
+@dataclass(frozen=True, eq=False)
+class _Coat:
+    """Looks of a mesh's faces in any pose and from any side.
 
     Attributes:
-        vertices: Vertices in the camera frame [m], shape (1, V, 3).
-        mesh: Faces and their part labels.
-        colours: RGB of each label, 0 for the background, shape (21, 3), uint8.
-        cloth: Distance of each vertex from the edges of the garments of a ``Suit`` [m], shape (V, 2).
-        guessed: Share of parts that are drawn pale in each vertex, shape (V,).
+        mesh: Faces and their part labels, on the CPU.
+        fields: Distance of each vertex from the edges of the two garments of a ``Suit`` [m], positive in the cloth, and
+            share of the parts in it that are drawn pale, shape (V, 3). They are -1 without garments and pale parts.
+        tones: Brightness of each face as a share of the skin's, shape (F,).
+        opacities: Opacity of each face, shape (F,).
+        mixed: True for faces on a seam or on the border of a pale limb, shape (F + 1,); the last one is no face.
     """
 
-    vertices: torch.Tensor
     mesh: PartMesh
-    colours: np.ndarray
-    cloth: np.ndarray | None = None
-    guessed: np.ndarray | None = None
+    fields: np.ndarray
+    tones: np.ndarray
+    opacities: np.ndarray
+    mixed: np.ndarray
+
+    @classmethod
+    def of(cls, mesh: PartMesh, fields: np.ndarray) -> _Coat:
+        """Find what each face shows from ``fields`` at the vertices."""
+        tone, opacity = suit_tones(fields[:, :2]), _opacity(fields[:, 2])
+        one, two, three = mesh.faces.numpy().T
+        mixed = (tone[one] != tone[two]) | (tone[one] != tone[three])
+        mixed |= (opacity[one] != opacity[two]) | (opacity[one] != opacity[three])
+        return cls(mesh, fields, tone[one], opacity[one], np.append(mixed, True))
+
+
+@lru_cache(maxsize=16)  # pale parts change from frame to frame
+def _coat_of(model: DetailedModel, pale: tuple[int, ...], bare: bool) -> _Coat:
+    """Coat of a model's bodies, whose parts with the labels ``pale`` are drawn pale, and which may be bare."""
+    fields = np.full((model.num_vertices, 3), -1.0)
+    if not bare:
+        fields[:, :2] = suit_of(model).cloth
+    if pale:
+        fields[:, 2] = model.spread_weights[:, np.array(pale) - 1].sum(1).cpu().numpy()
+    return _Coat.of(detailed_mesh(model).to("cpu"), fields)
+
+
+@dataclass(frozen=True, eq=False)
+class BodySurface:
+    """Surface of one body in its clothes, made once and drawn from any side.
+
+    Attributes:
+        vertices: Vertices [m], shape (V, 3), float32.
+        normals: Normals of the vertices, shape (V, 3), float32.
+        coat: Looks of its faces.
+    """
+
+    vertices: np.ndarray
+    normals: np.ndarray
+    coat: _Coat
+
+    @classmethod
+    def of(cls, vertices: torch.Tensor, coat: _Coat) -> BodySurface:
+        """Surface with vertices (V, 3) [m]."""
+        points = vertices.detach().cpu().float().numpy()
+        return cls(points, vertex_normals(points, coat.mesh.faces.numpy()), coat)
+
+    @classmethod
+    def of_body(
+        cls, vertices: torch.Tensor, model: DetailedModel, *, pale: np.ndarray | None = None, bare: bool = False
+    ) -> BodySurface:
+        """Surface of the first body of a model. The arguments are those of ``shade_skin``."""
+        labels = () if pale is None else tuple(label for label in np.flatnonzero(pale).tolist() if label != BACKGROUND)
+        worn = vertices[0] if bare else suit_of(model).put_on(vertices[0])
+        return cls.of(worn, _coat_of(model, labels, bare))
+
+    def moved(self, rotation: np.ndarray, offset: np.ndarray | float = 0.0, scale: float = 1.0) -> BodySurface:
+        """The surface elsewhere: moved by an offset [m], scaled about the origin, then turned by a rotation (3, 3)."""
+        vertices = (self.vertices.astype(np.float64) + offset) * scale @ rotation.T
+        normals = (self.normals @ rotation.T).astype(np.float32)
+        return replace(self, vertices=vertices.astype(np.float32), normals=normals)
+
+    def draw(self, camera: Camera, image_size: tuple[int, int], colour: np.ndarray = SKIN_COLOUR) -> np.ndarray:
+        """Draw it in soft light, on a transparent ground.
+
+        Args:
+            camera: Camera of the picture, in whose frame the vertices are.
+            image_size: Size (H, W) of the picture [px].
+            colour: RGB of all parts, shape (3,), or of each label from 0 on, shape (21, 3), uint8.
+
+        Returns:
+            RGBA, shape (H, W, 4), uint8.
+        """
+        return _shade(self, first_of(camera).to("cpu"), image_size, np.broadcast_to(colour, PART_COLOURS.shape))
 
 
 def shade_body(posed: Posed, camera: Camera, image_size: tuple[int, int]) -> np.ndarray:
@@ -108,25 +180,20 @@ def shade_skin(
         pale: Flags of the part labels that are drawn half transparent, shape (21,); None: no part is.
         bare: True draws the skin alone. By default the body wears a plain T-shirt and shorts in darker tones.
     """
-    mesh, colours, guessed = detailed_mesh(model).to("cpu"), np.broadcast_to(colour, PART_COLOURS.shape), None
-    if pale is not None and pale.any():
-        guessed = model.spread_weights.cpu().numpy() @ pale[1:].astype(np.float32)
-    if bare:
-        return _shade(_Surface(vertices[:1], mesh, colours, guessed=guessed), camera, image_size)
-    suit = suit_of(model)
-    return _shade(_Surface(suit.put_on(vertices[0])[None], mesh, colours, suit.cloth, guessed), camera, image_size)
+    return BodySurface.of_body(vertices, model, pale=pale, bare=bare).draw(camera, image_size, colour)
 
 
 def shade_mesh(
     vertices: torch.Tensor, mesh: PartMesh, camera: Camera, image_size: tuple[int, int], colours: np.ndarray
 ) -> np.ndarray:
     """Draw a mesh with vertices (1, V, 3) in the camera frame [m] in its labels' colours: RGBA, (H, W, 4), uint8."""
-    return _shade(_Surface(vertices, mesh, colours), camera, image_size)
+    coat = _Coat.of(mesh.to("cpu"), np.full((vertices.shape[1], 3), -1.0))
+    return BodySurface.of(vertices[0], coat).draw(camera, image_size, colours)
 
 
-def _shade(surface: _Surface, camera: Camera, image_size: tuple[int, int]) -> np.ndarray:
-    """Draw a surface in soft light on a transparent ground: RGBA, shape (H, W, 4), uint8."""
-    points, camera = surface.vertices.detach().cpu().float(), first_of(camera).to("cpu")
+def _shade(surface: BodySurface, camera: Camera, image_size: tuple[int, int], colours: np.ndarray) -> np.ndarray:
+    """Draw a surface as ``BodySurface.draw`` does, with colours of each label (21, 3)."""
+    points = torch.from_numpy(surface.vertices)[None]
     rgba = np.zeros((*image_size, 4), dtype=np.uint8)
     rows, columns = _window(points, camera, image_size)  # most of a photo shows no body
     height, width = rows.stop - rows.start, columns.stop - columns.start
@@ -135,14 +202,14 @@ def _shade(surface: _Surface, camera: Camera, image_size: tuple[int, int]) -> np
     samples = _MANY_SAMPLES if height * width <= _SMALL else _FEW_SAMPLES
     size = height * samples, width * samples
     own_camera = camera.in_crop(Crop(columns.start, rows.start, samples, size))
-    image = draw_mesh(points, surface.mesh, own_camera, size)
+    image = draw_mesh(points, surface.coat.mesh, own_camera, size)
     shown, depth = image.face_index[0].numpy(), image.depth[0]
-    paint = _Paint.of(surface, own_camera, shown)
+    paint = _Paint.of(surface, own_camera, shown, colours)
     middle = slice(samples // 2, None, samples)
 
     # Within the body one sample shows as much as many: only pixels on edges and seams need them.
     even = _is_even(image.labels[0].numpy(), depth.numpy(), samples)
-    even &= ~paint.mixed[shown[middle, middle]]
+    even &= ~surface.coat.mixed[shown[middle, middle]]
     drawn = np.zeros((height, width, 4), dtype=np.float32)
     row, column = np.nonzero(even)
     at = np.stack([column, row], axis=1).astype(np.float32) * samples + samples / 2
@@ -184,49 +251,39 @@ class _Paint:
     """Colours of a surface in a picture. What no sample shows is left at 0.
 
     Attributes:
+        coat: Looks of the faces.
         colours: RGB of each face, shape (F, 3), float32.
         light: Brightness of each face, as ``_planes`` gives it, shape (F, 3).
-        opacities: Opacity of each face, shape (F,).
-        mixed: True for faces on a seam or on the border of a pale limb, shape (F + 1,); the last one is no face.
-        fields: Planes of the distances from the edges of garments, and of the share of guessed parts, of mixed faces,
-            shape (F, 3, 3).
+        fields: Planes of ``coat.fields`` on mixed faces, shape (F, 3, 3).
     """
 
+    coat: _Coat
     colours: np.ndarray
     light: np.ndarray
-    opacities: np.ndarray
-    mixed: np.ndarray
     fields: np.ndarray
 
     @classmethod
-    def of(cls, surface: _Surface, camera: Camera, shown: np.ndarray) -> _Paint:
+    def of(cls, surface: BodySurface, camera: Camera, shown: np.ndarray, colours: np.ndarray) -> _Paint:
         """Paint a surface whose faces ``shown``, -1 for none, are seen in a picture."""
-        faces, points = surface.mesh.faces.numpy(), surface.vertices.detach().cpu().float()
-        screen, vertices = camera.project(points)[0, :, :2].double().numpy(), points[0].numpy()
+        coat, faces = surface.coat, surface.coat.mesh.faces.numpy()
+        screen = camera.project(torch.from_numpy(surface.vertices)[None])[0, :, :2].double().numpy()
         seen = np.zeros(len(faces) + 1, dtype=bool)
         seen[shown] = True
         seen = np.flatnonzero(seen[:-1])
         light = np.zeros((len(faces), 3, 1), dtype=np.float32)
-        light[seen] = _planes(screen, faces[seen], _brightness(vertices, faces, camera)[:, None])
-
-        none = np.full((len(vertices), 1), -1.0)
-        cloth = none.repeat(2, axis=1) if surface.cloth is None else surface.cloth
-        guessed = none[:, 0] if surface.guessed is None else surface.guessed
-        tone, opacity = suit_tones(cloth), _opacity(guessed)
-        one, two, three = faces.T
-        mixed = (tone[one] != tone[two]) | (tone[one] != tone[three])
-        mixed |= (opacity[one] != opacity[two]) | (opacity[one] != opacity[three])
+        light[seen] = _planes(screen, faces[seen], _brightness(surface, camera)[:, None])
+        mixed = coat.mixed[:-1]
         fields = np.zeros((len(faces), 3, 3), dtype=np.float32)
-        fields[mixed] = _planes(screen, faces[mixed], np.column_stack([cloth, guessed]))
-        colours = surface.colours.astype(np.float32)[surface.mesh.face_labels.numpy()]
-        colours[~mixed] *= tone[one[~mixed], None]
-        return cls(colours, light[..., 0], opacity[one], np.append(mixed, True), fields)
+        fields[mixed] = _planes(screen, faces[mixed], coat.fields)
+        of_faces = colours.astype(np.float32)[coat.mesh.face_labels.numpy()]
+        of_faces[~mixed] *= coat.tones[~mixed, None]
+        return cls(coat, of_faces, light[..., 0], fields)
 
     def at(self, points: np.ndarray, faces: np.ndarray) -> np.ndarray:
         """RGB times opacity, and opacity, of points in the picture (N, 2) that show the given faces, shape (N, 4)."""
-        light, opacity = self.light[faces], self.opacities[faces]
+        light, opacity = self.light[faces], self.coat.opacities[faces]
         brightness = light[:, 0] + light[:, 1] * points[:, 0] + light[:, 2] * points[:, 1]
-        some = np.flatnonzero(self.mixed[faces])
+        some = np.flatnonzero(self.coat.mixed[faces])
         fields = self.fields[faces[some]]
         values = fields[:, 0] + fields[:, 1] * points[some, :1] + fields[:, 2] * points[some, 1:]
         brightness[some] *= suit_tones(values[:, :2])
@@ -247,9 +304,9 @@ def _opacity(guessed: np.ndarray) -> np.ndarray:
     return (1 - (1 - _PALE) * ((guessed - 0.5) / _FADE + 0.5).clip(0, 1)).astype(np.float32)
 
 
-def _brightness(points: np.ndarray, faces: np.ndarray, camera: Camera) -> np.ndarray:
-    """Brightness of each vertex (V, 3) in the light of a sky, a key lamp, a weak lamp and on rims, shape (V,)."""
-    normals = vertex_normals(points, faces)
+def _brightness(surface: BodySurface, camera: Camera) -> np.ndarray:
+    """Brightness of each vertex in the light of a sky, a key lamp, a weak lamp and on rims, shape (V,)."""
+    points, normals = surface.vertices, surface.normals
     view = -points / np.linalg.norm(points, axis=1, keepdims=True).clip(1e-6) if camera.perspective else [[0, 0, -1]]
     sky = _GROUND + (_SKY - _GROUND) * (0.5 - 0.5 * normals[:, 1])
     key = _KEY * ((normals @ _KEY_FROM + _WRAP) / (1 + _WRAP)).clip(0)

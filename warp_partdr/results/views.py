@@ -15,14 +15,13 @@ import torch
 
 from ..cameras import Camera, Perspective, WeakPerspective, zoomed
 from ..inputs.keypoints import Keypoints2D
-from ..models.model import detailed_mesh
 from ..models.registration import Registered
 from ..render.mesh import draw_mesh
 from ..solve.scene.ground import ankle_confidence
-from .overlays import GRAY, gray_picture, skin_over
+from .overlays import GRAY, gray_picture, surface_over
 from .palette import PALE_PEOPLE_COLOURS
 from .placements import Placement, camera_offset, with_usual_lens
-from .shading import SKIN_COLOUR
+from .shading import SKIN_COLOUR, BodySurface
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -60,7 +59,7 @@ class PlacedBody:
         placement: Position of the body in the scene.
         feet: True if the picture shows the feet, so that they tell where the ground is.
         lens_assumed: True if the camera is not known, so that distances are for an assumed lens.
-        pale: Flags of the part labels that are drawn pale because they are guessed, shape (21,); None: no part is.
+        surface: BodySurface of the body in the frame of ``camera``, which is drawn.
     """
 
     name: str
@@ -69,7 +68,11 @@ class PlacedBody:
     placement: Placement
     feet: bool
     lens_assumed: bool
-    pale: np.ndarray | None = None
+    surface: BodySurface
+
+    def turned_surface(self, rotation: np.ndarray) -> BodySurface:
+        """Surface in the scene, turned by a rotation (3, 3) from the camera's axes to a view's."""
+        return self.surface.moved(rotation, self.placement.offset, self.placement.scale)
 
     def vertices(self) -> np.ndarray:
         """Vertices in the scene, whose origin is the camera [m], shape (V, 3)."""
@@ -88,7 +91,7 @@ def place_alone(
     keypoints: Keypoints2D,
     *,
     lens_assumed: bool,
-    pale: np.ndarray | None = None,
+    bare: bool = False,
 ) -> PlacedBody:
     """Place the first body of a batch before the camera of its picture.
 
@@ -98,17 +101,16 @@ def place_alone(
         size: Size (H, W) of the picture [px].
         keypoints: Keypoints of the person, which tell if the feet are seen.
         lens_assumed: True if the camera is not known.
-        pale: Flags of the part labels that are drawn pale because they are guessed, shape (21,); None: no part is.
+        bare: True draws the skin alone. By default the body wears a plain T-shirt and shorts.
     """
     offset = camera_offset(camera, size)
     distance = float(body.detailed.joints[0, 0, 2]) + float(offset[2])
     placement = Placement(offset, 1.0, distance)
-    return PlacedBody("person", body, camera, placement, feet_seen(keypoints), lens_assumed, pale)
+    surface = BodySurface.of_body(body.detailed.vertices, body.model, bare=bare)
+    return PlacedBody("person", body, camera, placement, feet_seen(keypoints), lens_assumed, surface)
 
 
-def draw_views(
-    bodies: Sequence[PlacedBody], size: tuple[int, int], photo: np.ndarray | None = None, *, bare: bool = False
-) -> Image:
+def draw_views(bodies: Sequence[PlacedBody], size: tuple[int, int], photo: np.ndarray | None = None) -> Image:
     """Draw the people of one picture over it, from the front, from the side and from above, in one sheet.
 
     Several people have a colour each, which is the same in all views.
@@ -117,14 +119,13 @@ def draw_views(
         bodies: Bodies of the people, at least one.
         size: Size (H, W) of the picture [px].
         photo: Picture, RGB, shape (H, W, 3), uint8, which may have been scaled to the size of overlays; None: gray.
-        bare: True draws the skin alone. By default bodies wear a plain T-shirt and shorts.
     """
     from PIL import Image as PilImage
     from PIL import ImageDraw, ImageFont
 
-    scene = _Scene.of(bodies, size, bare=bare)
+    scene = _Scene.of(bodies, size)
     views = [
-        ("photo", _over_photo(scene, bodies, size, photo, bare=bare)),
+        ("photo", _over_photo(scene, bodies, size, photo)),
         ("front", scene.draw(_FRONT, _TILT)),
         ("side (camera at the left)", scene.draw(_SIDE, _TILT)),
         ("from above (camera below)", scene.draw(_ABOVE, 0.0)),
@@ -144,9 +145,7 @@ def draw_views(
     return sheet
 
 
-def _over_photo(
-    scene: _Scene, bodies: Sequence[PlacedBody], size: tuple[int, int], photo: np.ndarray | None, *, bare: bool
-) -> Image:
+def _over_photo(scene: _Scene, bodies: Sequence[PlacedBody], size: tuple[int, int], photo: np.ndarray | None) -> Image:
     """Draw the bodies over the photo, at the height of the views unless it is very wide."""
     from PIL import Image as PilImage
 
@@ -156,9 +155,8 @@ def _over_photo(
     if photo is not None:
         picture = np.asarray(PilImage.fromarray(photo).resize((width, height), PilImage.Resampling.LANCZOS))
     for index in scene.order(_FRONT):
-        each, colour = bodies[index], scene.colours[index]
-        camera, vertices = zoomed(each.camera, zoom, (height, width)), each.body.detailed.vertices
-        picture = skin_over(picture, vertices, each.body.model, camera, colour, each.pale, bare=bare)
+        camera = zoomed(bodies[index].camera, zoom, (height, width))
+        picture = surface_over(picture, bodies[index].surface, camera, scene.colours[index])
     view = PilImage.new("RGB", (max(width, _WIDTHS[0] // 2), _HEIGHT), GRAY)
     view.paste(PilImage.fromarray(picture), ((view.width - width) // 2, (_HEIGHT - height) // 2))
     return view
@@ -174,7 +172,6 @@ class _Scene:
         colours: Colour of each body, RGB, shape (3,), uint8.
         ground: Height of the ground, y down [m]; NaN if no feet are seen.
         corners: Corners of the picture at the distance of 1 m before the camera, clockwise, shape (4, 3).
-        bare: True if the bodies wear nothing.
     """
 
     bodies: Sequence[PlacedBody]
@@ -182,10 +179,9 @@ class _Scene:
     colours: list[np.ndarray]
     ground: float
     corners: np.ndarray
-    bare: bool
 
     @classmethod
-    def of(cls, bodies: Sequence[PlacedBody], size: tuple[int, int], *, bare: bool) -> _Scene:
+    def of(cls, bodies: Sequence[PlacedBody], size: tuple[int, int]) -> _Scene:
         """Place the bodies before the camera of a picture of (H, W) pixels."""
         points = [each.vertices() for each in bodies]
         feet = [float(vertices[:, 1].max()) for each, vertices in zip(bodies, points, strict=True) if each.feet]
@@ -198,7 +194,7 @@ class _Scene:
         height, width = size
         edges = np.array([(0, 0), (width, 0), (width, height), (0, height)]) - centre
         corners = np.column_stack([edges / (focal_x, focal_y), np.ones(4)])
-        return cls(bodies, points, colours, max(feet, default=math.nan), corners, bare)
+        return cls(bodies, points, colours, max(feet, default=math.nan), corners)
 
     def note(self) -> str:
         """Line that explains the sheet."""
@@ -225,15 +221,14 @@ class _Scene:
             self._draw_ground(draw, view)
         if view.has_camera:
             self._draw_camera(draw, view)
-        canvas = canvas.resize((view.width, _HEIGHT), PilImage.Resampling.LANCZOS)
+        canvas = canvas.reduce(_SMOOTH)
         if not math.isnan(self.ground):
             shadows = self._shadows(view).filter(ImageFilter.GaussianBlur(5)).point(lambda value: value * 0.6)
             canvas.paste(_SHADOW, mask=shadows)
         picture = np.asarray(canvas)
         for index in self.order(view.rotation):
-            turned = torch.from_numpy((self.points[index] @ view.rotation.T).astype(np.float32))[None]
-            each, colour = self.bodies[index], self.colours[index]
-            picture = skin_over(picture, turned, each.body.model, view.camera(), colour, each.pale, bare=self.bare)
+            turned = self.bodies[index].turned_surface(view.rotation)
+            picture = surface_over(picture, turned, view.camera(), self.colours[index])
         canvas = PilImage.fromarray(picture)
         self._write(ImageDraw.Draw(canvas), view, rotation)
         return canvas
@@ -258,8 +253,7 @@ class _Scene:
             flat = points.copy()
             flat[:, 1] = self.ground
             turned = torch.from_numpy((flat @ view.rotation.T).astype(np.float32))[None]
-            mesh = detailed_mesh(each.body.model).to("cpu")
-            covered |= draw_mesh(turned, mesh, view.camera(), size).labels[0].numpy() > 0
+            covered |= draw_mesh(turned, each.surface.coat.mesh, view.camera(), size).labels[0].numpy() > 0
         return PilImage.fromarray(covered.astype(np.uint8) * 255)
 
     def _draw_camera(self, draw: ImageDraw, view: _View) -> None:

@@ -2,7 +2,8 @@
 
 Programs take turns, so that a machine that is faster or slower for a while is so for all of them. Shown are medians of
 rounds, and medians of the rounds' ratios to importing torch, Warp and NumPy. The first round, which compiles kernels
-and fills caches, does not count. CPU seconds are those of all threads.
+and fills caches, does not count. CPU seconds are those of all threads. ``PYTHONDONTWRITEBYTECODE`` is taken out of the
+programs' environment: with it, each start would compile all sources anew.
 """
 
 from __future__ import annotations
