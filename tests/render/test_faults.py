@@ -65,6 +65,14 @@ def broken_bodies(device: str, name: str, place: tuple[int, ...], value: float, 
     return bodies
 
 
+def in_perspective(bodies: BodyParameters) -> tuple[tuple[torch.Tensor, ...], Perspective]:
+    """Arguments of ``body_loss`` and ``body_maps``: numbers of bodies 3 m before a camera, and the camera."""
+    count, device = bodies.batch_size, bodies.shift.device
+    far = torch.tensor([0.0, 0.0, 3.0], device=device).repeat(count, 1)
+    camera = Perspective(torch.full((count, 2), 60.0, device=device), torch.full((count, 2), SIZE / 2, device=device))
+    return (bodies.orientation, far, bodies.rotations, bodies.lengths, bodies.thicknesses), camera
+
+
 def target(device: str) -> torch.Tensor:
     usual = BodyParameters.mean(1, device=device)
     return RendererEllipsoids().draw(usual.posed(), usual.camera(SIZE), (SIZE, SIZE)).labels
@@ -95,12 +103,9 @@ def test_the_loss_of_a_crop_and_each_gradient_are_nan(device, renderer, name, pl
 @renderers
 @pytest.mark.parametrize(("name", "place", "value"), [NOT_NUMBERS[0], NOT_NUMBERS[3], NO_SIZES[1]])
 def test_unchecked_losses_and_maps_are_nan_and_checked_ones_are_refused(device, renderer, name, place, value):
-    bodies = broken_bodies(device, name, place, value)
-    far = torch.tensor([0.0, 0.0, 3.0], device=device).repeat(3, 1)
-    camera = Perspective(torch.full((3, 2), 60.0, device=device), torch.full((3, 2), SIZE / 2, device=device))
+    numbers, camera = in_perspective(broken_bodies(device, name, place, value))
 
     def leaves() -> list[torch.Tensor]:
-        numbers = bodies.orientation, far, bodies.rotations, bodies.lengths, bodies.thicknesses
         return [tensor.clone().requires_grad_() for tensor in numbers]
 
     argument = {"orientation": "global_orient"}.get(name, name)
@@ -124,15 +129,10 @@ def test_unchecked_losses_and_maps_are_nan_and_checked_ones_are_refused(device, 
 
 @renderers
 def test_maps_of_bodies_are_nan_only_while_a_body_is_faulty(device, renderer):
-    """The same memory draws four times: a fault is not kept for the next picture."""
-    bodies = BodyParameters.mean(3, device=device)
-    camera = Perspective(torch.full((3, 2), 60.0, device=device), torch.full((3, 2), SIZE / 2, device=device))
-    far = torch.tensor([0.0, 0.0, 3.0], device=device).expand(3, -1)
+    """One memory draws four times: a fault is not kept for the next picture."""
     for faulty in (False, True, False, True):
-        lengths = bodies.lengths.clone()
-        if faulty:
-            lengths[1, 10] = math.nan
-        numbers = [bodies.orientation, far, bodies.rotations, lengths, bodies.thicknesses]
+        length = math.nan if faulty else 0.2
+        numbers, camera = in_perspective(broken_bodies(device, "lengths", (10,), length))
         maps = renderer.body_maps(numbers, camera, (SIZE, SIZE), validate=False)
         assert maps.flatten(1).isnan().any(1).tolist() == [False, faulty, False]
         assert maps[::2].sum() > 0
