@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..errors import check_whole
+from ..interop.device_cache import device_cache
 from ..interop.movable import Movable
 from ..kernels import kinematics
 from .icosphere import icosphere
@@ -34,7 +35,7 @@ DEFAULT_SUBDIVISIONS = 1  # E1, the paper's default (section 4.3, "Speed of Part
 _PRECISIONS = {wp.float32: (wp.vec3f, wp.mat33f), wp.float64: (wp.vec3d, wp.mat33d)}
 
 
-@lru_cache(maxsize=32, typed=True)
+@device_cache(32, typed=True)
 def bone_tree(device: str, dtype: type = wp.float32, subdivisions: int = DEFAULT_SUBDIVISIONS) -> kinematics.BoneTree:
     """The template's arrays on ``device`` (a Warp device alias such as ``"cuda:0"``) in ``dtype``."""
     vec, mat = _PRECISIONS[dtype]

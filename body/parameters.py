@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 from typing import Literal, overload
 
 import torch
@@ -12,6 +11,7 @@ import torch
 from ..cameras import WeakPerspective
 from ..errors import check_whole
 from ..interop.checks import check_numbers, check_tensor
+from ..interop.device_cache import device_cache
 from ..interop.movable import Movable
 from .posing import Posed, pose_parts
 from .rotations import rotation_from_6d
@@ -266,7 +266,7 @@ def _check_frozen(frozen: Collection[str]) -> None:
         raise ValueError(f"frozen: {frozen if isinstance(frozen, str) else unknown}; expected some of {tuple(ROW)}")
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _free_parts(device: torch.device) -> torch.Tensor:
     """0 for each locked part, 1 for the others, shape (20, 1)."""
     with torch.inference_mode(False):  # kept for calls outside of it, too

@@ -7,7 +7,6 @@ prior prefers the likelier. ``scripts/learn_pose_prior.py`` learns ``assets/pose
 
 from __future__ import annotations
 
-from functools import lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -17,6 +16,7 @@ import torch
 
 from ..errors import InputError
 from ..files.array_files import read_npz
+from ..interop.device_cache import device_cache
 from .landmarks import mirror_order
 from .template import LOCKED_PARTS, NUM_PARTS, PART_NAMES
 
@@ -160,7 +160,7 @@ class PosePrior(torch.nn.Module):
             raise ValueError(f"{name}: shape {tuple(values.shape)}; expected ({expected})")
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def packaged_prior(device: str) -> PosePrior:
     """The packaged prior on a device, kept: to read it takes a while, and graphs that are kept read its memory."""
     with torch.inference_mode(False):

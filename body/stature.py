@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 import torch
 
 from ..errors import InputError
+from ..interop.device_cache import device_cache
 from .template import LENGTH_NAMES
 
 # Of the bones between sole and crown, how much of each length counts: learned by scripts/learn_stature.py.
@@ -22,7 +21,7 @@ def bone_statures(lengths: torch.Tensor) -> torch.Tensor:
     return lengths @ _shares(lengths.device, lengths.dtype)
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _shares(device: torch.device, dtype: torch.dtype) -> torch.Tensor:
     with torch.inference_mode(False):  # kept for calls outside of it, too
         return torch.tensor([SHARES.get(name, 0.0) for name in LENGTH_NAMES], device=device, dtype=dtype)

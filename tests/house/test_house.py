@@ -387,6 +387,38 @@ def test_functions_of_autograd_are_found(code: str, found: list[str]):
     assert list(autograd_functions(ast.parse(code))) == found
 
 
+PLAIN = re.compile(r"(bool|int|str|tuple\[(int|str), \.\.\.\]|np\.ndarray|_Coat)")  # not on a device
+
+
+def freed_tables(code: ast.Module) -> Iterator[str]:
+    """Functions of a device or a model whose values a cache of a limited size frees, though a graph may read them."""
+    for node in ast.walk(code):
+        if isinstance(node, ast.FunctionDef) and {"device", "model"} & {each.arg for each in node.args.args}:
+            caches = [each for each in map(ast.unparse, node.decorator_list) if each.startswith("lru_cache")]
+            if caches and not (node.returns and PLAIN.fullmatch(ast.unparse(node.returns))):
+                yield node.name
+
+
+def test_tables_on_devices_are_kept_while_graphs_read_them():
+    package = [path for path in product_files() if not short(path).startswith("benchmarks/")]
+    found = {f"{short(path)}: {name}" for path in package for name in freed_tables(tree(path))}
+    assert sorted(found) == [], "expected device_cache"
+
+
+@pytest.mark.parametrize(
+    ("code", "found"),
+    [
+        ("@lru_cache(maxsize=8)\ndef order(device: str) -> wp.array: ...", ["order"]),
+        ("@lru_cache\ndef order(names, model) -> tuple[Tensor, ...]: ...", ["order"]),
+        ("@lru_cache(maxsize=8)\ndef fuses(device: str) -> bool: ...", []),
+        ("@device_cache(8)\ndef order(device: str) -> wp.array: ...", []),
+        ("@lru_cache(maxsize=8)\ndef order(names) -> ndarray: ...", []),
+    ],
+)
+def test_caches_that_free_tables_are_found(code: str, found: list[str]):
+    assert list(freed_tables(ast.parse(code))) == found
+
+
 def test_contributing_says_where_each_wing_is():
     """All levels are there, from the highest to the lowest; ``reference`` is told of below the list."""
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")

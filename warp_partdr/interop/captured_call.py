@@ -24,6 +24,7 @@ class CapturedCall(Generic[_T]):
 
     def __init__(self, function: Callable[[Tensors], _T], tensors: Tensors) -> None:
         self._tensors = tuple([each.clone(memory_format=torch.contiguous_format) for each in tensors])
+        self._function = function  # the graph reads what belongs to it
         self._step = CapturedStep(lambda: function(self._tensors), tensors[0].device)
 
     def __call__(self, tensors: Tensors) -> _T:

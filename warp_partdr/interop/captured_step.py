@@ -8,6 +8,7 @@ from typing import Any, Generic, TypeVar
 
 import torch
 
+from .device_cache import keeping_tables
 from .streams import capturing, on_side_stream
 
 _T = TypeVar("_T")
@@ -47,6 +48,7 @@ class CapturedStep(Generic[_T]):
             # current, so it is made so here, too.
             with (
                 capturing(),
+                keeping_tables() as self._tables,
                 torch.cuda.stream(stream),
                 torch.cuda.graph(self._graph, pool=pool, stream=stream, capture_error_mode="thread_local"),
             ):

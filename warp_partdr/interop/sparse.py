@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import torch
@@ -10,6 +9,7 @@ import torch
 from ..kernels.sparse import gather_rows
 from .arrays import warp_array
 from .captured_function import Fixed
+from .device_cache import device_cache
 
 
 class SparseMatrix(NamedTuple):
@@ -19,7 +19,7 @@ class SparseMatrix(NamedTuple):
     columns: Any
 
 
-@lru_cache(maxsize=32)
+@device_cache(32)
 def sparse_matrix(matrix: Fixed) -> SparseMatrix:
     """Make a sparse matrix of a matrix (R, C), float32, that does not change. The first call waits for the device."""
     with torch.inference_mode(False), torch.no_grad():

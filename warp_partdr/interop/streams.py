@@ -9,11 +9,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import cache
 from types import ModuleType
+from weakref import WeakKeyDictionary
 
 import torch
 import warp as wp
 
 from ..kernels.launch import branch_on, launch_in_slices
+from .device_cache import keeping_tables
 
 
 class _Gate:
@@ -105,9 +107,18 @@ def capture_graph(launch: Callable[[], None], device: torch.device) -> wp.Graph:
     """
     with _gate.capturing(), on_torch_stream(device) as where:
         stream, branch = _capture_streams(where)
-        with branch_on(branch), wp.ScopedStream(stream), wp.ScopedCapture(where, stream) as capture:
+        with (
+            keeping_tables() as tables,
+            branch_on(branch),
+            wp.ScopedStream(stream),
+            wp.ScopedCapture(where, stream) as capture,
+        ):
             launch()
+    _tables[capture.graph] = tables
     return capture.graph
+
+
+_tables: WeakKeyDictionary[wp.Graph, list[object]] = WeakKeyDictionary()  # what graphs read, freed with them
 
 
 @cache

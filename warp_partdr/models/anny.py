@@ -13,6 +13,7 @@ from importlib import resources
 import numpy as np
 import torch
 
+from ..interop.device_cache import device_cache
 from ..interop.torch_threads import one_torch_thread
 from .convention_landmarks import with_conventions
 from .model import DetailedModel
@@ -38,7 +39,7 @@ def _asset() -> dict[str, np.ndarray]:
         return {name: archive[name] for name in archive.files}
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 @one_torch_thread()
 def anny(device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> DetailedModel:
     """Anny on a device, read once: 13,718 vertices, 27,420 triangles, 104 joints, 20 shape values.

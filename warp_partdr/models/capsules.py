@@ -7,7 +7,7 @@ parts. Clothes don't count.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 
 import torch
 import warp as wp
@@ -18,6 +18,7 @@ from ..errors import check_whole
 from ..interop.arrays import warp_array, warp_arrays
 from ..interop.captured_function import Fixed, call_captured
 from ..interop.checks import check_tensor
+from ..interop.device_cache import device_cache
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
 from ..interop.movable import Movable
@@ -162,7 +163,7 @@ def _pair_factors(adjoint: torch.Tensor, people: int) -> torch.Tensor:
     return 0.5 * (by_person[:, :, None] + by_person.mT).flatten(0, 1)
 
 
-@lru_cache(maxsize=4)
+@device_cache(4)
 def measure_capsules(model: DetailedModel) -> Capsules:
     """Capsules of a model: one a part, across the trunk and along limbs, two along arms' and legs' halves."""
     with torch.inference_mode(False), torch.no_grad():  # kept for calls outside of it, too

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import torch
 
 from ..body.landmarks import without_side
 from ..body.template import PART_NAMES
+from ..interop.device_cache import device_cache
 from .model import DetailedModel
 from .normals import vertex_normals
 
@@ -55,7 +55,7 @@ def bounded(thicknesses: torch.Tensor) -> torch.Tensor:
     return thicknesses.clamp(0.0, THICKEST)
 
 
-@lru_cache(maxsize=4)
+@device_cache(4)
 def clothes_basis(model: DetailedModel) -> torch.Tensor:
     """Move of each vertex at rest by a metre of each thickness, shape (8, V, 3)."""
     with torch.inference_mode(False):  # kept for calls outside of it, too

@@ -7,11 +7,11 @@ others, parts are stretched at rest along its axes; skinning weights blend one p
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import torch
 
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, SIZE_COLUMNS, THICKNESS_NAMES, template
+from ..interop.device_cache import device_cache
 from .model import Detailed, DetailedModel, weigh_points
 from .pose import rest_turns
 from .surfaces import vertex_parts
@@ -72,7 +72,7 @@ class _MeasureTables:
     rest_axes: torch.Tensor
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _measure_tables(model: DetailedModel) -> _MeasureTables:
     with torch.inference_mode(False):  # kept for calls outside of it, too
         parts, areas = vertex_parts(model)

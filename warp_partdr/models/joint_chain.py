@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import torch
@@ -11,6 +11,7 @@ import warp as wp
 
 from ..interop.arrays import warp_arrays
 from ..interop.captured_function import call_captured
+from ..interop.device_cache import device_cache
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
 from ..interop.operation import Gradients, OperationWithTwin
@@ -46,7 +47,7 @@ def homogeneous(rotations: torch.Tensor, positions: torch.Tensor) -> torch.Tenso
     return torch.cat([top, bottom], dim=-2)
 
 
-@lru_cache(maxsize=32)
+@device_cache(32)
 def _jumps(parents: tuple[int, ...], device: torch.device) -> list[torch.Tensor]:
     """Joint 1, 2, 4, ... bones above each joint, J where there is none; as many as the longest chain takes.
 
@@ -61,7 +62,7 @@ def _jumps(parents: tuple[int, ...], device: torch.device) -> list[torch.Tensor]
     return jumps
 
 
-@lru_cache(maxsize=32)
+@device_cache(32)
 def _tree(parents: tuple[int, ...], device: str) -> Any:
     return kernels.make_joint_tree(parents, device)
 

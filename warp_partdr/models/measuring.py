@@ -6,7 +6,6 @@ A girth is the length of a tape around a horizontal section: of its convex hull.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -24,6 +23,7 @@ from ..body.template import (
     template,
 )
 from ..interop.captured_call import call_as_graph
+from ..interop.device_cache import device_cache
 from ..interop.layouts import Tensors
 from .growth import Growth
 from .model import Detailed, DetailedModel, unique_pairs
@@ -148,7 +148,7 @@ class _PartTables(NamedTuple):
     parents: torch.Tensor  # (20,) int64; 20 is the pelvis
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _part_tables(model: DetailedModel) -> _PartTables:
     device = model.faces.device
     with torch.inference_mode(False):  # kept for calls outside of it, too
@@ -161,7 +161,7 @@ def _part_tables(model: DetailedModel) -> _PartTables:
         )
 
 
-@lru_cache(maxsize=16)
+@device_cache(16)
 def _edges(model: DetailedModel, parts: tuple[str, ...]) -> torch.Tensor:
     """Edges of the faces of some parts, shape (E, 2)."""
     with torch.inference_mode(False):  # kept for calls outside of it, too

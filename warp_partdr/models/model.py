@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import torch
 
 from ..body.template import NUM_PARTS, PARENTS, PART_NAMES
 from ..interop.checks import check_tensor
+from ..interop.device_cache import device_cache
 from ..interop.movable import Movable
 from ..render.part_mesh import PartMesh
 from .joint_chain import chain_joints, homogeneous
@@ -287,13 +288,13 @@ def weigh_points(weights: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
     return weights @ points
 
 
-@lru_cache(maxsize=16)  # a copy of a megabyte
+@device_cache(16)  # a copy of a megabyte
 def _landmark_rows(model: DetailedModel, names: tuple[str, ...]) -> torch.Tensor:
     with torch.inference_mode(False):  # kept for calls outside of it, too
         return model.landmark_weights[[model.landmark_names.index(name) for name in names]]
 
 
-@lru_cache(maxsize=16)
+@device_cache(16)
 def _rest_rows(model: DetailedModel, names: tuple[str, ...]) -> tuple[torch.Tensor, torch.Tensor]:
     """Landmarks, then joints, of shape 0 in a row, (3 (L + J),), and their changes by shape values, (S, 3 (L + J))."""
     with torch.inference_mode(False):  # kept for calls outside of it, too
@@ -303,7 +304,7 @@ def _rest_rows(model: DetailedModel, names: tuple[str, ...]) -> tuple[torch.Tens
         return rests, torch.stack(directions)
 
 
-@lru_cache(maxsize=8)  # its edges take a moment to find
+@device_cache(8)  # its edges take a moment to find
 def detailed_mesh(model: DetailedModel, at_joints: bool = False) -> PartMesh:
     """Make the mesh of a detailed model with labels 1 to 20, on the model's device.
 

@@ -18,6 +18,7 @@ from ..body.rotations import (
 )
 from ..body.template import BONE_STARTS, JOINT_NAMES, NUM_PARTS, PARENTS, PART_NAMES, template
 from ..interop.captured_call import call_as_graph
+from ..interop.device_cache import device_cache
 from .model import Detailed, DetailedModel
 
 # Parts whose bone has another direction in a model's rest pose than in EllipBody's.
@@ -189,7 +190,7 @@ def _levels(kinds: tuple[str, ...], framed: tuple[int, ...]) -> list[list[int]]:
     return [[part for part in depths if depths[part] == level] for level in range(1 + max(depths.values()))]
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _rest_frames(device: torch.device, dtype: torch.dtype) -> tuple[torch.Tensor, dict[int, torch.Tensor]]:
     """Directions of EllipBody's bones at rest, shape (20, 3), and axes of its hands, whose palms are down."""
     with torch.inference_mode(False):  # kept for calls outside of it, too
@@ -200,7 +201,7 @@ def _rest_frames(device: torch.device, dtype: torch.dtype) -> tuple[torch.Tensor
         return directions.to(device, dtype), palms
 
 
-@lru_cache(maxsize=16)
+@device_cache(16)
 def _sharing(model: DetailedModel) -> _Sharing:
     carried = _carried_parts(model)
     sources: list[int] = []

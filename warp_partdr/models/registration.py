@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import torch
 
@@ -18,6 +17,7 @@ from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, NUM_PARTS
 from ..errors import check_type
 from ..interop.adam import Adam, descend
 from ..interop.checks import check_numbers, check_steps, check_tensor
+from ..interop.device_cache import device_cache
 from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
 from .clothes import clothes_basis, clothes_offsets
@@ -325,7 +325,7 @@ def shape_from_lengths(model: DetailedModel, posed: Posed) -> torch.Tensor:
     return shape
 
 
-@lru_cache(maxsize=8)  # a product with the whole model
+@device_cache(8)  # a product with the whole model
 def _bones_at_rest(model: DetailedModel) -> tuple[torch.Tensor, torch.Tensor]:
     """EllipBody's bones [m], shape (20, 3), and their changes by a unit of each shape value, shape (S, 20, 3)."""
     with torch.inference_mode(False):  # kept for calls outside of it, too

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 import torch
 
 from ..body.template import PART_NAMES
+from ..interop.device_cache import device_cache
 from .model import DetailedModel
 from .normals import vertex_normals
 from .registration import Registered
@@ -89,7 +89,7 @@ class _Rest:
         return (self.points - start) @ bone / (bone @ bone), float(np.linalg.norm(bone))
 
 
-@lru_cache(maxsize=4)
+@device_cache(4)
 def suit_of(model: DetailedModel) -> Suit:
     """Make the suit of a body model, once."""
     with torch.inference_mode(False):  # kept for calls outside of it, too

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import torch
 import warp as wp
@@ -12,6 +11,7 @@ from ..body.icosphere import icosphere
 from ..body.posing import Posed
 from ..body.template import NUM_PARTS
 from ..interop.arrays import warp_array
+from ..interop.device_cache import device_cache
 from ..interop.layouts import Tensors
 from ..interop.operation import Gradients, Operation
 from ..interop.streams import on_torch_stream
@@ -28,7 +28,7 @@ _CELL = 4.0  # [m] between the cells of the mesh of all parts and bodies
 _RAY_START = 1e-3  # [m] from a vertex: a ray does not hit the faces around it
 
 
-@lru_cache(maxsize=4)  # rays of all vertices take a tenth of a second
+@device_cache(4)  # rays of all vertices take a tenth of a second
 def vertex_parts(model: DetailedModel) -> tuple[torch.Tensor, torch.Tensor]:
     """Part of each vertex of a model, and each vertex's share of the skin at rest.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any, NamedTuple, Protocol, Self
 
 import torch
@@ -15,6 +14,7 @@ from ..cameras import Camera, WeakPerspective, check_camera
 from ..errors import check_whole
 from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tensor
 from ..interop.derivatives import refuse_transforms
+from ..interop.device_cache import device_cache
 from ..interop.layouts import Tensors, as_floats
 from .body_passes import BodyPasses
 from .mesh import check_labels
@@ -226,13 +226,7 @@ def _check(name: str, parameters: Sequence[torch.Tensor], camera: Camera) -> dic
     return {**dict(zip(BODY_SHAPES, parameters, strict=True)), "camera": intrinsics}
 
 
+@device_cache(64)
 def _origin(batch: int, device: torch.device) -> torch.Tensor:
-    if torch.compiler.is_compiling():  # which would warn of the cache
-        return torch.zeros(batch, 3, device=device)
-    return _kept_origin(batch, device)
-
-
-@cache  # never freed: a training step's captured graph goes on reading it
-def _kept_origin(batch: int, device: torch.device) -> torch.Tensor:
     with torch.inference_mode(False):  # kept for calls outside of it, too
         return torch.zeros(batch, 3, device=device)

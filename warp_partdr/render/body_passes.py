@@ -14,6 +14,7 @@ from ..body.bone_launches import BoneLaunches, camera_array, kinematic_arrays
 from ..body.ellipbody import bone_tree
 from ..body.template import NUM_JOINTS, NUM_PARTS
 from ..interop.arrays import warp_array
+from ..interop.device_cache import device_cache
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
 from ..interop.loss_graph import Buffers, find_gradients
@@ -21,7 +22,6 @@ from ..kernels import kinematics, turns
 from ..kernels.mesh import screen
 from .ellipsoid_passes import EllipsoidPasses
 from .mesh_passes import MeshPasses
-from .options import cached
 from .pictures import Picture, Settings, Size, draw_labels
 
 _SHAPES = ((NUM_PARTS, 3), (NUM_PARTS, 3, 3), (NUM_PARTS, 3), (4,))  # of centres, axes, semi-axes and camera
@@ -146,7 +146,7 @@ class BodyPasses:
         return replace(inner, losses=buffers.losses)
 
 
-body_passes = cached(BodyPasses)  # the same object, which is a graph's key, for the same options
+body_passes = device_cache(64)(BodyPasses)  # the same object, which is a graph's key, for the same options
 
 
 def _seen(ellipsoids: Tensors) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache, partial
+from functools import cache, partial
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -14,6 +14,7 @@ import torch
 import warp as wp
 
 from ..interop.arrays import contiguous, warp_array, warp_arrays
+from ..interop.device_cache import device_cache
 from ..interop.layouts import Tensors
 from ..interop.loss_graph import Buffers
 from ..interop.streams import launch_bodies_on, on_torch_stream
@@ -21,7 +22,7 @@ from ..kernels.ellipsoids import edges, forces, partdr, silhouette
 from ..kernels.ellipsoids import picture as ellipsoid_picture
 from ..kernels.ellipsoids.silhouette import Seen, launch_see
 from ..kernels.labels import NUM_EXTENTS, DenseGradient, LabelTarget
-from .options import Gradient, cached
+from .options import Gradient
 from .part_mesh import MAX_LABEL
 from .pictures import Picture, Settings, Size
 
@@ -259,10 +260,10 @@ class EllipsoidPasses:
         return found
 
 
-ellipsoid_passes = cached(EllipsoidPasses)  # the same object, which is a graph's key, for the same options
+ellipsoid_passes = device_cache(64)(EllipsoidPasses)  # the same object, which is a graph's key, for the same options
 
 
-@lru_cache(maxsize=64)
+@device_cache(64)
 def _on_device(labels: tuple[int, ...], device: torch.device) -> torch.Tensor:
     """Labels on the device, cached: a copy from the host in every call would wait for it."""
     return torch.tensor(labels, dtype=torch.uint8, device=device)

@@ -13,11 +13,12 @@ from ..cameras import Camera, check_camera
 from ..errors import check_type, check_whole
 from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tensor
 from ..interop.derivatives import refuse_transforms
+from ..interop.device_cache import device_cache
 from ..interop.layouts import Tensors, as_floats
 from ..interop.movable import Movable
 from . import compiled as compiled  # registers the operations for torch.compile
 from .ellipsoid_passes import EllipsoidPasses, ellipsoid_passes
-from .options import DEFAULT_DEPTH_WEIGHT, GRADIENTS, Gradient, cached, check_partdr_options, check_target
+from .options import DEFAULT_DEPTH_WEIGHT, GRADIENTS, Gradient, check_partdr_options, check_target
 from .part_mesh import MAX_LABEL
 from .pictures import DrawnLater, Size, draw_picture, find_loss
 
@@ -183,7 +184,7 @@ def ellipsoid_label_loss(
 _Rule = tuple[Gradient, float, float, float]  # gradient, max_distance, depth_weight, samples_per_pixel
 
 
-@cached
+@device_cache(64)
 def check_rule(gradient: Gradient, max_distance: float, depth_weight: float, samples_per_pixel: float) -> _Rule:
     """Options of the gradient, checked, for ``ellipsoid_passes``."""
     if gradient not in GRADIENTS:

@@ -13,6 +13,7 @@ import torch
 import warp as wp
 
 from ..interop.arrays import contiguous, warp_array
+from ..interop.device_cache import device_cache
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors, split_blocks, total_length
 from ..interop.loss_graph import Buffers
@@ -22,7 +23,7 @@ from ..kernels.lanes import LANES
 from ..kernels.launch import launch_side_by_side
 from ..kernels.mesh import forces, label_borders, push_xy, push_z, rasterize, resolve
 from ..kernels.mesh.triangles import MOST_FACES_IN_KEYS, ImageArrays, MeshArrays
-from .options import MeshGradient, cached
+from .options import MeshGradient
 from .pictures import Picture, Settings, Size
 
 
@@ -96,8 +97,21 @@ class MeshPasses:
         cls, constants: Sequence[torch.Tensor], integers: Sequence[int], gradient: str, numbers: Sequence[float]
     ) -> MeshPasses:
         """Inverse of ``constants`` and ``settings``."""
-        num_labels, *flags = integers
-        return mesh_passes(*constants, num_labels, *map(bool, flags), *numbers, cast("MeshGradient", gradient))
+        faces, face_labels, edges = constants
+        num_labels, cull_backfaces, perspective = integers
+        near, max_distance, depth_weight = numbers
+        return mesh_passes(
+            faces,
+            face_labels,
+            edges,
+            num_labels,
+            bool(cull_backfaces),
+            bool(perspective),
+            near,
+            max_distance,
+            depth_weight,
+            cast("MeshGradient", gradient),
+        )
 
     @property
     def constants(self) -> Tensors:
@@ -262,7 +276,7 @@ class MeshPasses:
         return arrays
 
 
-mesh_passes = cached(MeshPasses)  # the same object, which is a graph's key, for the same mesh and options
+mesh_passes = device_cache(64)(MeshPasses)  # the same object, which is a graph's key, for the same mesh and options
 
 
 def _in_turn(*launches: Launch) -> Launch:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import lru_cache
-from typing import Any, Literal, TypeVar, get_args
+from typing import Literal, TypeVar, get_args
 
 import torch
 
@@ -62,13 +60,3 @@ def label_maps(labels: torch.Tensor, count: int, faults: torch.Tensor) -> torch.
     maps = torch.empty(len(labels), count, *labels.shape[1:], device=labels.device)
     torch.eq(labels[:, None], index[:, None, None], out=maps)  # on the CPU a quarter of the time of ``float()``
     return maps.add_(faults[:, None, None, None])
-
-
-def cached(function: Callable[..., _T]) -> Callable[..., _T]:
-    """``lru_cache``, but not while ``torch.compile`` traces, which would warn."""
-    kept = lru_cache(maxsize=64)(function)
-
-    def call(*arguments: Any, **options: Any) -> _T:
-        return (function if torch.compiler.is_compiling() else kept)(*arguments, **options)
-
-    return call

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,13 +15,14 @@ from ..body.icosphere import MAX_SUBDIVISIONS
 from ..body.posing import Posed
 from ..body.template import NUM_PARTS
 from ..cameras import Camera
+from ..interop.device_cache import device_cache
 from .body_loss import ALL_PARTS, BodyLoss, Seeing
 from .body_passes import BodyPasses, body_passes
 from .ellipsoid_passes import ellipsoid_passes
 from .ellipsoids import EllipsoidImage, check_part_labels, check_rule, draw_ellipsoids, ellipsoid_label_loss
 from .mesh import PartImage, draw_mesh, mesh_label_loss
 from .mesh_passes import mesh_passes
-from .options import DEFAULT_DEPTH_WEIGHT, Gradient, MeshGradient, cached, check_mesh_rule
+from .options import DEFAULT_DEPTH_WEIGHT, Gradient, MeshGradient, check_mesh_rule
 from .part_mesh import PartMesh, ellipbody_mesh, mesh_constants
 from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
 
@@ -191,14 +191,14 @@ class RendererMesh(BodyLoss):
 Renderer = RendererEllipsoids | RendererMesh
 
 
-@cached
+@device_cache(64)
 def _ellipsoid_body_passes(renderer: RendererEllipsoids, seeing: Seeing) -> BodyPasses:
     gradient, *numbers = check_rule(**renderer._rule)
     passes = ellipsoid_passes(seeing.part_labels, seeing.perspective, gradient, seeing.near_plane, *numbers)
     return body_passes(passes, 0, seeing.locked, seeing.half_size)
 
 
-@cached
+@device_cache(64)
 def _mesh_body_passes(renderer: RendererMesh, seeing: Seeing, device: torch.device) -> BodyPasses:
     if renderer.subdivisions == "auto":
         raise ValueError("subdivisions: auto; expected 0 to 3, or the renderer that fixed(posed, camera) returns")
@@ -222,7 +222,7 @@ def labelled_mesh(
 labelled_mesh._dynamo_marked_constant = True  # type: ignore[attr-defined]
 
 
-@lru_cache(maxsize=32)
+@device_cache(32)
 def _labelled_mesh(level: int, part_labels: tuple[int, ...], device: torch.device, cull_backfaces: bool) -> PartMesh:
     mesh = replace(ellipbody_mesh(level, device=device), cull_backfaces=cull_backfaces)
     return mesh if part_labels == ALL_PARTS else mesh.relabel(np.array([0, *part_labels], dtype=np.uint8))

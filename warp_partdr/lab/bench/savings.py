@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any, get_args
 
 import torch
@@ -13,6 +13,7 @@ from ...body.labels import label_set
 from ...body.parameters import BodyParameters
 from ...body.template import PART_NAMES
 from ...cameras import Crop, WeakPerspective
+from ...interop.device_cache import device_cache
 from ...render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from ...render.mesh import mesh_label_loss
 from ...render.options import Gradient
@@ -172,7 +173,7 @@ def _loss_of_mesh(
     return torch.autograd.grad(loss.sum(), vertices)
 
 
-@lru_cache(maxsize=1)
+@device_cache(1)
 def _silhouette_mesh(device: torch.device) -> PartMesh:
     return ellipbody_mesh(1, device=device).relabel(label_set("full1").part_groups)
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 import torch
 import warp as wp
 
 from ...body.template import BONE_STARTS, MEAN_STATURE, NUM_PARTS, SHAPE_INDICES, template
 from ...interop.arrays import warp_array
+from ...interop.device_cache import device_cache
 from ...interop.streams import launch_bodies_on
 from ...kernels import bone_cuts
 from ...networks.regression.heads import cell_centres
@@ -46,20 +45,20 @@ def cut_mask(mask: torch.Tensor, joints: torch.Tensor, statures: torch.Tensor, u
     return labels
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _starts(device: torch.device) -> torch.Tensor:
     """Joints that the parts' bones start from, shape (20,), int64."""
     return torch.tensor(BONE_STARTS, device=device)
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _radii(device: torch.device) -> torch.Tensor:
     """Half the mean thicknesses of the parts [m], shape (20,)."""
     thicknesses = template().mean_thicknesses
     return torch.tensor([(thicknesses[a] + thicknesses[b]) / 4 for _, a, b in SHAPE_INDICES], device=device).float()
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _close(device: torch.device) -> torch.Tensor:
     """Bits of the parts that share a joint with each label's, or with one that does, shape (21,), int32."""
     ends = np.eye(NUM_PARTS + 1, dtype=np.int64)

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -17,6 +16,7 @@ from ...body.landmarks import mirror_order
 from ...body.template import JOINT_NAMES
 from ...errors import InputError
 from ...files.array_files import read_npz
+from ...interop.device_cache import device_cache
 from ...networks.regression.landmarks import LANDMARKS
 from .rng import TorchRng
 
@@ -101,7 +101,7 @@ def move_joints(joints: torch.Tensor, errors: torch.Tensor) -> torch.Tensor:
     return joints + _shares(joints.device) @ errors
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _shares(device: torch.device) -> torch.Tensor:
     """Share of each landmark's error in that of each joint, shape (21, 24)."""
     rows = [_AS.get(name, (name,)) for name in JOINT_NAMES]

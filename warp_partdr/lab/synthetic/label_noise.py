@@ -7,7 +7,6 @@ Strength 1 is about a good network on a clear photo; each sample has one of its 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from functools import lru_cache
 
 import torch
 
@@ -15,6 +14,7 @@ from ...body.labels import BACKGROUND, IGNORE, LABEL_SETS, LabelSet
 from ...body.landmarks import mirror_name
 from ...body.template import NUM_PARTS, PARENTS, PART_NAMES
 from ...interop.arrays import warp_array
+from ...interop.device_cache import device_cache
 from ...interop.streams import launch_bodies_on
 from ...kernels import label_noise
 from .noise import LIMBS
@@ -171,7 +171,7 @@ class LabelNoise:
         return groups
 
 
-@lru_cache(maxsize=16)
+@device_cache(16)
 def _spread(size: int, waves: int, device: torch.device) -> torch.Tensor:
     """Weights that make white noise smooth along an axis and leave its variance, shape (size, waves)."""
     cells = (torch.arange(size, device=device)[:, None] + 0.5) * (waves / size) - 0.5

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 import torch
 
@@ -11,6 +9,7 @@ from ...body.posing import Posed
 from ...body.rotations import rotation_between, rotation_from_axis_angle
 from ...body.template import BONE_STARTS, JOINT_NAMES, LOCKED_PARTS, SHAPE_INDICES, template
 from ...cameras import Camera
+from ...interop.device_cache import device_cache
 from ...models.anny import PHENOTYPE_ANCHORS, anny
 from ...models.model import Detailed, DetailedModel, detailed_mesh
 from ...models.pose import pose_from_ellipbody
@@ -76,7 +75,7 @@ def rotations_along(directions: torch.Tensor, orientation: torch.Tensor, world: 
     return torch.cat([orientation[:, None], turned], dim=1)[:, above].mT @ turned
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _rest_bones(device: torch.device, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
     """Directions of the bones at rest, shape (20, 3), and the joints where they begin, shape (20,)."""
     return torch.from_numpy(template().rest_directions).to(device, dtype), torch.tensor(BONE_STARTS, device=device)

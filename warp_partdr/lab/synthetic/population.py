@@ -10,12 +10,12 @@ a body is moved from there in shape space, as little as its measures demand.
 from __future__ import annotations
 
 import json
-from functools import lru_cache
 from importlib import resources
 
 import torch
 
 from ...interop.checks import check_tensor
+from ...interop.device_cache import device_cache
 from ...models.anny import PHENOTYPE_ANCHORS, anny, anny_shape
 
 # Tape measures, in the order in which each has a normal quantile of its own, given those before it.
@@ -194,7 +194,7 @@ class Population:
         return shape + ((wanted - self.statures(shape)) / gained)[:, None] * larger
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def population(device: torch.device | str = "cpu") -> Population:
     """The population on a device, read once."""
     return Population(device)

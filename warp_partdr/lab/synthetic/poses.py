@@ -14,6 +14,7 @@ from ...body.pose_prior import FREE_PARTS, PosePrior, mirror_features, packaged_
 from ...body.posing import Posed, pose
 from ...body.rotations import rotation_from_axis_angle
 from ...body.template import NUM_PARTS, PARENTS, PART_NAMES, template
+from ...interop.device_cache import device_cache
 from .rng import TorchRng
 
 # Random vectors of 57 dimensions lie farther from the mean than frames of motion capture do (a median of 31 nats, those
@@ -35,7 +36,7 @@ def mean_body(rotations: torch.Tensor, orientation: torch.Tensor | None = None) 
     return pose(orientation, rotations.new_zeros(batch, 3), rotations, *sizes, validate=False)
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def mean_sizes(device: torch.device, dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
     """Lengths, shape (12,), and thicknesses, shape (15,), of the mean adult [m]."""
     mean = template().mean_lengths, template().mean_thicknesses

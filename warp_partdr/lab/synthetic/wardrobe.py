@@ -7,11 +7,10 @@ the same labels whoever wears it: of two, the outer one is of the nearer leg.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 import torch
 
+from ...interop.device_cache import device_cache
 from ...models.anny import anny
 from ...models.model import Detailed, detailed_mesh
 from ...render.part_mesh import PartMesh
@@ -62,7 +61,7 @@ class Wardrobe:
         return torch.cat([body.vertices, tubes], dim=1)
 
 
-@lru_cache(maxsize=2)
+@device_cache(2)
 def wardrobe(device: torch.device) -> Wardrobe:
     """The wardrobe, made once a device: that takes seconds."""
     return Wardrobe(device)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import torch
 
 from ...errors import InputError, cause
 from ...files.json_files import parse_json
+from ...interop.device_cache import device_cache
 from ...interop.torch_threads import one_torch_thread
 from . import LandmarkNetwork
 from .graph import Node, OperatorGraph
@@ -81,12 +81,12 @@ def packaged_people_networks(device: str, *, half: bool = False, landmarks: Land
     return replace(_packaged(device, half), heavy=_packaged_heavy(device, half) if landmarks == "heavy" else None)
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _packaged(device: str, half: bool) -> PeopleNetworks:
     return _packaged(device, False).halved() if half else load_people_networks(device=device)
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _packaged_heavy(device: str, half: bool) -> OperatorGraph:
     return ProductGraph(_packaged_heavy(device, False), torch.float16) if half else load_heavy_landmarks(device=device)
 

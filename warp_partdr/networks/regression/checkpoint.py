@@ -7,7 +7,6 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -19,6 +18,7 @@ from ...errors import InputError, cause
 from ...files.disk import check_regular
 from ...files.json_files import parse_json
 from ...files.sections import read_section
+from ...interop.device_cache import device_cache
 from ...interop.torch_threads import one_torch_thread
 from .ellipbodynet import EllipBodyNet, EllipBodyNetConfig
 from .label_network import LabelNetwork, LabelNetworkConfig
@@ -189,7 +189,7 @@ def load_label_network(path: Path | str | None = None, *, device: torch.device |
         return _LABEL_NETWORKS.load(default if path is None else path, device=device)
 
 
-@lru_cache(maxsize=4)
+@device_cache(4)
 def packaged_network(device: str) -> LabelNetwork:
     """The packaged network, loaded once for each device; not to be changed."""
     return load_label_network(device=device)
@@ -210,6 +210,6 @@ def known_network(path: Path | str | None, device: str) -> LabelNetwork:
     return _network_of(str(path), device, found.st_mtime_ns, found.st_size)
 
 
-@lru_cache(maxsize=4)
+@device_cache(4)
 def _network_of(path: str, device: str, *state: int) -> LabelNetwork:
     return load_label_network(path, device=device)

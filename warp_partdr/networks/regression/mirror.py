@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 import torch
@@ -12,6 +11,7 @@ from ...body.landmarks import mirror_order
 from ...body.pose_prior import FREE_PARTS
 from ...body.rotations import rotation_from_6d, rotation_to_6d
 from ...body.template import JOINT_NAMES, PART_NAMES
+from ...interop.device_cache import device_cache
 from .label_network import NUM_CHANNELS
 from .landmarks import LANDMARKS
 from .predicted import Predicted
@@ -70,7 +70,7 @@ def mean_bodies(first: Predicted, second: Predicted) -> Predicted:
     return Predicted(orientation[:, 0], rotations, **numbers, uncertainty=said)
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _orders(device: torch.device) -> dict[str, torch.Tensor]:
     """Places of the mirror images of channels, landmarks, parts, joints and rotations; and signs, float32.
 

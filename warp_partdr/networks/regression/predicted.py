@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import torch
 
@@ -13,6 +12,7 @@ from ...body.parameters import BodyParameters, crop_camera, resized_numbers
 from ...body.posing import LandmarkGather, Posed, pose
 from ...body.rotations import replayed_axis_angles, rotation_to_6d
 from ...cameras import WeakPerspective
+from ...interop.device_cache import device_cache
 from ...render.ellipsoids import draw_ellipsoids
 from .uncertainty import Uncertainty
 
@@ -101,7 +101,7 @@ def landmarks_in_crop(predicted: Predicted, names: tuple[str, ...], lenses: torc
     return camera.project(posed_landmarks(posed, names))[..., :2] - _SIDE / 2
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _gather(names: tuple[str, ...], device: torch.device) -> LandmarkGather:
     with torch.inference_mode(False):  # kept for calls outside of it, too
         return LandmarkGather(names, device)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import torch
 
 from ...body.template import NUM_PARTS
+from ...interop.device_cache import device_cache
 from .energy import Energy
 from .tables import LANDMARK_NAMES
 
@@ -87,7 +87,7 @@ class Batch:
         return replace(self, **{name: each[rows] for name, each in self._named().items()})
 
 
-@lru_cache(maxsize=256)
+@device_cache(256)
 def _landmark_indices(marks: tuple[str, ...], device: torch.device) -> torch.Tensor:
     """Index of each mark in ``LANDMARK_NAMES``, shape (L,)."""
     with torch.inference_mode(False):  # the cached tensor also serves calls outside of inference mode

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +24,7 @@ from ...body.rotations import rotation_between, rotation_from_axis_angle, rotati
 from ...body.stature import bone_statures
 from ...body.template import BONE_STARTS, JOINT_NAMES, PARENTS, PART_NAMES
 from ...inputs.observations import Observations
+from ...interop.device_cache import device_cache
 from ...networks.regression.uncertainty import Uncertainty
 from ...render.renderers import RendererEllipsoids
 from .batch import Batch
@@ -263,14 +263,14 @@ def _hidden_limbs(bodies: BodyParameters, people: Batch, labels: LabelSet | None
     return (known & limb_missing).view(count, len(_LIMBS), 2).any(2)
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _joint_columns(device: torch.device) -> torch.Tensor:
     """Matrix that selects each limb's two joints from ``LANDMARK_NAMES`` of all conventions: 1 or 0, shape (L, 8)."""
     names = [JOINT_NAMES[part + 1] for parts in _LIMBS.values() for part in parts[:2]]
     return torch.tensor([[float(each.endswith(name)) for name in names] for each in LANDMARK_NAMES], device=device)
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _own_parts(device: torch.device) -> torch.Tensor:
     """Indices of the parts that meet at each limb's two joints, and of the same parts on the other side, (8, 4)."""
     pairs = [parts[end : end + 2] for parts in _LIMBS.values() for end in range(2)]
@@ -384,7 +384,7 @@ def _overlapping_parts(posed: Posed, view: torch.Tensor) -> torch.Tensor:
     return ((squares < _OVERLAP).any(2) & _not_neighbours(view.device)).any(2)
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _not_neighbours(device: torch.device) -> torch.Tensor:
     """Pairs of parts of which neither is the parent of the other, and which share no parent, shape (20, 20), bool."""
     parts = np.arange(len(PART_NAMES))

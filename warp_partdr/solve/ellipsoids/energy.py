@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Collection
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +27,7 @@ from ...cameras import Camera
 from ...errors import check_type, check_whole
 from ...inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
 from ...inputs.observations import Observations
+from ...interop.device_cache import device_cache
 from ...render.renderers import Renderer, RendererEllipsoids
 
 _MILLIMETRES = 1000.0
@@ -317,7 +318,7 @@ class Energy:
         return self.misses(parameters, posed) * (REFERENCE_SIZE / 2)
 
 
-@lru_cache(maxsize=256)
+@device_cache(256)
 def _landmark_parts(names: tuple[str, ...], device: torch.device) -> torch.Tensor:
     """Part that each landmark lies on, shape (L,), int64."""
     with torch.inference_mode(False):  # the cached tensor also serves calls outside of inference mode

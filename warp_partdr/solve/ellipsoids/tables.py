@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from functools import lru_cache
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -13,6 +12,7 @@ import warp as wp
 from ...body.landmarks import LANDMARKS, landmark_points
 from ...body.pose_prior import FREE_PARTS, NUM_FEATURES, PosePrior
 from ...body.template import NUM_PARTS, PARENTS, SHAPE_INDICES, subtree_masks, template
+from ...interop.device_cache import device_cache
 from ...kernels.refine.state import Bone, Landmark, Landmarks, LandmarkShare, Mixture, Rules
 
 LANDMARK_NAMES = tuple(LANDMARKS)
@@ -26,7 +26,7 @@ def _structs(kind: Any, device: str, **columns: Any) -> wp.array:
     return wp.array(rows, dtype=kind, device=device)
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def bone_arrays(device: str) -> wp.array:
     """Make the array of the template's bones, and the root last, on a Warp device; it is kept."""
     return _structs(

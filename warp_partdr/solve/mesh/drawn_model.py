@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 import torch
 
 from ...body.labels import BACKGROUND, IGNORE, LabelSet
 from ...body.template import JOINT_NAMES
+from ...interop.device_cache import device_cache
 from ...models.clothes import bounded, clothes_basis, dressed_model
 from ...models.joint_merging import merge_joints
 from ...models.joint_turns import turn_joints
@@ -121,7 +121,7 @@ def draw_model(model: DetailedModel, options: MeshOptions, label_set: LabelSet |
     return _draw_model(model, options, groups, label_set is not None and label_set.at_joints)
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _draw_model(
     model: DetailedModel, options: MeshOptions, groups: tuple[int, ...] | None, at_joints: bool
 ) -> DrawnModel:
@@ -159,7 +159,7 @@ def _reduced_by(model: DetailedModel, options: MeshOptions) -> tuple[DetailedMod
     return _reduced(model, options.vertices, math.inf)
 
 
-@lru_cache(maxsize=4)
+@device_cache(4)
 def _reduced(model: DetailedModel, vertices: int | None, error: float) -> tuple[DetailedModel, int, torch.Tensor]:
     """Reduce a model; return it with its first vertex that carries a landmark, and the basis of its clothes."""
     basis = clothes_basis(model)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -18,6 +18,7 @@ from ...body.lens import through_lens
 from ...body.parameters import crop_camera
 from ...cameras import Camera, Perspective, ScreenCamera
 from ...inputs.observation import REFERENCE_SIZE
+from ...interop.device_cache import device_cache
 from ...models.capsules import Capsules, measure_capsules
 from ...models.clothes import clothes_costs
 from ...models.model import Detailed, DetailedModel
@@ -311,7 +312,7 @@ def mesh_energy(model: DetailedModel, options: MeshOptions, label_set: LabelSet 
     return _mesh_energy(draw_model(model, options, label_set), options)
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _mesh_energy(drawn: DrawnModel, options: MeshOptions) -> MeshEnergy:
     capsules = measure_capsules(drawn.model) if options.apart > 0 else None
     return MeshEnergy(drawn, options, capsules=capsules, apart=options.apart)

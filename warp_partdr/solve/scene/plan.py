@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import torch
 
 from ...inputs.scene import Scene
+from ...interop.device_cache import device_cache
 from ...models.capsules import measure_capsules
 from ...models.model import DetailedModel
 from ..mesh.drawn_model import DrawnModel, draw_model
@@ -65,7 +65,7 @@ def plan_scene(
     return ScenePlan(scene, model, options, clusters, energy)
 
 
-@lru_cache(maxsize=8)
+@device_cache(8)
 def _scene_energy(drawn: DrawnModel, options: SceneOptions, people: int, most: int, groups: int) -> MeshEnergy:
     """Energy of ``people`` people, of whom a cluster has at most ``most``, with labels of G groups.
 
