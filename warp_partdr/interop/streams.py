@@ -114,11 +114,11 @@ def capture_graph(launch: Callable[[], None], device: torch.device) -> wp.Graph:
             wp.ScopedCapture(where, stream) as capture,
         ):
             launch()
-    _tables[capture.graph] = tables
+    _graph_tables[capture.graph] = tables
     return capture.graph
 
 
-_tables: WeakKeyDictionary[wp.Graph, list[object]] = WeakKeyDictionary()  # what graphs read, freed with them
+_graph_tables: WeakKeyDictionary[wp.Graph, list[object]] = WeakKeyDictionary()  # what graphs read, freed with them
 
 
 @cache
