@@ -28,6 +28,8 @@ class FoundPerson:
         next_crop: Crop that the landmarks place about the person, for the next picture of a film.
         mirror_distance: Distance between joints as they are found in the crop and in its mirror image, mean weighted by
             their confidence, as a share of the crop's side; None if the mirror image was not looked at.
+        parts: Probabilities of background and the 20 parts in the crop, shape (21, 128, 128), float16, on the device
+            that found it; None if only the smaller landmark network has looked.
     """
 
     keypoints: Keypoints2D
@@ -37,6 +39,7 @@ class FoundPerson:
     mask: torch.Tensor
     next_crop: TurnedCrops
     mirror_distance: float | None = None
+    parts: torch.Tensor | None = None
 
     @property
     def seen(self) -> bool:
