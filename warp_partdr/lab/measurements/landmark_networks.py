@@ -193,7 +193,7 @@ def _measure_views(views: Iterator[_View]) -> Iterator[FigureTable | str]:
         index = int(np.argmin(far))
         person, heavy = people[index], find_people(pyramid, landmarks="heavy")[index]
         crop = replace(person.crop, pictures=np.zeros(1, np.int64))
-        points = place_landmarks(see_landmarks(network, network.size, [pyramid], crop, mirror=False), crop)[0][0]
+        points = place_landmarks(see_landmarks(network, [pyramid], crop, mirror=False), crop)[0][0]
         alone = replace(person, keypoints=replace(person.keypoints, points=points.astype(np.float32)))
         compared += [view.moment] * view.compared
         for name, each in zip(keypoints, (person, alone, heavy), strict=True):

@@ -8,7 +8,7 @@ means of both networks' answers, and hips those of the head, for BlazePose's lie
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ from ...body.template import JOINT_NAMES, PART_NAMES
 from ...inputs.keypoints import Keypoints2D
 from ...interop.device_cache import device_cache
 from .crops import Pyramid, TurnedCrops, cut_crops, join_crops, work_on_crops
+from .graph import OperatorGraph
 from .heavy_network import HeavyNetwork
 from .look import NUM_LANDMARKS, place_landmarks, read_landmarks
 from .person import SKELETON, FoundPerson
@@ -32,7 +33,7 @@ _LEAST_WEIGHT = 1e-3  # so that all joints count alike if none is seen
 # truth by BlazePose and 1.7 % by the head; the median of all limb joints was 1.35 % by either, and 1.29 % in the mean.
 _FROM_HEAD = {"hip": 1.0, "shoulder": 0.5, "elbow": 0.5, "wrist": 0.5, "knee": 0.5, "ankle": 0.5}
 
-Network = Callable[[torch.Tensor], Mapping[str, torch.Tensor]]  # from pictures to "landmarks", "heat" and more
+Network = OperatorGraph | HeavyNetwork  # without or with a part head
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class TwoLooks:
 
 
 def with_heavy_landmarks(
-    network: HeavyNetwork, pyramids: Sequence[Pyramid], everyone: Sequence[Sequence[FoundPerson]]
+    network: Network, pyramids: Sequence[Pyramid], everyone: Sequence[Sequence[FoundPerson]]
 ) -> list[list[FoundPerson]]:
     """Replace people's keypoints by those of the larger network, which looks at the crops of their masks.
 
@@ -69,7 +70,7 @@ def with_heavy_landmarks(
         return [list(people) for people in everyone]
     pictures = np.repeat(np.arange(len(everyone)), [len(people) for people in everyone])
     crops = replace(join_crops([person.crop for person in found]), pictures=pictures)
-    looks = look_twice(network, network.size, pyramids, crops)
+    looks = look_twice(network, pyramids, crops)
     points, confidence, next_crops = place_landmarks((looks.own + looks.turned) / 2, crops)
     apart = _mirror_distances(looks.own, looks.turned, confidence)
     before = (
@@ -90,34 +91,34 @@ def with_heavy_landmarks(
 
 
 def see_landmarks(
-    network: Network, size: int, pyramids: Sequence[Pyramid], crops: TurnedCrops, *, mirror: bool = True
+    network: Network, pyramids: Sequence[Pyramid], crops: TurnedCrops, *, mirror: bool = True
 ) -> np.ndarray:
     """Find landmarks in crops, as ``read_landmarks`` returns them, but without the last four, shape (N, 35, 5).
 
     Args:
         network: Landmark network, with or without a part head.
-        size: Side of the pictures that it takes [px].
         pyramids: The pictures.
         crops: Crops of the pictures, at least one.
         mirror: True returns means of the landmarks in a crop and in its mirror image. They lie nearer to the truth.
     """
     if mirror:
-        looks = look_twice(network, size, pyramids, crops)
+        looks = look_twice(network, pyramids, crops)
         return (looks.own + looks.turned) / 2
 
     def ask(part: TurnedCrops) -> torch.Tensor:
-        return _landmarks_of(network(cut_crops(pyramids, part, size, beyond="border")), size)
+        return _landmarks_of(network(cut_crops(pyramids, part, network.size, beyond="border")), network.size)
 
     return torch.cat(work_on_crops(ask, crops, pyramids[0].device)).cpu().numpy()
 
 
-def look_twice(network: Network, size: int, pyramids: Sequence[Pyramid], crops: TurnedCrops) -> TwoLooks:
+def look_twice(network: Network, pyramids: Sequence[Pyramid], crops: TurnedCrops) -> TwoLooks:
     """Look at crops and at their mirror images; arguments as those of ``see_landmarks``."""
 
     def ask(part: TurnedCrops) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        pictures = cut_crops(pyramids, part, size, beyond="border")
+        pictures = cut_crops(pyramids, part, network.size, beyond="border")
         first, second = network(pictures), network(pictures.flip(-1))
-        own, turned = _landmarks_of(first, size), _mirrored_back(_landmarks_of(second, size))
+        own = _landmarks_of(first, network.size)
+        turned = _mirrored_back(_landmarks_of(second, network.size))
         if "parts" not in first:
             return own, turned, None
         mean = (first["parts"] + second["parts"].flip(-1)[:, _orders(pictures.device).parts]) / 2
