@@ -24,7 +24,7 @@ from .crops import Pyramid, TurnedCrops, cut_crops, join_crops, work_on_crops
 from .graph import OperatorGraph
 from .heavy_network import HeavyNetwork
 from .look import NUM_LANDMARKS, place_landmarks, read_landmarks
-from .person import SKELETON, FoundPerson
+from .person import SKELETON, FoundPerson, LikeliestParts
 from .same_person import first_of_each, similarity
 
 _JOINTS = [skeleton(SKELETON).landmarks.index(name) for name in BODY_LANDMARKS]
@@ -43,13 +43,12 @@ class TwoLooks:
     Attributes:
         own: Landmarks in the crops, as ``read_landmarks`` returns them, but without the last four, shape (N, 35, 5).
         turned: Landmarks in the mirror images.
-        parts: Probabilities of background and the 20 parts in the crops, in the mean of both looks, float16, on the
-            network's device, shape (N, 21, 128, 128); None if the network has no part head.
+        parts: Likeliest parts in the N crops, by the mean of both looks; None if the network has no part head.
     """
 
     own: np.ndarray
     turned: np.ndarray
-    parts: torch.Tensor | None
+    parts: LikeliestParts | None
 
 
 def with_heavy_landmarks(
@@ -114,7 +113,7 @@ def see_landmarks(
 def look_twice(network: Network, pyramids: Sequence[Pyramid], crops: TurnedCrops) -> TwoLooks:
     """Look at crops and at their mirror images; arguments as those of ``see_landmarks``."""
 
-    def ask(part: TurnedCrops) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+    def ask(part: TurnedCrops) -> tuple[torch.Tensor, torch.Tensor, LikeliestParts | None]:
         pictures = cut_crops(pyramids, part, network.size, beyond="border")
         first, second = network(pictures), network(pictures.flip(-1))
         own = _landmarks_of(first, network.size)
@@ -122,14 +121,14 @@ def look_twice(network: Network, pyramids: Sequence[Pyramid], crops: TurnedCrops
         if "parts" not in first:
             return own, turned, None
         mean = (first["parts"] + second["parts"].flip(-1)[:, _orders(pictures.device).parts]) / 2
-        return own, turned, mean.half()
+        return own, turned, LikeliestParts.of(mean)
 
-    own, turned, parts = zip(*work_on_crops(ask, crops, pyramids[0].device), strict=True)
-    return TwoLooks(
-        torch.cat(own).cpu().numpy(),
-        torch.cat(turned).cpu().numpy(),
-        None if parts[0] is None else torch.cat(parts),
-    )
+    own, turned, said = zip(*work_on_crops(ask, crops, pyramids[0].device), strict=True)
+    seen = [each for each in said if each is not None]
+    parts = None
+    if seen:
+        parts = LikeliestParts(torch.cat([each.labels for each in seen]), torch.cat([each.background for each in seen]))
+    return TwoLooks(torch.cat(own).cpu().numpy(), torch.cat(turned).cpu().numpy(), parts)
 
 
 def _landmarks_of(values: Mapping[str, torch.Tensor], size: int) -> torch.Tensor:

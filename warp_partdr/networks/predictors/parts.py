@@ -26,8 +26,6 @@ _SUM_TOLERANCE = 1e-2
 # Of the packaged part head. BlazePose's mask has the better outline: with the head's own background, outlines of the
 # bodies of PartBench's level "photo" (24 people) had an F1 of 0.960, with the mask 0.982.
 _HEAD_LABELS = "ellipbody20"
-_CELLS = 256  # side of the map of labels that are looked up in the picture
-_SURE = 0.7  # probability of a part among all parts, below which a pixel of the person is ignored
 _ANOTHER_THING = 0.8  # probability of background from which on a pixel of the mask is ignored, such as one of a racket
 _SAME_PERSON = 0.2  # the same below which a pixel beside the mask is ignored
 
@@ -172,18 +170,14 @@ def seen_parts(person: FoundPerson, mask: PartLabels) -> PartLabels | None:
     """
     if person.parts is None:
         return None
-    shares = F.interpolate(person.parts.float().cpu()[None], (_CELLS, _CELLS), mode="bilinear", align_corners=False)[0]
-    parts = shares[1:]
-    likeliest, place = parts.max(0)
-    label = torch.where(likeliest >= _SURE * parts.sum(0), place + 1, IGNORE)
-    maps = torch.stack([label.float(), shares[0]])
+    maps = torch.stack([person.parts.labels, person.parts.background]).float().cpu()
     window = crop_window(person.crop, mask.groups.shape)
     (labels, background), within = spread_maps(maps, person.crop, window, mode="nearest")
     groups = mask.groups.copy()
     drawn = groups[window]
     own = within & (drawn != BACKGROUND) & (drawn != IGNORE)
-    beside = within & (drawn == BACKGROUND) & (background < _SAME_PERSON)
-    drawn[own] = np.where(background[own] > _ANOTHER_THING, IGNORE, labels[own]).astype(np.uint8)
+    beside = within & (drawn == BACKGROUND) & (background < 255 * _SAME_PERSON)
+    drawn[own] = np.where(background[own] > 255 * _ANOTHER_THING, IGNORE, labels[own]).astype(np.uint8)
     drawn[beside] = IGNORE
     if not ((drawn != BACKGROUND) & (drawn != IGNORE)).any():
         return None
