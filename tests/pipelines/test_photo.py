@@ -180,8 +180,9 @@ def test_the_part_head_sees_parts_unless_the_mask_is_asked_for(device):
     seen = fit_photo(photo, options=heavy, device=device)
     assert seen.sources[0]["parts"] == PACKAGED_PARTS
     assert fit_photo(photo, options=heavy, device=device, parts_from="mask").sources[0]["parts"] == PACKAGED
+    assert fit_photo(photo, options=FAST, device=device, parts_from="none").sources[0]["parts"] is None
     assert fit_photo(photo, options=FAST, device=device).sources[0]["parts"] == PACKAGED  # whose network sees no parts
-    with pytest.raises(TypeError, match=r"parts_from: str; expected .*'packaged' or 'mask'"):
+    with pytest.raises(TypeError, match=r"parts_from: str; expected .*'packaged', 'mask' or 'none'"):
         fit_photo(photo, options=FAST, device=device, parts_from="maks")
 
 

@@ -228,8 +228,8 @@ class PersonFiles:
 PartsFromOption = Annotated[
     str | None,
     Option(
-        help="What finds part labels: packaged (the default for photos), mask (the whole body alone), or a network: "
-        "a folder, or hf:ORG/NAME.",
+        help="What finds part labels: packaged (the default for photos), mask (the whole body), none (keypoints alone), "
+        "or a network: a folder, or hf:ORG/NAME.",
         metavar="NAME",
     ),
 ]
@@ -306,8 +306,10 @@ class NetworkOptions:
                 f"--keypoints-from: {self.keypoints_from}, for a film, whose people the packaged detector follows; "
                 "expected keypoints alone"
             )
-        if self.parts_from == "packaged":
-            raise InputError("--parts-from: packaged, for a film, which has masks so far; expected mask or a network")
+        if self.parts_from in ("packaged", "none"):
+            raise InputError(
+                f"--parts-from: {self.parts_from}, for a film, which has masks so far; expected mask or a network"
+            )
 
     def load(self, device: str) -> LoadedNetworks:
         """Load the networks that were asked for."""
@@ -319,6 +321,8 @@ class NetworkOptions:
             parts_from = "packaged"
         elif self.parts_from == "mask":
             parts_from = "mask"
+        elif self.parts_from == "none":
+            parts_from = "none"
         elif self.parts_from is not None:
             parts_from = load_part_network(self.parts_from, self.labels, device=device, say=echo)
         if self.keypoints_from is not None:

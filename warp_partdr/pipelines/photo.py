@@ -107,8 +107,8 @@ def fit_photo(
     Args:
         photo: RGB pixels that ``read_photo`` returns, shape (H, W, 3), uint8, or the photo's file.
         parts_from: Source of part labels: "packaged" is the packaged part head, which sees the parts if the landmark
-            network is "heavy" (``FitOptions.landmarks``); "mask" takes the mask of the whole body alone; or a network
-            that ``load_part_network`` returns or you make.
+            network is "heavy" (``FitOptions.landmarks``); "mask" takes the mask of the whole body instead; "none" takes
+            keypoints alone; or a network that ``load_part_network`` returns or you make.
         keypoints_from: Network for keypoints instead of the packaged one, which ``load_keypoint_network`` returns or
             you make. If it has ``boxes``, they find the people.
         person: Index of the only person to fit, 0 is the largest. Pixels of the other people are still left out. If it
@@ -136,7 +136,7 @@ def fit_photo(
         (2, 3)
     """
     if parts_from not in get_args(PackagedParts):
-        check_type("parts_from", parts_from, PartNetwork, "of load_part_network, 'packaged' or 'mask'")
+        check_type("parts_from", parts_from, PartNetwork, "of load_part_network, 'packaged', 'mask' or 'none'")
     check_type("keypoints_from", keypoints_from, KeypointNetwork | None, "of load_keypoint_network")
     report = progress or (lambda name, done, total: None)
     report("people", 0, 1)
@@ -318,7 +318,9 @@ def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
 def _packaged_readings(
     person: FoundPerson, owners: np.ndarray, index: int, parts_from: PartNetwork | PackagedParts
 ) -> list[Evidence]:
-    """Readings of what the packaged networks found of a person: with parts if they are wanted, else with the mask."""
+    """Readings of what the packaged networks found of a person: with parts or the mask, if they are wanted."""
+    if parts_from == "none":
+        return weigh_evidence(person.keypoints)
     if parts_from == "packaged" and (mask := mask_labels(owners, index)) is not None:
         parts = seen_parts(person, mask)
         if parts is not None and (weighed := _weighed(person.keypoints, parts)):

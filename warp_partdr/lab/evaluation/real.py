@@ -20,8 +20,9 @@ from .evaluate import Fitting, Method, no_labels
 from .partbench.methods import fit_anny
 from .scoring import Score, score_fit
 
-NETWORK, ELLIPSOIDS, MESH, PHOTO, MASK = "network", "ellipsoids", "mesh", "photo alone", "photo alone, mask"
-PAIRS = ((MESH, NETWORK), (ELLIPSOIDS, NETWORK), (PHOTO, MESH), (PHOTO, MASK))
+NETWORK, ELLIPSOIDS, MESH, PHOTO = "network", "ellipsoids", "mesh", "photo alone"
+MASK, KEYPOINTS = "photo alone, mask", "photo alone, keypoints"
+PAIRS = ((MESH, NETWORK), (ELLIPSOIDS, NETWORK), (PHOTO, MESH), (PHOTO, MASK), (MASK, KEYPOINTS))
 _NOBODY = 0.5  # mean distance of keypoints, as a share of the person's height, beyond which it is somebody else
 
 
@@ -91,7 +92,7 @@ def real_methods(
     Examples:
         >>> from warp_partdr.benchmark import real_methods
         >>> list(real_methods())
-        ['network', 'ellipsoids', 'mesh', 'photo alone', 'photo alone, mask']
+        ['network', 'ellipsoids', 'mesh', 'photo alone', 'photo alone, mask', 'photo alone, keypoints']
     """
     known = None if isinstance(stature, bool) else stature
     options = replace(FitOptions.at(quality), network=network, stature=known)
@@ -102,4 +103,5 @@ def real_methods(
         MESH: Method(no_labels, options, fit_anny, camera=camera, stature=with_stature),
         PHOTO: PhotoMethod(options, camera=camera, stature=with_stature),
         MASK: PhotoMethod(options, camera=camera, stature=with_stature, parts_from="mask"),
+        KEYPOINTS: PhotoMethod(options, camera=camera, stature=with_stature, parts_from="none"),
     }

@@ -14,7 +14,7 @@ from typing import Literal, get_args
 from ...errors import shown
 
 LandmarkNetwork = Literal["full", "heavy"]
-PackagedParts = Literal["packaged", "mask"]  # what shows a person's parts: the part head, or the mask alone
+PackagedParts = Literal["packaged", "mask", "none"]  # what is seen of a person: parts, the mask, or keypoints alone
 
 MIN_SCORE = 0.5  # least confidence that there is a person, by default
 
