@@ -228,8 +228,8 @@ class PersonFiles:
 PartsFromOption = Annotated[
     str | None,
     Option(
-        help="What finds part labels: packaged (the default for photos), mask (the whole body), none (keypoints alone), "
-        "or a network: a folder, or hf:ORG/NAME.",
+        help="Source of part labels: packaged (the default for photos), mask (the whole body), none (keypoints "
+        "alone), or a network: a folder, or hf:ORG/NAME.",
         metavar="NAME",
     ),
 ]
