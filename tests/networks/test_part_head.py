@@ -120,6 +120,24 @@ def test_float16_sees_nearly_the_same(device: str) -> None:
     assert (expected.parts.labels == found.parts.labels)[shown].float().mean() > 0.97
 
 
+def test_few_pictures_need_no_library_for_convolutions(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loading cuDNN, and its plans for each shape, would take most of a first call on CUDA."""
+    network = heavy(device)
+    pictures = torch.rand(2, 3, 256, 256, generator=torch.Generator().manual_seed(0)).to(device)
+    many = torch.cat([pictures] * 5)  # more than are made products of windows
+    expected = [values[:2] for values in network(many).values()]
+    if device == "cuda":
+
+        def fail(*_: object, **__: object) -> None:
+            raise AssertionError("conv2d was called")
+
+        monkeypatch.setattr(torch.nn.functional, "conv2d", fail)
+    for _ in range(3):  # the second call is captured on CUDA
+        found = network(pictures)
+        for values, wanted in zip(found.values(), expected, strict=True):
+            torch.testing.assert_close(values, wanted, rtol=1e-3, atol=2e-3 * float(wanted.abs().max()))
+
+
 class Said(OperatorGraph):
     """Network whose landmarks lie at the left above and whose joints lie at the right below, in any picture."""
 
@@ -161,10 +179,10 @@ def test_normalisations_are_within_the_convolutions_of_answers() -> None:
     values = graph(pictures)
     given = join_features(values), values["landmarks"], pictures
     head.train()(*given)  # so that statistics are not 0 and 1
-    expected, found = head.eval()(*given), head.fused()(*given)
+    expected, found = head.eval()(*given), head.folded()(*given)
     torch.testing.assert_close(found.logits, expected.logits, atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(found.joints, expected.joints, atol=1e-4, rtol=1e-4)
-    assert not any(isinstance(each, torch.nn.BatchNorm2d) for each in head.fused().modules())
+    assert not any(isinstance(each, torch.nn.BatchNorm2d) for each in head.folded().modules())
     assert any(isinstance(each, torch.nn.BatchNorm2d) for each in head.modules())
 
 

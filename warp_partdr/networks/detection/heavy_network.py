@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import torch
 
+from ...interop.captured_call import call_as_graph
 from ..regression.checkpoint import NetworkFiles
 from .graph import OperatorGraph
-from .part_head import TAPS, PartHead, PartHeadConfig
+from .part_head import MOST_WINDOWS, TAPS, PartHead, PartHeadConfig
 from .product_graph import ProductGraph
 
 _FILES = NetworkFiles(
@@ -62,7 +64,7 @@ class HeavyNetwork(torch.nn.Module):
         self.size = graph.size
         self._plain, self._half = graph, half
         self._graph = ProductGraph(shown, torch.float16 if half else torch.float32) if on_cuda else shown
-        self._trained, self._head = head, head.fused()
+        self._trained, self._head = head, head.folded()
 
     def halved(self) -> HeavyNetwork:
         """The same in float16, for CUDA."""
@@ -80,7 +82,17 @@ class HeavyNetwork(torch.nn.Module):
         """
         values = self._graph(pictures)
         features = join_features(values)
+        given = *(features[side] for side in TAPS), values["landmarks"], pictures
         with torch.autocast(pictures.device.type, torch.float16, enabled=self._half):
-            seen = self._head(features, values["landmarks"], pictures)
+            # Launches for few pictures take longer than their work.
+            few = len(pictures) <= MOST_WINDOWS
+            parts, joints = call_as_graph(_see, given, self._head) if few else _see(*given, self._head)
         found = {name: values[name] for name in self._plain.outputs}
-        return found | {"parts": seen.logits.float().softmax(1), "joints": seen.joints}
+        return found | {"parts": parts, "joints": joints}
+
+
+def _see(*given: Any) -> tuple[torch.Tensor, torch.Tensor]:
+    """Probabilities of parts, and joints, from features by their sides, landmarks, pictures and a part head."""
+    *features, landmarks, pictures, head = given
+    seen = head(dict(zip(TAPS, features, strict=True)), landmarks, pictures)
+    return seen.logits.float().softmax(1), seen.joints

@@ -11,6 +11,7 @@ the person in the middle from those beside.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ from ...body.skeletons import skeleton
 from ...body.template import NUM_JOINTS, NUM_PARTS
 from ...errors import check_whole
 from ...interop.device_cache import device_cache
+from ..window_products import convolve_windows
 from .person import SKELETON
 
 TAPS: Mapping[int, tuple[int, ...]] = {8: (535, 640), 16: (499, 614), 32: (448, 587), 64: (430, 545), 128: (412,)}
@@ -34,6 +36,7 @@ _LIMB_CELLS = 64  # side of the maps of limbs and of joints
 _LIMB_SPREAD = 0.035  # standard deviation of a limb's map, the picture's side being 1
 _HIDDEN = 0.3  # brightness of a limb whose ends are hidden
 _MOST_DEPTH = 2.0  # [half-sides of the picture]
+MOST_WINDOWS = 8  # pictures whose windows, of 66 MB each at most, are made on CUDA, so that cuDNN need not be loaded
 _NUMBERS = 5  # of a landmark: x, y and depth [px], and the logits of visibility and presence
 
 _ARM = (("shoulder", "elbow"), ("elbow", "wrist"), ("wrist", "index"))
@@ -93,8 +96,8 @@ class PartHead(nn.Module):
             beside = _COLOURS if side == PICTURE_SIDE // 2 else 2 * len(_LINES)
             self.joined[str(side)] = nn.Sequential(_block(before + width + beside, width), _block(width, width))
             before = width
-        self.last = nn.Conv2d(before, NUM_PARTS + 1, 1)
-        self.heat = nn.Conv2d(widths[_LIMB_CELLS], NUM_JOINTS, 1)
+        self.last: nn.Module = nn.Conv2d(before, NUM_PARTS + 1, 1)
+        self.heat: nn.Module = nn.Conv2d(widths[_LIMB_CELLS], NUM_JOINTS, 1)
 
     def forward(
         self, features: Mapping[int, torch.Tensor], landmarks: torch.Tensor, pictures: torch.Tensor
@@ -120,15 +123,38 @@ class PartHead(nn.Module):
                 joints, spreads = _heat_means(self.heat(values).float())
         return SeenParts(self.last(values), joints, spreads)
 
-    def fused(self) -> PartHead:
+    def folded(self) -> PartHead:
         """A copy for answers, whose normalisations are within its convolutions."""
-        head = PartHead(self.config).eval()
-        head.load_state_dict(self.state_dict())
-        for block in [each for each in head.modules() if isinstance(each, nn.Sequential)]:
+        head = deepcopy(self).eval()
+        blocks = [each for each in head.modules() if isinstance(each, nn.Sequential)]
+        for block in blocks:
             convolution, norm = block[0], block[1]
             if isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
-                block[0], block[1] = fuse_conv_bn_eval(convolution, norm), nn.Identity()
-        return head.to(next(self.parameters()).device)
+                block[0], block[1] = _Products(fuse_conv_bn_eval(convolution, norm)), nn.Identity()
+        for name in ("last", "heat"):
+            convolution = getattr(self, name)
+            setattr(head, name, _Products(convolution))
+        return head
+
+
+class _Products(nn.Module):
+    """Convolution that keeps the size of its maps; on CUDA, of few pictures, a product of matrices."""
+
+    def __init__(self, convolution: nn.Conv2d) -> None:
+        super().__init__()
+        assert convolution.bias is not None
+        weight = convolution.weight.detach().contiguous(memory_format=torch.channels_last)
+        self.register_buffer("weight", weight)
+        self.register_buffer("bias", convolution.bias.detach())
+        self.weight: torch.Tensor
+        self.bias: torch.Tensor
+
+    def forward(self, values: torch.Tensor) -> torch.Tensor:
+        """Values (B, C, H, W)."""
+        beside = self.weight.shape[2] // 2
+        if values.is_cuda and len(values) <= MOST_WINDOWS:
+            return convolve_windows(values, self.weight, self.bias, 1, (beside,) * 4)
+        return F.conv2d(values, self.weight, self.bias, padding=beside)
 
 
 def _heat_means(heat: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
