@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from .shading import noise_backgrounds
 SIDE = 384  # [px], of the squares that are kept
 _WIDE = 1.3  # ratio of width to height from which on a picture gives its left and right ends, too
 _SAMPLES = ("brick.png", "chelsea.png", "coffee.png", "coins.png", "grass.png", "gravel.png", "motorcycle_left.png")
-_NOISE, _NOISE_SEED = 64, 5_003  # number of pictures of noise, and their seed
+_NOISE, _NOISE_SEED = 32, 5_003  # number of pictures of noise, and their seed
 _PART = (0.25, 1.0)  # side of the part that is cut out; small ones as often as large ones, as logarithms
 _TILT = 0.3  # [rad], largest turn of it
 _BRIGHTNESS = (0.5, 1.3)
@@ -82,6 +83,7 @@ def _squares_of(photo: np.ndarray) -> list[np.ndarray]:
     return found
 
 
+@lru_cache(maxsize=1)
 def _noise() -> torch.Tensor:
     pictures = noise_backgrounds(_NOISE, (SIDE, SIDE), TorchRng(_NOISE_SEED, "cpu"))
     return (pictures.clamp(0, 1) * 255).byte()
