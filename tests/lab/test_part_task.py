@@ -16,6 +16,7 @@ from safetensors.torch import load_file
 from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
 from warp_partdr.lab.synthetic.photo_people import PhotoBatch
+from warp_partdr.lab.synthetic.training_people import cell_of, held_out_cells
 from warp_partdr.lab.training.config import Phase, TrainingConfig, make_config, read_config
 from warp_partdr.lab.training.loop import run_training
 from warp_partdr.lab.training.part_task import PartTask, cell_labels, part_losses
@@ -167,6 +168,21 @@ def test_held_out_people_are_the_same_in_every_run(task: PartTask) -> None:
     other = make_task(small_config(seed=3))
     other.batch(CPU)
     assert torch.equal(batches[0].pictures, other._held_out[0].pictures)
+
+
+def test_bodies_are_of_their_side_of_the_split(task: PartTask, monkeypatch) -> None:
+    for held_out in (False, True):
+        people = task._make_maker(0, held_out=held_out)._people
+        assert (np.isin(cell_of(people.quantiles(200).numpy()), held_out_cells()) == held_out).all()
+    asked = []
+
+    def make_maker(self: PartTask, seed: int, *, held_out: bool):
+        asked.append(held_out)
+        return lambda count: count
+
+    monkeypatch.setattr(PartTask, "_make_maker", make_maker)
+    assert make_task(small_config())._held_out == [3]
+    assert asked == [False, True]
 
 
 def test_a_run_goes_on_with_the_pictures_that_would_have_come(task: PartTask) -> None:

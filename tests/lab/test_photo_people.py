@@ -28,7 +28,7 @@ from warp_partdr.lab.synthetic.photo_surfaces import (
     LOWER,
     SKIN,
     UPPER,
-    Surface,
+    PixelSurface,
     facing,
     outfit_pieces,
     surface_of,
@@ -187,12 +187,12 @@ def test_beyond_the_border_the_last_row_is_repeated_and_labels_are_unknown(devic
     assert min(ends.values()) > 5
 
 
-def flat_surface(device: str, piece: int, *, count: int = 3, side: int = 32) -> Surface:
+def flat_surface(device: str, piece: int, *, count: int = 3, side: int = 32) -> PixelSurface:
     """Squares of 0.5 m that face the camera, one for each person."""
     person, row, column = torch.nonzero(torch.ones(count, side, side, device=device) > 0, as_tuple=True)
     place = torch.stack([column / side, row / side, torch.zeros_like(row)], dim=-1) * 0.5
     normal = torch.tensor([0.0, 0.0, -1.0], device=device).expand(len(person), -1)
-    return Surface(person, row, column, torch.full_like(person, piece), place, normal)
+    return PixelSurface(person, row, column, torch.full_like(person, piece), place, normal)
 
 
 def contrasts(colours: torch.Tensor, count: int) -> torch.Tensor:
@@ -300,6 +300,10 @@ def test_normals_face_the_camera_and_pieces_fit_the_labels(device: str) -> None:
     labels = drawn.labels[surface.person, surface.row, surface.column]
     heads = surface.piece[labels == PART_NAMES.index("head") + 1]
     assert set(heads.unique().tolist()) <= {SKIN, HAIR, DARK, UPPER}
+    grown = surface_of(made._tables, people, screen, drawn, torch.zeros(12, dtype=torch.bool, device=device))
+    bare = surface.piece == SKIN
+    assert (grown.piece == HAIR).sum() > 1.05 * (surface.piece == HAIR).sum()
+    assert (grown.piece == surface.piece)[~bare].all()
     assert (heads == UPPER).float().mean() < 0.1
     # Places for textures are those of the parts at rest: heads above, feet below.
     height = surface.place[:, 1]

@@ -15,11 +15,18 @@ from .options import DeviceOption, SetOption
 TRAIN_HELP = """Train a network: label-network, parts, ellipbodynet, or a config of your own (see
 docs/how_to/train_a_network.md).
 
+* **label-network** makes the network that fits start from: part labels and keypoints in, a body out. It learns from
+  synthetic people.
+* **parts** makes the part head, which says which part each pixel of a photo shows. It learns from shaded people before
+  pictures. The packaged landmark network, whose features it looks at, stays as it is. parts-smoke is a try of a minute.
+* **ellipbodynet** makes the paper's network: a picture in, a body out. It learns from data sets, which you bring.
+
 Examples:
 
 * `partdr train label-network --out out/net` trains on the GPU, or on the CPU if there is no GPU
 * `partdr train label-network --out out/net --resume` continues from the newest checkpoint
 * `partdr train label-network --minutes 30 --set batch_size=512` trains for half an hour, in smaller batches
+* `partdr train parts --out out/head --backgrounds PHOTOS` puts your pictures behind people; nobody may be seen in them
 * `torchrun --nproc-per-node 4 -m warp_partdr train label-network` or `accelerate launch -m warp_partdr train ...` train
   on several GPUs, with batch_size samples on each
 

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 
 from .backdrops import Backdrops, log_uniform
-from .photo_surfaces import DARK, HAIR, NUM_PIECES, SKIN, Surface
+from .photo_surfaces import DARK, HAIR, NUM_PIECES, SKIN, PixelSurface
 from .rng import TorchRng
 
 _FULL_TURN = 2 * math.pi
@@ -71,7 +71,7 @@ def _toned(rng: TorchRng, colour: tuple[float, ...], between: tuple[float, float
     return torch.tensor(colour, device=rng.device) * rng.uniform(*shape, 1, low=between[0], high=between[1])
 
 
-def surface_colours(rng: TorchRng, surface: Surface, prints: Backdrops, count: int) -> torch.Tensor:
+def surface_colours(rng: TorchRng, surface: PixelSurface, prints: Backdrops, count: int) -> torch.Tensor:
     """Colours of the pixels of ``count`` people, RGB from 0 to 1, shape (N, 3).
 
     Args:
@@ -90,11 +90,13 @@ def surface_colours(rng: TorchRng, surface: Surface, prints: Backdrops, count: i
     colours = torch.lerp(colours, second, share[:, None])
     shown = surface.of_pieces(rng.uniform(count, NUM_PIECES, low=_PRINTED[0], high=_PRINTED[1]))
     colours = torch.lerp(colours, _prints(rng, surface, prints, count), (shown * (pattern == _PRINT))[:, None])
-    fine = torch.sin(_waves(surface, _FINE_DENSITY * rng.normal(count, 3, _FINE_WAVES), rng)).mean(-1, keepdim=True)
+    fine = torch.sin(_wave_angles(surface, _FINE_DENSITY * rng.normal(count, 3, _FINE_WAVES), rng)).mean(
+        -1, keepdim=True
+    )
     return (colours * (1 + _FINE * fine)).clamp(0, 1)
 
 
-def _second_colour(rng: TorchRng, surface: Surface, pattern: torch.Tensor, count: int) -> torch.Tensor:
+def _second_colour(rng: TorchRng, surface: PixelSurface, pattern: torch.Tensor, count: int) -> torch.Tensor:
     """Flags of pixels where stripes, checks and blotches have their second colour, 0 or 1, shape (N,)."""
     density = surface.of_pieces(log_uniform(rng, _DENSITY, count, NUM_PIECES))
     axis = surface.of_pieces(rng.integers(3, count, NUM_PIECES))
@@ -109,7 +111,7 @@ def _second_colour(rng: TorchRng, surface: Surface, pattern: torch.Tensor, count
     return torch.where(pattern == _BLOTCHES, 2 * blotch > _BLOTCH_EDGE, found).float()
 
 
-def _prints(rng: TorchRng, surface: Surface, prints: Backdrops, count: int) -> torch.Tensor:
+def _prints(rng: TorchRng, surface: PixelSurface, prints: Backdrops, count: int) -> torch.Tensor:
     """Colours of pictures that are laid on people from the front and from the side, again and again, shape (N, 3)."""
     pictures = prints.some(count)
     scale, shift = log_uniform(rng, _PRINT_SCALES, count), rng.uniform(count, 2)
@@ -120,16 +122,16 @@ def _prints(rng: TorchRng, surface: Surface, prints: Backdrops, count: int) -> t
     return pictures[surface.person, :, row.clamp(max=height - 1), column.clamp(max=width - 1)]
 
 
-def _waves(surface: Surface, waves: torch.Tensor, rng: TorchRng) -> torch.Tensor:
+def _wave_angles(surface: PixelSurface, waves: torch.Tensor, rng: TorchRng) -> torch.Tensor:
     """Angles of each person's waves (B, 3, K) [rad/m] at the pixels, their phases being random, shape (N, K)."""
     phases = rng.uniform(len(waves), waves.shape[-1], high=_FULL_TURN)
     return torch.einsum("nd,ndk->nk", surface.place, waves[surface.person]) + phases[surface.person]
 
 
-def folds(rng: TorchRng, surface: Surface, count: int) -> torch.Tensor:
+def folds(rng: TorchRng, surface: PixelSurface, count: int) -> torch.Tensor:
     """Changes of normals by the folds of clothes and by what is uneven on skin, shape (N, 3)."""
     waves = rng.normal(count, 3, _FOLDS) * log_uniform(rng, _FOLD_DENSITY, count, 1, _FOLDS)
-    slopes = torch.cos(_waves(surface, waves, rng))
+    slopes = torch.cos(_wave_angles(surface, waves, rng))
     ways = F.normalize(waves, dim=1)[surface.person]
     depth = rng.uniform(count, NUM_PIECES, high=_FOLD_DEPTH)
     depth[:, SKIN] *= _SKIN_FOLDS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 import torch.nn.functional as F
 
-from .photo_surfaces import NUM_PIECES, Surface
+from .photo_surfaces import NUM_PIECES, PixelSurface
 from .rng import TorchRng
 
 _LAMPS = ((0.3, 1.3), (0.0, 0.5), (0.0, 0.4))  # ranges of their powers
@@ -21,7 +21,7 @@ _COARSE, _SURROUNDINGS = 8, 5  # [px] of a cell, and cells that are the surround
 
 
 def lit_colours(
-    rng: TorchRng, surface: Surface, colours: torch.Tensor, normals: torch.Tensor, depth: torch.Tensor
+    rng: TorchRng, surface: PixelSurface, colours: torch.Tensor, normals: torch.Tensor, depth: torch.Tensor
 ) -> torch.Tensor:
     """Colours (N, 3) of pixels of a picture under the light of each person.
 
@@ -51,7 +51,7 @@ def lit_colours(
     return (colours * light * shade[:, None] + shine).clamp(0, _BRIGHTEST)
 
 
-def _ambient(rng: TorchRng, surface: Surface, normals: torch.Tensor, count: int) -> torch.Tensor:
+def _ambient(rng: TorchRng, surface: PixelSurface, normals: torch.Tensor, count: int) -> torch.Tensor:
     """Light of sky and ground at the pixels, shape (N, 3)."""
     sky = rng.uniform(count, 1, low=_SKY[0], high=_SKY[1]) * (1 + _SKY_TINT * rng.normal(count, 3))
     ground = sky * rng.uniform(count, 1, low=_GROUND[0], high=_GROUND[1])
@@ -59,7 +59,7 @@ def _ambient(rng: TorchRng, surface: Surface, normals: torch.Tensor, count: int)
     return torch.lerp(ground[surface.person], sky[surface.person], upward)
 
 
-def _sunk(surface: Surface, depth: torch.Tensor) -> torch.Tensor:
+def _sunk(surface: PixelSurface, depth: torch.Tensor) -> torch.Tensor:
     """Distance by which the pixels lie behind the mean of the person around them [m], shape (N,)."""
     shown = torch.isfinite(depth)
     sums = torch.stack([torch.where(shown, depth, 0.0), shown.float()], dim=1)

@@ -29,7 +29,7 @@ _BEHIND = 0.3  # of a normal along the view: it looks away, by rounding
 
 
 @dataclass(frozen=True)
-class Surface:
+class PixelSurface:
     """N pixels in which people of a batch are seen.
 
     Attributes:
@@ -102,15 +102,15 @@ def outfit_pieces(outfit: Sequence[Worn]) -> np.ndarray:
 
 def surface_of(
     tables: ClothesTables, people: DressedPeople, screen: torch.Tensor, drawn: PartImage, bald: torch.Tensor
-) -> Surface:
-    """Surface at each pixel of a picture that shows somebody.
+) -> PixelSurface:
+    """PixelSurface at each pixel of a picture that shows somebody.
 
     On CUDA, normals are sums in an order that varies, so they are equal up to rounding from run to run.
 
     Args:
         tables: Tables of the wardrobe that the people wear clothes of.
         people: People of the picture.
-        screen: Their vertices in the picture [px] and depth [m], shape (B, V, 3).
+        screen: Vertices in the picture [px] and depth [m], shape (B, V, 3).
         drawn: Picture of them.
         bald: Flags of people whose heads are bald unless their outfit has hair, shape (B,), bool.
     """
@@ -126,7 +126,7 @@ def surface_of(
     grown = (feature == DARK) | ((feature == HAIR) & ~bald[person])
     piece = torch.where(grown & (piece == SKIN), feature, piece)
     place = (tables.places[corners] * shares[..., None]).sum(1)
-    return Surface(person, row, column, piece, place, normal)
+    return PixelSurface(person, row, column, piece, place, normal)
 
 
 def facing(normals: torch.Tensor) -> torch.Tensor:
