@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from ...interop.captured_call import call_as_graph
+from ...interop.precision import exact_convolutions
 from ..regression.checkpoint import NetworkFiles
 from .graph import OperatorGraph
 from .part_head import MOST_WINDOWS, TAPS, PartHead, PartHeadConfig
@@ -83,9 +84,8 @@ class HeavyNetwork(torch.nn.Module):
         values = self._graph(pictures)
         features = join_features(values)
         given = *(features[side] for side in TAPS), values["landmarks"], pictures
-        with torch.autocast(pictures.device.type, torch.float16, enabled=self._half):
-            # Launches for few pictures take longer than their work.
-            few = len(pictures) <= MOST_WINDOWS
+        few = len(pictures) <= MOST_WINDOWS  # whose launches take longer than their work
+        with torch.autocast(pictures.device.type, torch.float16, enabled=self._half), exact_convolutions():
             parts, joints = call_as_graph(_see, given, self._head) if few else _see(*given, self._head)
         found = {name: values[name] for name in self._plain.outputs}
         return found | {"parts": parts, "joints": joints}
