@@ -31,7 +31,7 @@ TAPS: Mapping[int, tuple[int, ...]] = {8: (535, 640), 16: (499, 614), 32: (448, 
 """Values of the landmark network's graph that the head looks at, by the side of their maps [cells]."""
 PICTURE_SIDE = 256  # [px], of the pictures that the landmark network takes
 _TAPPED = {8: 560, 16: 352, 32: 152, 64: 80, 128: 24}  # their channels
-_COLOURS = 16  # channels that are made of the picture itself
+_COLOUR_CHANNELS = 16  # channels that are made of the picture itself
 _LIMB_CELLS = 64  # side of the maps of limbs and of joints
 _LIMB_SPREAD = 0.035  # standard deviation of a limb's map, the picture's side being 1
 _HIDDEN = 0.3  # brightness of a limb whose ends are hidden
@@ -89,11 +89,11 @@ class PartHead(nn.Module):
         self.config = config
         widths = dict(zip(TAPS, config.channels, strict=True))
         self.sides = nn.ModuleDict({str(side): _block(_TAPPED[side], width, 1) for side, width in widths.items()})
-        self.colours = _block(3, _COLOURS)
+        self.colours = _block(3, _COLOUR_CHANNELS)
         self.joined = nn.ModuleDict()
         (_, before), *rest = widths.items()
         for side, width in rest:
-            beside = _COLOURS if side == PICTURE_SIDE // 2 else 2 * len(_LINES)
+            beside = _COLOUR_CHANNELS if side == PICTURE_SIDE // 2 else 2 * len(_LINES)
             self.joined[str(side)] = nn.Sequential(_block(before + width + beside, width), _block(width, width))
             before = width
         self.last: nn.Module = nn.Conv2d(before, NUM_PARTS + 1, 1)
