@@ -120,7 +120,7 @@ def look_twice(network: Network, pyramids: Sequence[Pyramid], crops: TurnedCrops
         turned = _mirrored_back(_landmarks_of(second, network.size))
         if "parts" not in first:
             return own, turned, None
-        mean = (first["parts"] + second["parts"].flip(-1)[:, _orders(pictures.device).parts]) / 2
+        mean = (first["parts"] + second["parts"].flip(-1)[:, _head_orders(pictures.device).parts]) / 2
         return own, turned, LikeliestParts.of(mean)
 
     own, turned, said = zip(*work_on_crops(ask, crops, pyramids[0].device), strict=True)
@@ -135,7 +135,7 @@ def _landmarks_of(values: Mapping[str, torch.Tensor], size: int) -> torch.Tensor
     """Landmarks (N, 35, 5) of a network's values; if it has a part head, limbs' landmarks are means with its joints."""
     landmarks = read_landmarks(values, size)[:, : NUM_LANDMARKS + 2]
     if "joints" in values:
-        orders = _orders(landmarks.device)
+        orders = _head_orders(landmarks.device)
         joints = values["joints"][:, orders.joints].double()
         landmarks[:, orders.limbs, :2] = torch.lerp(landmarks[:, orders.limbs, :2], joints, orders.shares)
     return landmarks
@@ -143,19 +143,19 @@ def _landmarks_of(values: Mapping[str, torch.Tensor], size: int) -> torch.Tensor
 
 def _mirrored_back(landmarks: torch.Tensor) -> torch.Tensor:
     """Landmarks of mirror images, (N, 35, 5), as they lie in the pictures themselves."""
-    turned = landmarks[:, _orders(landmarks.device).landmarks]
+    turned = landmarks[:, _head_orders(landmarks.device).landmarks]
     turned[..., 0] = 1 - turned[..., 0]
     return turned
 
 
-class _Orders(NamedTuple):
+class _HeadOrders(NamedTuple):
     """Indices on a device, which would wait for what it is sent.
 
     Attributes:
         landmarks: Landmark that each one becomes in a mirror image, shape (35,).
         parts: Map that each of background and parts becomes in a mirror image, shape (21,).
         limbs: Landmarks that are joints of limbs, shape (12,).
-        joints: The same joints among ``JOINT_NAMES``.
+        joints: Joints of these limbs among ``JOINT_NAMES``.
         shares: Shares of the part head's joints in them, shape (12, 1), float64.
     """
 
@@ -167,11 +167,11 @@ class _Orders(NamedTuple):
 
 
 @device_cache(8)
-def _orders(device: torch.device) -> _Orders:
+def _head_orders(device: torch.device) -> _HeadOrders:
     names = skeleton(SKELETON).landmarks
     hips, top = NUM_LANDMARKS, NUM_LANDMARKS + 1
     limbs = [name for name in names if name.split("_")[-1] in _FROM_HEAD]
-    return _Orders(
+    return _HeadOrders(
         torch.tensor([*skeleton(SKELETON).mirror.tolist(), hips, top], device=device),
         torch.tensor([0, *(mirror_order(PART_NAMES) + 1).tolist()], device=device),
         torch.tensor([names.index(name) for name in limbs], device=device),

@@ -68,7 +68,7 @@ class HeavyNetwork(torch.nn.Module):
         self._trained, self._head = head, head.folded()
 
     def halved(self) -> HeavyNetwork:
-        """The same in float16, for CUDA."""
+        """Copy in float16, for CUDA."""
         return HeavyNetwork(self._plain, self._trained, half=True)
 
     def forward(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:

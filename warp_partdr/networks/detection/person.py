@@ -19,7 +19,7 @@ _SURE = 0.7  # probability of a part among all parts from which on it is likely
 
 @dataclass(frozen=True)
 class LikeliestParts:
-    """What the part head sees in one crop, or in N, on the device that found it.
+    """Parts that the part head sees in one crop, or in N, on the device that found them.
 
     Attributes:
         labels: Part with the highest probability, 1 to 20 in the order of ``PART_NAMES``, at each pixel, whether or not
