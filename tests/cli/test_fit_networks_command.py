@@ -152,6 +152,8 @@ def test_a_network_s_fault_in_a_film_is_none_of_the_film(run: Run, film: Path, n
             "yolos, for a film, whose people the packaged",
         ),
         ("scene stand.mp4 --cameras rig.json --labels lip20", "--labels: lip20, without --parts-from"),
+        ("fit stand.mp4 --parts-from packaged", "--parts-from: packaged, for a film, which has masks so far"),
+        ("fit stand.mp4 --parts-from mask --labels lip20", "--labels: lip20, without --parts-from"),
     ):
         code, said, complaint = run(f"{line} --out out --device cpu")
         assert (code, said) == (2, ""), line

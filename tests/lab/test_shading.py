@@ -49,12 +49,12 @@ def test_a_piece_of_clothing_has_one_colour_brighter_and_darker(device: str) -> 
 
 
 def test_eyes_and_mouth_are_in_front_and_hair_is_on_top_and_behind() -> None:
-    model, features = anny(), shading._features()
+    model, features = anny(), shading.face_features()
     rest = model.rest(torch.zeros(1, model.num_shapes))
     middles = rest.vertices[0].numpy()[model.faces.numpy()].mean(1)
     head = model.face_parts.numpy() == PART_NAMES.index("head") + 1
     assert head[features > 0].mean() > 0.95
-    dark, hair = middles[features == shading._DARK], middles[features == shading._HAIR]
+    dark, hair = middles[features == shading.DARK_FACE], middles[features == shading.HAIR_FACE]
     eyes = model.landmarks(rest, ("left_eye", "right_eye"))[0].numpy()
     for eye in eyes:
         assert (np.linalg.norm(dark - eye, axis=1) < 0.02).any()
@@ -62,7 +62,7 @@ def test_eyes_and_mouth_are_in_front_and_hair_is_on_top_and_behind() -> None:
     assert dark[:, 2].min() > hair[:, 2].mean()
     assert hair[:, 1].max() > eyes[0, 1] + 0.08
     assert hair[:, 2].mean() < middles[head, 2].mean()
-    assert 0.1 < (features[head] == shading._HAIR).mean() < 0.9
+    assert 0.1 < (features[head] == shading.HAIR_FACE).mean() < 0.9
 
 
 def test_each_person_has_a_camera_of_their_own(device: str) -> None:

@@ -412,7 +412,7 @@ def test_the_command_trains_and_writes_its_files(tmp_path, capfd):
 
 def test_packaged_configs_are_read():
     tasks = {name: read_config(name).task for name in packaged_configs()}
-    assert tasks == {name: name for name in TASKS} | {"ellipbodynet-shaded": "ellipbodynet"}
+    assert tasks == {name: name for name in TASKS} | {"ellipbodynet-shaded": "ellipbodynet", "parts-smoke": "parts"}
 
 
 @pytest.mark.parametrize(
@@ -435,7 +435,7 @@ def test_packaged_configs_are_read():
         ("phases=[{until=0.5}]", r"phases: until \[0.5\]; expected rising shares"),
         ("phases=[{without=['big']}]", r"phases\[0\].without: big; expected some of fit, small"),
         ("phases=[{end=1.0}]", r"phases\[0\].end: unknown; expected one of until"),
-        ("task=gardening", "task: gardening; expected label-network, ellipbodynet or module:Class"),
+        ("task=gardening", "task: gardening; expected label-network, parts, ellipbodynet or module:Class"),
         ("task=nowhere:Task", "task: nowhere:Task: No module named"),
         ("noise", "--set: noise; expected key=value"),
     ],

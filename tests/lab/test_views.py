@@ -570,6 +570,13 @@ def test_of_everybody_in_a_photo_the_person_counts_who_is_where_the_truth_is(mon
     assert methods["photo alone"].fit_sample(sample, "cpu") == "person"
     assert given["camera"] is sample.camera
     assert given["options"].stature == 1.8
+    for name, source in (
+        ("photo alone", "packaged"),
+        ("photo alone, mask", "mask"),
+        ("photo alone, keypoints", "none"),
+    ):
+        methods[name].fit_sample(sample, "cpu")
+        assert given["parts_from"] == source
     people[1] = people[0] = SimpleNamespace(keypoints=Keypoints2D(form, here + height, confidence))
     with pytest.raises(InputError, match="nobody found there"):
         methods["photo alone"].fit_sample(sample, "cpu")

@@ -96,7 +96,9 @@ def test_people_of_several_pictures_keep_their_own() -> None:
     np.testing.assert_allclose(found[2][0].keypoints.points, expected.points, atol=0.5)
     np.testing.assert_allclose(found[0][0].keypoints.points - [130, 0], expected.points, atol=4)
     pyramids = [Pyramid(np.zeros_like(example_photo()), "cpu"), Pyramid(example_photo(), "cpu")]
-    _, (again,) = with_heavy_landmarks(load_heavy_landmarks(), pyramids, [[], [example_person("cpu", "full")]])
+    network = packaged_people_networks("cpu", landmarks="heavy").heavy
+    assert network is not None
+    _, (again,) = with_heavy_landmarks(network, pyramids, [[], [example_person("cpu", "full")]])
     np.testing.assert_allclose(again.keypoints.points, expected.points, atol=1e-2)
 
 

@@ -8,7 +8,7 @@ import torch
 from helpers.example import example_photo
 
 from warp_partdr.networks.detection import product_graph
-from warp_partdr.networks.detection.asset import packaged_people_networks
+from warp_partdr.networks.detection.asset import load_heavy_landmarks, packaged_people_networks
 from warp_partdr.networks.detection.crops import Pyramid, TurnedCrops, cut_crops
 from warp_partdr.networks.detection.detector import tiles
 from warp_partdr.networks.detection.graph import Node, OperatorGraph
@@ -74,7 +74,7 @@ def test_packaged_networks_need_no_library_for_convolutions(name, monkeypatch):
     def fail(*_: object, **__: object) -> None:
         raise AssertionError("conv2d was called")
 
-    network = getattr(packaged_people_networks("cpu", landmarks="heavy"), name)
+    network = load_heavy_landmarks() if name == "heavy" else getattr(packaged_people_networks("cpu"), name)
     pictures = torch.rand(1, 3, 256, 256, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
         expected = network(pictures)

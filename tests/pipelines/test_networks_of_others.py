@@ -168,7 +168,7 @@ def corner(count: int) -> torch.Tensor:
 
 def test_networks_of_another_type_are_refused(found: FoundPerson) -> None:
     network = part_network(found)
-    with pytest.raises(TypeError, match="parts_from: str; expected PartNetwork or None, of load_part_network"):
+    with pytest.raises(TypeError, match="parts_from: str; expected PartNetwork, of load_part_network, 'packaged'"):
         fit_photo(PHOTO, parts_from="net")  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="keypoints_from: PartNetwork; expected KeypointNetwork or None"):
         fit_photo(PHOTO, keypoints_from=network)  # type: ignore[arg-type]

@@ -23,7 +23,7 @@ from warp_partdr.models.anny import anny
 from warp_partdr.models.model import detailed_mesh
 from warp_partdr.networks.detection import crops
 from warp_partdr.pipelines import photo as photo_fit
-from warp_partdr.pipelines.photo import PACKAGED, PhotoFit, fit_photo, mask_labels
+from warp_partdr.pipelines.photo import PACKAGED, PACKAGED_PARTS, PhotoFit, fit_photo, mask_labels, person_in_photo
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.results.overlays import GRAY, draw_detailed
 from warp_partdr.results.person_pictures import draw_side_view
@@ -173,6 +173,25 @@ def test_others_pixels_are_unknown_not_background():
     assert found is not None
     assert found.groups.tolist() == [[0, 1], [255, 1]]
     assert mask_labels(owners, 2) is None
+
+
+def test_the_part_head_sees_parts_unless_the_mask_is_asked_for(device):
+    photo, heavy = example_photo(), replace(FAST, landmarks="heavy")
+    seen = fit_photo(photo, options=heavy, device=device)
+    assert seen.sources[0]["parts"] == PACKAGED_PARTS
+    assert fit_photo(photo, options=heavy, device=device, parts_from="mask").sources[0]["parts"] == PACKAGED
+    assert fit_photo(photo, options=FAST, device=device, parts_from="none").sources[0]["parts"] is None
+    assert fit_photo(photo, options=FAST, device=device).sources[0]["parts"] == PACKAGED  # whose network sees no parts
+    with pytest.raises(TypeError, match=r"parts_from: str; expected .*'packaged', 'mask' or 'none'"):
+        fit_photo(photo, options=FAST, device=device, parts_from="maks")
+
+
+def test_inputs_of_one_person_have_the_parts_that_are_asked_for():
+    names = {
+        source: person_in_photo(example_photo(), parts_from=source).parts.label_set.name
+        for source in ("packaged", "mask")
+    }
+    assert names == {"packaged": "ellipbody20", "mask": "full1"}
 
 
 def test_a_person_hidden_by_another_is_told(everyone):

@@ -103,7 +103,7 @@ class JointFileOptions:
         Path | None, Option(help="File of calibrated cameras, for a .trc file or joints over time.", metavar="FILE")
     ] = None
     films: Annotated[
-        Path | None, Option(help="Films of these cameras, for the method 'photo alone'.", metavar="FOLDER")
+        Path | None, Option(help="Films of these cameras, for the methods 'photo alone'.", metavar="FOLDER")
     ] = None
     axes: Annotated[
         str | None,

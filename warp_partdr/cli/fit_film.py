@@ -148,11 +148,13 @@ def _read_rig(file: Path | None, paths: Sequence[Path], options: SceneOptions) -
 def _load_networks(options: NetworkOptions, device: str) -> GivenNetworks | None:
     """Load networks from other projects, if there are any."""
     from ..networks.predictors.film_predictions import GivenNetworks
+    from ..networks.predictors.networks import PartNetwork
 
     if not options.given:
         return None
     loaded = options.load(device)
-    return GivenNetworks(loaded.parts_from, loaded.keypoints_from)
+    parts_from = loaded.parts_from if isinstance(loaded.parts_from, PartNetwork) else None
+    return GivenNetworks(parts_from, loaded.keypoints_from)
 
 
 def _echo(sentence: str) -> None:

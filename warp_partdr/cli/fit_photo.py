@@ -53,7 +53,7 @@ def fit_everyone(request: FitRequest) -> None:
                 picture,
                 person=files.person,
                 min_score=request.score,
-                parts_from=networks.parts_from,
+                parts_from=networks.parts_from or "packaged",
                 keypoints_from=networks.keypoints_from,
                 options=options,
                 model=detailed,

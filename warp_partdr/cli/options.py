@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 from typer import Option, echo
 
@@ -26,7 +26,7 @@ from ..inputs.part_labels import (
     read_photo,
 )
 from ..inputs.person import PersonInputs, check_inside
-from ..networks.detection import MIN_SCORE
+from ..networks.detection import MIN_SCORE, PackagedParts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -226,7 +226,12 @@ class PersonFiles:
 
 
 PartsFromOption = Annotated[
-    str | None, Option(help="Network that finds part labels: a folder, or hf:ORG/NAME.", metavar="NAME")
+    str | None,
+    Option(
+        help="Source of part labels: packaged (the default for photos), mask (the whole body), none (keypoints "
+        "alone), or a network: a folder, or hf:ORG/NAME.",
+        metavar="NAME",
+    ),
 ]
 KeypointsFromOption = Annotated[
     str | None,
@@ -239,9 +244,9 @@ KeypointsFromOption = Annotated[
 
 @dataclass(frozen=True)
 class LoadedNetworks:
-    """Networks from other projects; None for one that was not asked for."""
+    """Networks that were asked for, or the name of the packaged one; None for one that was not asked for."""
 
-    parts_from: PartNetwork | None
+    parts_from: PartNetwork | PackagedParts | None
     keypoints_from: KeypointNetwork | None
 
 
@@ -266,11 +271,16 @@ class NetworkOptions:
         return (self.parts_from, self.keypoints_from) != (None, None)
 
     @property
+    def _part_network(self) -> str | None:
+        """Network for parts that is not the packaged one."""
+        return None if self.parts_from in get_args(PackagedParts) else self.parts_from
+
+    @property
     def files(self) -> list[Path]:
         """Files in the user's own folders of networks; their times show if a network has changed."""
         from ..networks.predictors.checkpoints import split_names
 
-        given = (self.parts_from, *((None,) if self.keypoints_from is None else split_names(self.keypoints_from)))
+        given = (self._part_network, *((None,) if self.keypoints_from is None else split_names(self.keypoints_from)))
         folders = [Path(name).expanduser() for name in given if name is not None]
         return [path for folder in folders if folder.is_dir() for path in sorted(folder.glob("*.*")) if path.is_file()]
 
@@ -281,14 +291,14 @@ class NetworkOptions:
         """
         for name, given, other, network in (
             ("--format", self.keypoint_format, "--keypoints-from", self.keypoints_from),
-            ("--labels", self.labels, "--parts-from", self.parts_from),
+            ("--labels", self.labels, "--parts-from", self._part_network),
         ):
             if given is not None and network is None:
                 wanted = f"{instead} or {other}; expected one of them with it" if instead else f"{other}; expected both"
                 raise InputError(f"{name}: {given}, without {wanted}")
 
     def check_film(self) -> None:
-        """Raise an InputError if a network is given that finds people: in films, the packaged detector does that."""
+        """Raise an InputError if a network is given that films do not take, such as one that finds people."""
         from ..networks.predictors.checkpoints import split_names
 
         if self.keypoints_from is not None and split_names(self.keypoints_from)[1] is not None:
@@ -296,13 +306,24 @@ class NetworkOptions:
                 f"--keypoints-from: {self.keypoints_from}, for a film, whose people the packaged detector follows; "
                 "expected keypoints alone"
             )
+        if self.parts_from in ("packaged", "none"):
+            raise InputError(
+                f"--parts-from: {self.parts_from}, for a film, which has masks so far; expected mask or a network"
+            )
 
     def load(self, device: str) -> LoadedNetworks:
         """Load the networks that were asked for."""
         from ..networks.predictors.checkpoints import load_keypoint_network, load_part_network
 
-        parts_from, keypoints_from = None, None
-        if self.parts_from is not None:
+        parts_from: PartNetwork | PackagedParts | None = None
+        keypoints_from = None
+        if self.parts_from == "packaged":
+            parts_from = "packaged"
+        elif self.parts_from == "mask":
+            parts_from = "mask"
+        elif self.parts_from == "none":
+            parts_from = "none"
+        elif self.parts_from is not None:
             parts_from = load_part_network(self.parts_from, self.labels, device=device, say=echo)
         if self.keypoints_from is not None:
             form = self.keypoint_format

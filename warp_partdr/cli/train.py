@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
@@ -11,14 +12,21 @@ from typer import Argument, Option
 from ..errors import InputError
 from .options import DeviceOption, SetOption
 
-TRAIN_HELP = """Train a network: label-network, ellipbodynet, or a config of your own (see
+TRAIN_HELP = """Train a network: label-network, parts, ellipbodynet, or a config of your own (see
 docs/how_to/train_a_network.md).
+
+* **label-network** makes the network that fits start from: part labels and keypoints in, a body out. It learns from
+  synthetic people.
+* **parts** makes the part head, which says which part each pixel of a photo shows. It learns from shaded people before
+  pictures. The packaged landmark network, whose features it looks at, stays as it is. parts-smoke is a try of a minute.
+* **ellipbodynet** makes the paper's network: a picture in, a body out. It learns from data sets, which you bring.
 
 Examples:
 
 * `partdr train label-network --out out/net` trains on the GPU, or on the CPU if there is no GPU
 * `partdr train label-network --out out/net --resume` continues from the newest checkpoint
 * `partdr train label-network --minutes 30 --set batch_size=512` trains for half an hour, in smaller batches
+* `partdr train parts --out out/head --backgrounds PHOTOS` puts your pictures behind people; nobody may be seen in them
 * `torchrun --nproc-per-node 4 -m warp_partdr train label-network` or `accelerate launch -m warp_partdr train ...` train
   on several GPUs, with batch_size samples on each
 
@@ -47,7 +55,18 @@ def train_network(
         ),
     ] = None,
     settings: SetOption = None,
-    bits: Annotated[int, Option(help="Bits of each weight in the trained network's file: 32, 16 or 8.")] = 32,
+    backgrounds: Annotated[
+        Path | None,
+        Option(
+            help="For parts: folder of pictures in which nobody is seen, to stand behind people; default: "
+            "scikit-image's sample pictures, or noise if it is not installed.",
+            metavar="FOLDER",
+        ),
+    ] = None,
+    bits: Annotated[
+        int | None,
+        Option(help="Bits of each weight in the trained network's file: 32, 16 or 8; default: 16 for parts, else 32."),
+    ] = None,
     device: DeviceOption = "auto",
 ) -> None:
     """Train; see ``TRAIN_HELP``."""
@@ -57,9 +76,11 @@ def train_network(
         raise InputError(f"--device: {device}; expected auto, cpu or cuda (CUDA_VISIBLE_DEVICES chooses the GPU)")
     overrides = list(settings or ())
     if out is not None:
-        overrides.append(f"out='{out}'")
+        overrides.append(f"out={_quoted(out)}")
     if minutes is not None:
         overrides.append(f"minutes={minutes}")
+    if backgrounds is not None:
+        overrides.append(f"data.backgrounds={_quoted(backgrounds)}")
     numbers = read_config(config, overrides)
 
     from ..interop.devices import choose_device
@@ -80,3 +101,8 @@ def train_network(
     speed = f"{report['samples_per_second']:,.0f} samples/s"
     typer.echo(f"{result.step} steps, {report['seconds']:.0f} s, {speed}; {errors}")
     typer.echo(f"{numbers.out / MODEL_FILE} holds the network, {numbers.out / 'report.json'} the figures")
+
+
+def _quoted(path: Path) -> str:
+    """A path as a text of TOML, which escapes characters as JSON does."""
+    return json.dumps(str(path), ensure_ascii=False)

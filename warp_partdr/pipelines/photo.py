@@ -1,8 +1,7 @@
-"""Fit of everyone in a photo without further inputs. The packaged networks find the people.
+"""Fit of everyone in a photo without further inputs. The packaged networks find the people, and see their parts.
 
-Masks are not cut into parts. With a mask of the whole body, the label network and the mesh stage end nearer to the
-truth than with parts that are guessed from the nearest bones. The user's own networks may give parts and keypoints
-instead.
+A person's mask says where the person is, and the part head which part each of its pixels shows. The user's own networks
+may give parts and keypoints instead.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import torch
@@ -26,7 +26,7 @@ from ..interop.arrays import tensor_over
 from ..interop.torch_threads import all_torch_threads, one_torch_thread
 from ..models.measuring import heights
 from ..models.model import DetailedModel
-from ..networks.detection import MIN_SCORE, LandmarkNetwork
+from ..networks.detection import MIN_SCORE, LandmarkNetwork, PackagedParts
 from ..networks.detection.crops import Pyramid
 from ..networks.detection.given_boxes import BoxNetwork, find_people_in_boxes, same_keypoints
 from ..networks.detection.masks import instance_map
@@ -34,7 +34,7 @@ from ..networks.detection.people import check_picture, find_people
 from ..networks.detection.person import FoundPerson
 from ..networks.predictors.keypoints import find_keypoints
 from ..networks.predictors.networks import KeypointNetwork, PartNetwork
-from ..networks.predictors.parts import PeopleParts
+from ..networks.predictors.parts import PeopleParts, seen_parts
 from ..solve.confidence.judge import BodyConfidence, judge_fits
 from ..solve.confidence.measures import detection_measures
 from ..solve.ellipsoids.fitting import fit_evidence
@@ -44,7 +44,8 @@ from ..solve.ellipsoids.stages import Progress
 from ..solve.mesh.mesh_stage import MeshFit
 from ..solve.scene.overlapping import refine_people
 
-PACKAGED = "packaged: BlazePose"  # name of the packaged network
+PACKAGED = "packaged: BlazePose"  # name of the packaged network for keypoints and masks
+PACKAGED_PARTS = "packaged: part head"  # and of that for parts
 _COMPARED = 1024  # [px], longer side of the picture in which masks and bodies are compared
 _HIDDEN = 0.02  # share of a body covered by another person's mask, from which on that person hides it
 
@@ -58,7 +59,8 @@ class PhotoFit:
         fits: Bodies by the index of the person in ``people``, for all people or the one who was asked for.
         owners: Person at each pixel: 1 for the first of ``people``, 0 for nobody, shape (H, W), int32.
         sources: Names of the networks that gave the "keypoints" and "parts" of each body, by the index of the person.
-            ``PACKAGED`` is the packaged network, whose parts are a mask. None stands for parts that were not used.
+            ``PACKAGED`` is the packaged network, whose parts are a mask, and ``PACKAGED_PARTS`` is the part head. None
+            stands for parts that were not used.
         confidences: Confidence in each body, by the index of the person.
     """
 
@@ -88,7 +90,7 @@ class PhotoFit:
 def fit_photo(
     photo: np.ndarray | str | Path,
     *,
-    parts_from: PartNetwork | None = None,
+    parts_from: PartNetwork | PackagedParts = "packaged",
     keypoints_from: KeypointNetwork | None = None,
     person: int | None = None,
     min_score: float = MIN_SCORE,
@@ -104,7 +106,9 @@ def fit_photo(
 
     Args:
         photo: RGB pixels that ``read_photo`` returns, shape (H, W, 3), uint8, or the photo's file.
-        parts_from: Network for part labels instead of masks, which ``load_part_network`` returns or you make.
+        parts_from: Source of part labels: "packaged" is the packaged part head, which sees the parts if the landmark
+            network is "heavy" (``FitOptions.landmarks``); "mask" takes the mask of the whole body instead; "none" takes
+            keypoints alone; or a network that ``load_part_network`` returns or you make.
         keypoints_from: Network for keypoints instead of the packaged one, which ``load_keypoint_network`` returns or
             you make. If it has ``boxes``, they find the people.
         person: Index of the only person to fit, 0 is the largest. Pixels of the other people are still left out. If it
@@ -131,7 +135,8 @@ def fit_photo(
         >>> everyone.fits[0].landmarks(["nose", "left_wrist"]).shape  # in the camera frame [m]
         (2, 3)
     """
-    check_type("parts_from", parts_from, PartNetwork | None, "of load_part_network")
+    if parts_from not in get_args(PackagedParts):
+        check_type("parts_from", parts_from, PartNetwork, "of load_part_network, 'packaged', 'mask' or 'none'")
     check_type("keypoints_from", keypoints_from, KeypointNetwork | None, "of load_keypoint_network")
     report = progress or (lambda name, done, total: None)
     report("people", 0, 1)
@@ -183,7 +188,7 @@ class _PeopleEvidence:
         people: Sequence[FoundPerson],
         owners: np.ndarray,
         picture: Pyramid,
-        parts_from: PartNetwork | None,
+        parts_from: PartNetwork | PackagedParts,
         keypoints_from: KeypointNetwork | None,
         count: int,
     ) -> None:
@@ -191,7 +196,10 @@ class _PeopleEvidence:
         self._owners = owners
         self._picture = picture
         self._keypoints_from = keypoints_from
-        self._parts = None if parts_from is None else PeopleParts(parts_from, picture, people, owners, count)
+        self._parts_from = parts_from
+        self._parts = (
+            PeopleParts(parts_from, picture, people, owners, count) if isinstance(parts_from, PartNetwork) else None
+        )
 
     def of(self, index: int) -> tuple[list[Evidence], list[str], dict[str, str | None]]:
         """Weighs the evidence of one person.
@@ -202,7 +210,7 @@ class _PeopleEvidence:
         warnings: list[str] = []
         names: dict[str, str | None] = {"keypoints": PACKAGED, "parts": PACKAGED}
         person = self._people[index]
-        readings = [person_evidence(person.keypoints, self._owners, index)] if person.seen else []
+        readings = _packaged_readings(person, self._owners, index, self._parts_from) if person.seen else []
         if self._keypoints_from is not None:
             with all_torch_threads():
                 given = find_keypoints(self._keypoints_from, self._picture, person)
@@ -221,8 +229,11 @@ class _PeopleEvidence:
                 warnings.append("labels: the given network found none along the bones; the mask is used")
             else:
                 readings, names["parts"] = weighed, self._parts.network.name
-        if readings[0].picture is None:
+        picture = readings[0].picture
+        if picture is None:
             names["parts"] = None
+        elif names["parts"] == PACKAGED and picture.label_set.num_groups > 1:
+            names["parts"] = PACKAGED_PARTS
         return readings, warnings, names
 
 
@@ -234,13 +245,19 @@ def _weighed(keypoints: Keypoints2D, parts: PartLabels | None) -> list[Evidence]
         return []
 
 
-def person_in_photo(photo: np.ndarray, person: int = 0, landmarks: LandmarkNetwork = "heavy") -> PersonInputs:
+def person_in_photo(
+    photo: np.ndarray,
+    person: int = 0,
+    landmarks: LandmarkNetwork = "heavy",
+    parts_from: PackagedParts = "packaged",
+) -> PersonInputs:
     """Inputs of one person's fit, as ``fit_photo`` finds them.
 
     Args:
         photo: RGB pixels, shape (H, W, 3), uint8.
         person: Index of the person, 0 is the largest.
         landmarks: Network for keypoints.
+        parts_from: Source of part labels.
 
     Raises:
         InputError: If nobody is found, or ``person`` is not among the people found.
@@ -248,7 +265,7 @@ def person_in_photo(photo: np.ndarray, person: int = 0, landmarks: LandmarkNetwo
     check_picture("photo", photo)
     found, owners = _everyone(Pyramid(photo, "cpu"), MIN_SCORE, None, landmarks)
     index = person_index(person, len(found))
-    evidence = person_evidence(found[index].keypoints, owners, index)
+    evidence = _packaged_readings(found[index], owners, index, parts_from)[0]
     return PersonInputs(evidence.keypoints, (), evidence.picture, photo)
 
 
@@ -296,6 +313,19 @@ def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
     """
     groups = Mask(tensor_over(owners.astype(np.int32, copy=False)), index + 1).groups()
     return PartLabels(MASK_LABELS, groups) if (groups == 1).any() else None
+
+
+def _packaged_readings(
+    person: FoundPerson, owners: np.ndarray, index: int, parts_from: PartNetwork | PackagedParts
+) -> list[Evidence]:
+    """Readings of what the packaged networks found of a person: with parts or the mask, if they are wanted."""
+    if parts_from == "none":
+        return weigh_evidence(person.keypoints)
+    if parts_from == "packaged" and (mask := mask_labels(owners, index)) is not None:
+        parts = seen_parts(person, mask)
+        if parts is not None and (weighed := _weighed(person.keypoints, parts)):
+            return weighed
+    return [person_evidence(person.keypoints, owners, index)]
 
 
 def person_evidence(keypoints: Keypoints2D, owners: np.ndarray, index: int) -> Evidence:

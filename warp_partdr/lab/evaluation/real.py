@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import InputError
 from ...inputs.keypoints import Keypoints2D, person_height
 from ...inputs.sample import Sample
+from ...networks.detection import PackagedParts
 from ...pipelines.photo import fit_photo
 from ...solve.ellipsoids.options import FitOptions
 from ...solve.ellipsoids.stages import Quality
@@ -20,7 +21,8 @@ from .partbench.methods import fit_anny
 from .scoring import Score, score_fit
 
 NETWORK, ELLIPSOIDS, MESH, PHOTO = "network", "ellipsoids", "mesh", "photo alone"
-PAIRS = ((MESH, NETWORK), (ELLIPSOIDS, NETWORK), (PHOTO, MESH))
+MASK, KEYPOINTS = "photo alone, mask", "photo alone, keypoints"
+PAIRS = ((MESH, NETWORK), (ELLIPSOIDS, NETWORK), (PHOTO, MESH), (PHOTO, MASK), (MASK, KEYPOINTS))
 _NOBODY = 0.5  # mean distance of keypoints, as a share of the person's height, beyond which it is somebody else
 
 
@@ -31,6 +33,7 @@ class PhotoMethod:
     options: FitOptions = field(default_factory=FitOptions)
     camera: bool = False  # a sample's is given to the fit, where it is known
     stature: bool = False  # likewise
+    parts_from: PackagedParts = "packaged"
 
     def serves(self, sample: Any) -> bool:
         """True for people of whom there is a picture."""
@@ -44,7 +47,8 @@ class PhotoMethod:
         """
         options = replace(self.options, stature=sample.stature) if self.stature else self.options
         camera = sample.camera if self.camera else None
-        found = fit_photo(sample.read_picture(), options=options, device=device, camera=camera)
+        picture = sample.read_picture()
+        found = fit_photo(picture, options=options, device=device, camera=camera, parts_from=self.parts_from)
         apart = {
             index: _keypoint_distance(sample.keypoints, person.keypoints) for index, person in enumerate(found.people)
         }
@@ -88,7 +92,7 @@ def real_methods(
     Examples:
         >>> from warp_partdr.benchmark import real_methods
         >>> list(real_methods())
-        ['network', 'ellipsoids', 'mesh', 'photo alone']
+        ['network', 'ellipsoids', 'mesh', 'photo alone', 'photo alone, mask', 'photo alone, keypoints']
     """
     known = None if isinstance(stature, bool) else stature
     options = replace(FitOptions.at(quality), network=network, stature=known)
@@ -98,4 +102,6 @@ def real_methods(
         ELLIPSOIDS: Method(no_labels, options, camera=camera, stature=with_stature),
         MESH: Method(no_labels, options, fit_anny, camera=camera, stature=with_stature),
         PHOTO: PhotoMethod(options, camera=camera, stature=with_stature),
+        MASK: PhotoMethod(options, camera=camera, stature=with_stature, parts_from="mask"),
+        KEYPOINTS: PhotoMethod(options, camera=camera, stature=with_stature, parts_from="none"),
     }

@@ -7,8 +7,9 @@ pooled over the photos; part F1 is over LSP's six parts and background.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from ...inputs.keypoint_files import read_keypoints
 from ...inputs.keypoints import person_height
 from ...inputs.part_labels import read_labelled_parts, read_photo
 from ...metrics import confusion, foreground_counts, part_f1
+from ...networks.detection import PackagedParts
 from ...pipelines.photo import fit_photo
 from ..options import tracked
 from ..tables import Cell, FigureTable
@@ -35,7 +37,7 @@ _COLUMNS = {
 
 
 def measure_photo(folder: Path, /) -> Iterator[FigureTable]:
-    """Fit everyone in each photo, and compare the labelled person.
+    """Fit everyone in each photo, with parts of the part head and with masks, and compare the labelled person.
 
     Args:
         folder: Folder of photos with labels and keypoints.
@@ -46,15 +48,20 @@ def measure_photo(folder: Path, /) -> Iterator[FigureTable]:
     photos = sorted(folder.glob("*.jpg"))
     if not photos:
         raise InputError(f"{folder}: no .jpg; expected photos with keypoints and part labels")
-    table = FigureTable("Photos alone", _COLUMNS)
+    for parts_from in get_args(PackagedParts):
+        yield _measure(photos, parts_from)
+
+
+def _measure(photos: Sequence[Path], parts_from: PackagedParts) -> FigureTable:
+    table = FigureTable(f"Photos alone, parts from: {parts_from}", _COLUMNS)
     pooled = np.zeros((_COARSE.num_groups + 1,) * 2, dtype=np.int64)
     for path in tracked(photos, "photos"):
         photo, truth = read_photo(path), read_keypoints(path.with_suffix(".keypoints.json"))[0]
         labels = read_labelled_parts(path.with_suffix(".parts.png"), None)
         assert labels is not None
-        fit_photo(photo)  # loads kernels
+        fit_photo(photo, parts_from=parts_from)  # loads kernels
         started = time.perf_counter()
-        everyone = fit_photo(photo)
+        everyone = fit_photo(photo, parts_from=parts_from)
         seconds = time.perf_counter() - started
         confident = truth.confident
         apart = [
@@ -73,7 +80,7 @@ def measure_photo(folder: Path, /) -> Iterator[FigureTable]:
         off = 100 * float(apart[nearest]) / person_height(truth)
         table.add(path.stem, len(everyone.people), seconds, off, *_scores(counts))
     table.add("pooled", None, None, None, *_scores(pooled))
-    yield table
+    return table
 
 
 def _scores(counts: np.ndarray) -> list[Cell]:

@@ -8,5 +8,7 @@
   ``detector_errors``: the packaged detector's.
 * ``shading``: pictures. ``partbench_people``, ``training_people``, ``shaded`` (samples with pictures) and
   ``tradeoff_people`` put all together.
+* ``photo_people``: pictures that look like photos, in batches, from ``photo_surfaces``, ``photo_colours``,
+  ``photo_light``, ``photo_effects`` and ``backdrops``.
 * ``rng``: random numbers on a device.
 """

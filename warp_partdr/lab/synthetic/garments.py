@@ -119,11 +119,11 @@ def offsets(outfit: tuple[Worn, ...]) -> np.ndarray:
     """Distances from Anny's skin to the outermost garment, shape (V,) [m]."""
     outermost = np.zeros(anny().num_vertices)
     for worn in outfit:
-        outermost = np.maximum(outermost, worn.thickness * _waves(worn) * smooth(_covered(worn)))
+        outermost = np.maximum(outermost, worn.thickness * _waves(worn) * smooth(covered_by(worn)))
     return outermost
 
 
-def _covered(worn: Worn) -> np.ndarray:
+def covered_by(worn: Worn) -> np.ndarray:
     """Share of each vertex that a garment covers, before its borders are made smooth, shape (V,)."""
     skin, garment = anny_skin(), GARMENTS[worn.name]
     if garment.slot == "hair":

@@ -28,7 +28,8 @@ _PIECES = (  # ends of the names of parts: skin, shirt, sleeves, trousers, legs,
     ("lower_leg",),
     ("foot",),
 )
-_HAIR, _DARK = len(_PIECES) + 1, len(_PIECES) + 2  # after the background, 0, and the pieces; dark are eyes and mouth
+# After the background, 0, and the pieces; dark are eyes and mouth.
+HAIR_FACE, DARK_FACE = len(_PIECES) + 1, len(_PIECES) + 2
 _LASHES, _LIPS = 0.011, 0.006  # [m], how far about their middles these are
 _SKIN = (0.95, 0.75, 0.62)
 _BALD = 0.1
@@ -65,7 +66,7 @@ def shade_people(
     pieces = torch.where(shown >= 0, _face_pieces(mesh)[shown], 0)
     colours = _colours(rng, count).gather(1, pieces[..., None].expand(-1, -1, 3))
     foreground = (colours * brightness[..., None]).unflatten(1, fine).permute(0, 3, 1, 2)
-    image = torch.where(drawn.labels[:, None] > 0, foreground, _background(count, fine, rng))
+    image = torch.where(drawn.labels[:, None] > 0, foreground, noise_backgrounds(count, fine, rng))
     image = torch.nn.functional.avg_pool2d(image, SAMPLES) + _GRAIN * rng.uniform(count, 3, *size, low=-1)
     return (image.clamp(0, 1) * 255).byte().permute(0, 2, 3, 1).cpu().numpy(), drawn
 
@@ -79,21 +80,21 @@ def _pieces_of_parts() -> np.ndarray:
 def _face_pieces(mesh: PartMesh) -> torch.Tensor:
     """Piece that each face belongs to, shape (F,), int64."""
     pieces = torch.from_numpy(_pieces_of_parts()).to(mesh.faces.device)[mesh.face_labels.long()]
-    features = torch.from_numpy(_features()).to(pieces)
+    features = torch.from_numpy(face_features()).to(pieces)
     pieces[: len(features)] = torch.where(features > 0, features, pieces[: len(features)])
     return pieces
 
 
 @lru_cache(maxsize=1)
-def _features() -> np.ndarray:
+def face_features() -> np.ndarray:
     """Hair, eyes and mouth among Anny's faces, 0 elsewhere, shape (F,)."""
     model, names = anny(), ("left_eye", "left_eye_outer", "mouth_left")
     eye, outer, lips = model.landmarks(model.rest(torch.zeros(1, model.num_shapes)), names)[0].numpy()
     middles, head = anny_skin().points[model.faces.numpy()].mean(1), anny_skin().shares["head"][model.faces.numpy()]
-    features = np.where(is_hairy(middles), _HAIR, 0)
+    features = np.where(is_hairy(middles), HAIR_FACE, 0)
     for middle, half in ((eye, np.array([outer[0] - eye[0], _LASHES / 2])), (lips * [0, 1, 1], [lips[0], _LIPS])):
         near = (np.abs(middles[:, :2] - middle[:2]) < half).all(1) & (middles[:, 2] > outer[2] - _LASHES)
-        features[near] = _DARK
+        features[near] = DARK_FACE
     return np.where((head > 0).all(1), features, 0)
 
 
@@ -109,7 +110,7 @@ def _colours(rng: TorchRng, count: int) -> torch.Tensor:
     return torch.cat([torch.zeros_like(skin), worn, hair, 0.25 * skin], dim=1)
 
 
-def _background(count: int, size: tuple[int, int], rng: TorchRng) -> torch.Tensor:
+def noise_backgrounds(count: int, size: tuple[int, int], rng: TorchRng) -> torch.Tensor:
     """Smooth noise on several scales about a random colour, and boxes, shape (count, 3, H, W)."""
     image = rng.uniform(count, 3, 1, 1).expand(-1, -1, *size)
     for cells, strength in _NOISE:

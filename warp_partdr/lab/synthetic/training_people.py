@@ -13,6 +13,7 @@ import torch
 from ...body.labels import IGNORE
 from ...body.landmarks import annotated
 from ...body.lens import rotations_to
+from ...body.posing import Posed
 from ...body.rotations import rotation_from_axis_angle
 from ...body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, SHAPE_INDICES
 from ...cameras import ScreenCamera
@@ -99,6 +100,37 @@ class PeopleBatch:
     def select(self, index: torch.Tensor) -> PeopleBatch:
         """Some of the people."""
         return PeopleBatch(**{name: value[index] for name, value in vars(self).items()})
+
+
+@dataclass(frozen=True)
+class DressedPeople:
+    """People who all wear clothes, each before a camera.
+
+    Attributes:
+        vertices: Vertices of the wardrobe's mesh, in a frame that has the camera's axes [m], shape (B, V, 3).
+        seen: Vertices as the camera sees them: places at the pelvis' depth, the pelvis at 0, and depth [m], (B, V, 3).
+        joints: Places of ``JOINT_NAMES`` as the camera sees them, at the pelvis' depth [m], shape (B, 21, 2).
+        worn: Index of each person's outfit in the wardrobe, shape (B,), int64.
+    """
+
+    vertices: torch.Tensor
+    seen: torch.Tensor
+    joints: torch.Tensor
+    worn: torch.Tensor
+
+
+@dataclass(frozen=True)
+class _Bodies:
+    """Bare people in poses, in a frame that has the camera's axes [m]."""
+
+    orientation: torch.Tensor  # of the pelvis, shape (B, 3, 3)
+    posed: Posed  # EllipBodies in the same poses
+    rest: Detailed
+    stance: tuple[torch.Tensor, torch.Tensor]  # Anny's rotations and translation
+    body: Detailed
+    landmarks: torch.Tensor  # ``LANDMARKS`` of the bones, shape (B, 24, 3)
+    annotated: torch.Tensor  # ``LANDMARKS`` as COCO's annotators place them, shape (B, 24, 3)
+    joints: torch.Tensor  # ``JOINT_NAMES``, shape (B, 21, 3)
 
 
 @dataclass(frozen=True)
@@ -253,24 +285,38 @@ class PeopleMaker:
         """Shape values of random people, as ``anny().pose`` takes them, shape (count, 20)."""
         return self._population.shapes(self.quantiles(count))
 
-    def _make(self, count: int) -> PeopleBatch:
-        rng, size = self._rng, (self.size, self.size)
+    @torch.no_grad()
+    def dressed(self, count: int) -> DressedPeople:
+        """``count`` people who all wear clothes."""
+        with exact_float32(self.device):
+            bodies = self._bodies(count)
+            view = self._view(bodies.joints[:, :1])
+            vertices, worn = self._cloth(bodies.rest, *bodies.stance)
+            return DressedPeople(vertices, view(vertices), view(bodies.joints)[..., :2], worn)
+
+    def _bodies(self, count: int) -> _Bodies:
         vectors, ups = self._poses.draw(count)
         orientation = self.orientations(ups)
         shape = self.shapes(count)
         posed = mean_body(rotation_from_axis_angle(vectors), orientation)
         rest, stance = self.model.rest(shape), pose_from_ellipbody(self.model, posed, shape)
-        body, stature = self.model.carry(rest.vertices, rest.joints, *stance), heights(rest)
+        body = self.model.carry(rest.vertices, rest.joints, *stance)
         known = sum_points(self._landmark_weights, body.vertices, body.joints)
-        plain, coco, joints = known.split(self._landmark_counts, dim=1)
-        noted = torch.where(rng.chance(_COCO, count, 1, 1), coco, plain)
+        return _Bodies(orientation, posed, rest, stance, body, *known.split(self._landmark_counts, dim=1))
+
+    def _make(self, count: int) -> PeopleBatch:
+        rng, size = self._rng, (self.size, self.size)
+        bodies = self._bodies(count)
+        rest, stance, stature = bodies.rest, bodies.stance, heights(bodies.rest)
+        plain, joints = bodies.landmarks, bodies.joints
+        noted = torch.where(rng.chance(_COCO, count, 1, 1), bodies.annotated, plain)
         dressed = round(_DRESSED * count)  # as many in every batch, as are photos' people: nothing waits
         photos, cut, whole = _photos(count, dressed)
         noted[photos] = plain[photos]
 
         view = self._view(joints[:, :1])
-        cloth = self._cloth(rest.select(slice(dressed)), *(each[:dressed] for each in stance))
-        vertices, noted, plain = (view(points) for points in (body.vertices, noted, plain))
+        cloth, _ = self._cloth(rest.select(slice(dressed)), *(each[:dressed] for each in stance))
+        vertices, noted, plain = (view(points) for points in (bodies.body.vertices, noted, plain))
         cloth = view.select(slice(dressed))(cloth)
         strength, label_sets = draw_strengths(count, rng), self._labels.label_sets(count)
         label_sets[cut], label_sets[whole] = _EVERY_PART, _ONE_PART
@@ -312,7 +358,7 @@ class PeopleMaker:
         joints = (joints - joints[:, :1]) @ along.mT
         bones = joints[:, 1:] - joints[:, self._bone_starts]
         lengths = bones.norm(dim=-1)
-        orientation, world = along @ orientation, along[:, None] @ posed.rotations
+        orientation, world = along @ bodies.orientation, along[:, None] @ bodies.posed.rotations
         return PeopleBatch(
             groups=groups.masked_fill(unseen | no_labels[:, None, None], IGNORE),
             label_sets=label_sets,
@@ -330,11 +376,13 @@ class PeopleMaker:
             distances=view.distance[:, 0],
         )
 
-    def _cloth(self, rest: Detailed, rotations: torch.Tensor, translation: torch.Tensor) -> torch.Tensor:
-        """Vertices of the wardrobe's mesh, of bodies at rest that are dressed and posed."""
+    def _cloth(
+        self, rest: Detailed, rotations: torch.Tensor, translation: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Vertices of the wardrobe's mesh, of bodies at rest that are dressed and posed; and indices of the outfits."""
         worn = self._rng.integers(self._wardrobe.size, len(rotations))
         vertices = self._wardrobe.offsets(worn).add_(rest.vertices)
-        return self._wardrobe.vertices(self.model.carry(vertices, rest.joints, rotations, translation), worn)
+        return self._wardrobe.vertices(self.model.carry(vertices, rest.joints, rotations, translation), worn), worn
 
     def orientations(self, ups: torch.Tensor) -> torch.Tensor:
         """The pelvis in the camera frame, (B, 3, 3): upright as ``ups`` (B, 3) says, looking anywhere, and tilted."""

@@ -24,12 +24,17 @@ _LEGS = ((0.5, 1.0), (0.0, 0.5))  # shares of ``tube``, of the left leg's and of
 
 
 class Wardrobe:
-    """Outfits on a device."""
+    """Outfits on a device.
+
+    Attributes:
+        outfits: Outfits that ``draw_outfit`` returned.
+        mesh: Faces of the body and of a tube around each leg, with their labels.
+    """
 
     size = _NUM_OUTFITS
 
     def __init__(self, device: torch.device) -> None:
-        outfits = [draw_outfit(np.random.default_rng([_SEED, index])) for index in range(self.size)]
+        self.outfits = outfits = [draw_outfit(np.random.default_rng([_SEED, index])) for index in range(self.size)]
         hems, rooms = zip(*map(around_legs, outfits), strict=True)
         skin = anny().rest_vertices.numpy()
 

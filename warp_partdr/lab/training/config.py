@@ -14,7 +14,11 @@ from ...errors import InputError
 from ...files.sections import read_section, read_toml, set_value
 
 # Name: module of this package and class in it.
-TASKS = {"label-network": ".label_task:LabelTask", "ellipbodynet": ".picture_task:PictureTask"}
+TASKS = {
+    "label-network": ".label_task:LabelTask",
+    "parts": ".part_task:PartTask",
+    "ellipbodynet": ".picture_task:PictureTask",
+}
 # May differ when a run is resumed.
 _FREE = "steps epochs minutes learning_rate clip log_every validate_every checkpoint_every keep out".split()
 _PACKAGED = resources.files(__package__).joinpath("configs")
@@ -34,7 +38,7 @@ class Phase:
 class TrainingConfig:
     """A training run."""
 
-    task: str  # label-network, ellipbodynet, or "module:Class" of one's own (``task.Task``)
+    task: str  # label-network, parts, ellipbodynet, or "module:Class" of one's own (``task.Task``)
     # How long: so many steps of the optimizer, or every sample seen so often, where the task counts its samples.
     steps: int | None = None
     epochs: float | None = None

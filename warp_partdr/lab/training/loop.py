@@ -46,7 +46,9 @@ class Trained:
     report: dict[str, Any]  # of report.json, errors of the last validation; empty in all processes but the first
 
 
-def run_training(config: TrainingConfig, *, resume: bool = False, device: str = "auto", bits: int = 32) -> Trained:
+def run_training(
+    config: TrainingConfig, *, resume: bool = False, device: str = "auto", bits: int | None = None
+) -> Trained:
     """Train, and write checkpoints, logs, pictures, the trained network and a report to ``config.out``.
 
     Started by ``torchrun`` or ``accelerate launch`` it is one of several processes that train together.
@@ -55,12 +57,14 @@ def run_training(config: TrainingConfig, *, resume: bool = False, device: str = 
         config: Numbers of the run.
         resume: True goes on from the newest checkpoint in ``config.out``, where there is one.
         device: Device, "auto", "cpu" or "cuda".
-        bits: Bits of each weight of the trained network in its file, 32, 16 or 8, see ``NetworkFiles.save``.
+        bits: Bits of each weight of the trained network in its file, 32, 16 or 8, see ``NetworkFiles.save``. None
+            takes the task's, ``Task.BITS``.
 
     Raises:
         InputError: If the folder holds a run and ``resume`` is not set; if a checkpoint is damaged or of another
             config; if a loss is NaN; if the GPU's memory is too small; if there are no such files.
     """
+    bits = find_task(config.task).BITS if bits is None else bits
     check_weight_bits(bits)
     torch.backends.cudnn.benchmark = True  # batches have one shape, for which the fastest convolutions are looked up
     with memory_errors(config), _accelerated(config, device) as accelerator:

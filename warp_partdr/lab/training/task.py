@@ -26,6 +26,7 @@ class Task(Protocol):
         MODEL: Dataclass of the config's table ``[model]``; ``config.model`` is one.
         DATA: Dataclass of the config's table ``[data]``; ``config.data`` is one.
         WEIGHTS: The loss terms' weights by default; ``config.weights`` has the same names.
+        BITS: Bits of each weight in the trained network's file, unless others are asked for.
         epoch: Samples in an epoch, over all processes; None where samples never end.
         left_out: Loss terms that the phase leaves out.
     """
@@ -33,6 +34,7 @@ class Task(Protocol):
     MODEL: ClassVar[type[Any]]
     DATA: ClassVar[type[Any]]
     WEIGHTS: ClassVar[Mapping[str, float]]
+    BITS: ClassVar[int] = 32
     epoch: int | None = None
     config: TrainingConfig
     rank: int

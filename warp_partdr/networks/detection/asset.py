@@ -16,6 +16,7 @@ from ...interop.device_cache import device_cache
 from ...interop.torch_threads import one_torch_thread
 from . import LandmarkNetwork
 from .graph import Node, OperatorGraph
+from .heavy_network import HeavyNetwork, load_part_head
 from .product_graph import ProductGraph
 
 _FORMAT = "warp-partdr people detector 1"
@@ -31,13 +32,13 @@ class PeopleNetworks:
         landmarks: Network from pictures, from 0 to 1, to "landmarks" (B, 195), five numbers [px] for each of 39
             landmarks, to "presence" (B, 1), 0 to 1, and to the logits "mask" (B, 1, 256, 256) and "heat"
             (B, 39, 64, 64).
-        heavy: Larger network, whose "landmarks" and "heat" are nearer to the truth. If it is None, those of
-            ``landmarks`` are taken.
+        heavy: Larger network, whose "landmarks" and "heat" are nearer to the truth, with the part head. If it is None,
+            those of ``landmarks`` are taken, and no parts are seen.
     """
 
     detector: OperatorGraph
     landmarks: OperatorGraph
-    heavy: OperatorGraph | None = None
+    heavy: HeavyNetwork | None = None
 
     @property
     def device(self) -> torch.device:
@@ -46,7 +47,7 @@ class PeopleNetworks:
 
     def halved(self) -> PeopleNetworks:
         """Networks in float16, for CUDA; keypoints move by 0.2 % of a person's height (see the model card)."""
-        heavy = None if self.heavy is None else ProductGraph(self.heavy, torch.float16)
+        heavy = None if self.heavy is None else self.heavy.halved()
         networks = ProductGraph(self.detector, torch.float16), ProductGraph(self.landmarks, torch.float16)
         return PeopleNetworks(*networks, heavy)
 
@@ -66,7 +67,7 @@ def load_people_networks(path: Path | str | None = None, *, device: torch.device
 
 
 def load_heavy_landmarks(path: Path | str | None = None, *, device: torch.device | str = "cpu") -> OperatorGraph:
-    """Load the larger network ``PeopleNetworks.heavy``. The arguments are those of ``load_people_networks``."""
+    """Load the larger landmark network of ``PeopleNetworks.heavy``. Arguments are those of ``load_people_networks``."""
     return _load_network(path, "heavy_landmarks.safetensors", "heavy", device)
 
 
@@ -87,8 +88,10 @@ def _packaged(device: str, half: bool) -> PeopleNetworks:
 
 
 @device_cache(8)
-def _packaged_heavy(device: str, half: bool) -> OperatorGraph:
-    return ProductGraph(_packaged_heavy(device, False), torch.float16) if half else load_heavy_landmarks(device=device)
+def _packaged_heavy(device: str, half: bool) -> HeavyNetwork:
+    if half:
+        return _packaged_heavy(device, False).halved()
+    return HeavyNetwork(load_heavy_landmarks(device=device), load_part_head(device=device))
 
 
 @one_torch_thread()  # threads that wait for one another take longer than these small products

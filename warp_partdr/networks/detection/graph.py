@@ -139,6 +139,11 @@ class OperatorGraph(nn.Module):
             for index, node in enumerate(self.nodes)
         ]
 
+    def showing(self, more: Mapping[str, int]) -> OperatorGraph:
+        """Graph that shows more of its values, by name and number; it has the same weights."""
+        weights = {name.replace("_", "."): values for name, values in self.named_buffers()}
+        return OperatorGraph(self.size, self.start, {**self.outputs, **more}, self.nodes, weights)
+
     def forward(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
         """Compute the outputs by name, for pictures of shape (B, 3, size, size)."""
         if not pictures.is_cuda:
