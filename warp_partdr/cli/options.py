@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, cast, get_args, get_type_hints
 
 from typer import Option, echo
 
@@ -315,16 +315,10 @@ class NetworkOptions:
         """Load the networks that were asked for."""
         from ..networks.predictors.checkpoints import load_keypoint_network, load_part_network
 
-        parts_from: PartNetwork | PackagedParts | None = None
+        parts_from: PartNetwork | PackagedParts | None = cast("PackagedParts | None", self.parts_from)
         keypoints_from = None
-        if self.parts_from == "packaged":
-            parts_from = "packaged"
-        elif self.parts_from == "mask":
-            parts_from = "mask"
-        elif self.parts_from == "none":
-            parts_from = "none"
-        elif self.parts_from is not None:
-            parts_from = load_part_network(self.parts_from, self.labels, device=device, say=echo)
+        if self._part_network is not None:
+            parts_from = load_part_network(self._part_network, self.labels, device=device, say=echo)
         if self.keypoints_from is not None:
             form = self.keypoint_format
             keypoints_from = load_keypoint_network(self.keypoints_from, form, device=device, say=echo)

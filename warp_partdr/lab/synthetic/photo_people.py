@@ -160,8 +160,8 @@ class _Crop:
 
 def _draw_crop(people: DressedPeople, rng: TorchRng) -> _Crop:
     count = len(people.worn)
-    hips, shoulders = (people.joints[:, index].mean(1) for index in (_HIPS, _SHOULDERS))
-    up = shoulders - hips
+    hips = people.joints[:, _HIPS].mean(1)
+    up = people.joints[:, _SHOULDERS].mean(1) - hips
     angle = torch.atan2(up[:, 0], -up[:, 1]) + _TURN_OFF * rng.normal(count)
     farthest = (people.seen[..., :2] - hips[:, None]).norm(dim=-1).amax(1)
     side = _SIDE * farthest * torch.exp(_SIDE_OFF * rng.normal(count))

@@ -151,7 +151,7 @@ def _cross(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
 
 def _vertex_normals(vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
     """Normals of vertices (B, V, 3), weighted by the areas of the faces around them, unit vectors, shape (B, V, 3)."""
-    first, second, third = (vertices[:, faces[:, corner]] for corner in range(3))
+    first, second, third = vertices[:, faces].unbind(2)
     of_faces = torch.linalg.cross(second - first, third - first)
     normals = torch.zeros_like(vertices)
     for corner in range(3):

@@ -19,10 +19,8 @@ from ...body.template import NUM_PARTS
 from ...errors import InputError
 from ...metrics import confusion, part_f1, pooled
 from ...networks.detection.asset import load_heavy_landmarks
-from ...networks.detection.graph import OperatorGraph
 from ...networks.detection.heavy_network import join_features, load_part_head, save_part_head, with_features
 from ...networks.detection.part_head import PICTURE_SIDE, PartHead, PartHeadConfig, SeenParts
-from ...networks.detection.product_graph import ProductGraph
 from ...results.palette import PART_COLOURS
 from ..synthetic.backdrops import load_backdrops
 from ..synthetic.photo_people import PhotoBatch, PhotoPeopleMaker
@@ -69,7 +67,7 @@ class PartTask(Task):
         self._backdrops = load_backdrops(config.data.backgrounds)
         # Processes differ in their seeds; those of one process follow one another.
         self._maker = self._make_maker(config.seed * processes + rank, held_out=False)
-        self._encoder = _load_encoder(device, half=config.precision == "bf16")
+        self._encoder = with_features(load_heavy_landmarks(device=device), half=config.precision == "bf16")
 
     def _make_maker(self, seed: int, *, held_out: bool) -> PhotoPeopleMaker:
         data = self.config.data
@@ -146,14 +144,6 @@ class PartTask(Task):
         """The pictures that errors are measured on."""
         maker, count = self._make_maker(_VALIDATION_SEED, held_out=True), self.config.data.validation
         return [maker(min(_BATCH, count - first)) for first in range(0, count, _BATCH)]
-
-
-def _load_encoder(device: torch.device, *, half: bool) -> OperatorGraph:
-    """The landmark network with its features, as detection runs it; on CUDA in float16 if ``half``."""
-    shown = with_features(load_heavy_landmarks(device=device))
-    if device.type != "cuda":
-        return shown
-    return ProductGraph(shown, torch.float16 if half else torch.float32)
 
 
 def cell_labels(labels: torch.Tensor) -> torch.Tensor:

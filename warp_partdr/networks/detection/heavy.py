@@ -123,12 +123,11 @@ def look_twice(network: Network, pyramids: Sequence[Pyramid], crops: TurnedCrops
         mean = (first["parts"] + second["parts"].flip(-1)[:, _head_orders(pictures.device).parts]) / 2
         return own, turned, LikeliestParts.of(mean)
 
-    own, turned, said = zip(*work_on_crops(ask, crops, pyramids[0].device), strict=True)
-    seen = [each for each in said if each is not None]
-    parts = None
-    if seen:
-        parts = LikeliestParts(torch.cat([each.labels for each in seen]), torch.cat([each.background for each in seen]))
-    return TwoLooks(torch.cat(own).cpu().numpy(), torch.cat(turned).cpu().numpy(), parts)
+    looks = work_on_crops(ask, crops, pyramids[0].device)
+    own = torch.cat([look for look, _, _ in looks])
+    turned = torch.cat([look for _, look, _ in looks])
+    parts = [each for _, _, each in looks if each is not None]
+    return TwoLooks(own.cpu().numpy(), turned.cpu().numpy(), LikeliestParts.joined(parts) if parts else None)
 
 
 def _landmarks_of(values: Mapping[str, torch.Tensor], size: int) -> torch.Tensor:

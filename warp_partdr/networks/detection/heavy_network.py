@@ -36,9 +36,12 @@ def load_part_head(path: Path | str | None = None, *, device: torch.device | str
         return _FILES.load(default if path is None else path, device=device)
 
 
-def with_features(graph: OperatorGraph) -> OperatorGraph:
-    """The landmark network "heavy", which shows the values of ``TAPS``, too."""
-    return graph.showing({str(number): number for numbers in TAPS.values() for number in numbers})
+def with_features(graph: OperatorGraph, *, half: bool = False) -> OperatorGraph:
+    """The landmark network "heavy", which shows the values of ``TAPS``, too; on CUDA in float16 if ``half``."""
+    shown = graph.showing({str(number): number for numbers in TAPS.values() for number in numbers})
+    if not next(graph.buffers()).is_cuda:
+        return shown
+    return ProductGraph(shown, torch.float16 if half else torch.float32)
 
 
 def join_features(values: Mapping[str, torch.Tensor]) -> dict[int, torch.Tensor]:
@@ -60,11 +63,9 @@ class HeavyNetwork(torch.nn.Module):
 
     def __init__(self, graph: OperatorGraph, head: PartHead, *, half: bool = False) -> None:
         super().__init__()
-        shown = with_features(graph)
-        on_cuda = next(graph.buffers()).is_cuda
         self.size = graph.size
         self._plain, self._half = graph, half
-        self._graph = ProductGraph(shown, torch.float16 if half else torch.float32) if on_cuda else shown
+        self._graph = with_features(graph, half=half)
         self._trained, self._head = head, head.folded()
 
     def halved(self) -> HeavyNetwork:

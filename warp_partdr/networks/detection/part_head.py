@@ -24,6 +24,7 @@ from ...body.skeletons import skeleton
 from ...body.template import NUM_JOINTS, NUM_PARTS
 from ...errors import check_whole
 from ...interop.device_cache import device_cache
+from ..regression.heads import cell_centres, heat_moments
 from ..window_products import convolve_windows
 from .person import SKELETON
 
@@ -33,6 +34,7 @@ PICTURE_SIDE = 256  # [px], of the pictures that the landmark network takes
 _TAPPED = {8: 560, 16: 352, 32: 152, 64: 80, 128: 24}  # their channels
 _COLOUR_CHANNELS = 16  # channels that are made of the picture itself
 _LIMB_CELLS = 64  # side of the maps of limbs and of joints
+_LEAST_VARIANCE = 1e-6  # of a heat map, the picture's side being 1, so that its root has a gradient
 _LIMB_SPREAD = 0.035  # standard deviation of a limb's map, the picture's side being 1
 _HIDDEN = 0.3  # brightness of a limb whose ends are hidden
 _MOST_DEPTH = 2.0  # [half-sides of the picture]
@@ -120,8 +122,9 @@ class PartHead(nn.Module):
                 beside = F.avg_pool2d(limbs, _LIMB_CELLS // side)
             values = self.joined[str(side)](torch.cat([values, self.sides[str(side)](features[side]), beside], dim=1))
             if side == _LIMB_CELLS:
-                joints, spreads = _heat_means(self.heat(values).float())
-        return SeenParts(self.last(values), joints, spreads)
+                means, variances = heat_moments(self.heat(values))
+        spreads = (variances / 4).clamp_min(_LEAST_VARIANCE).sqrt()
+        return SeenParts(self.last(values), (means + 1) / 2, spreads)
 
     def folded(self) -> PartHead:
         """A copy for answers, whose normalisations are within its convolutions."""
@@ -157,19 +160,6 @@ class _Products(nn.Module):
         return F.conv2d(values, self.weight, self.bias, padding=beside)
 
 
-def _heat_means(heat: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Means and standard deviations across and down of the probabilities that logits (B, L, N, N) stand for."""
-    shares = heat.flatten(2).softmax(-1).view_as(heat)
-    centres = _centres(heat.shape[-1], heat.device)
-    means, spreads = [], []
-    for dim in (2, 3):  # what is left is across, then down
-        share = shares.sum(dim)
-        mean = (share * centres).sum(-1)
-        means.append(mean)
-        spreads.append(((share * centres.square()).sum(-1) - mean.square()).clamp_min(1e-6).sqrt())
-    return torch.stack(means, dim=-1), torch.stack(spreads, dim=-1)
-
-
 def draw_limbs(landmarks: torch.Tensor) -> torch.Tensor:
     """Maps of limbs: how near a cell is to each limb, and the same times the limb's depth, shape (B, 36, 64, 64).
 
@@ -181,7 +171,7 @@ def draw_limbs(landmarks: torch.Tensor) -> torch.Tensor:
     shown = points[..., 3].sigmoid()
     first, second = _line_ends(landmarks.device)
     starts, along = places[:, first, None, None], (places[:, second] - places[:, first])[:, :, None, None]
-    centres = _centres(_LIMB_CELLS, landmarks.device)
+    centres = (cell_centres(_LIMB_CELLS, landmarks.device) + 1) / 2
     cells = torch.stack(torch.meshgrid(centres, centres, indexing="xy"), dim=-1)
     share = ((cells - starts) * along).sum(-1) / (along.square().sum(-1) + 1e-6)
     share = share.clamp(0.0, 1.0)
@@ -198,11 +188,6 @@ def _line_ends(device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
     names = skeleton(SKELETON).landmarks
     ends = torch.tensor([[names.index(name) for name in line] for line in _LINES], device=device)
     return ends[:, 0], ends[:, 1]
-
-
-def _centres(count: int, device: torch.device) -> torch.Tensor:
-    """Places of the middles of ``count`` cells, from 0 to 1."""
-    return (torch.arange(count, device=device) + 0.5) / count
 
 
 def _block(before: int, after: int, size: int = 3) -> nn.Sequential:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -38,6 +39,11 @@ class LikeliestParts:
         likeliest, place = parts.max(1)
         labels = torch.where(likeliest >= _SURE * parts.sum(1), place + 1, IGNORE).to(torch.uint8)
         return cls(labels, (255 * shares[:, 0]).round().to(torch.uint8))
+
+    @classmethod
+    def joined(cls, batches: Sequence[LikeliestParts]) -> LikeliestParts:
+        """Join the crops of several batches in one."""
+        return cls(torch.cat([each.labels for each in batches]), torch.cat([each.background for each in batches]))
 
     def __getitem__(self, row: int) -> LikeliestParts:
         return LikeliestParts(self.labels[row], self.background[row])

@@ -42,16 +42,26 @@ def soft_argmax(heatmaps: torch.Tensor) -> torch.Tensor:
     Returns:
         Crop coordinates (-1 to 1) and confidence (0 to 1), shape (B, L, 3), float32.
     """
+    means, variances = heat_moments(heatmaps)
+    confidence = (-variances.sum(-1).clamp_min(0.0) / (2 * _SURE_SPREAD**2)).exp()
+    return torch.cat([means, confidence[..., None]], dim=-1)
+
+
+def heat_moments(heatmaps: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Means and variances of heat maps across and down, in crop coordinates (-1 to 1), shape (B, L, 2) each, float32.
+
+    Args:
+        heatmaps: Logits, shape (B, L, h, w); a softmax makes probabilities of each map.
+    """
     height, width = heatmaps.shape[-2:]
     probabilities = heatmaps.float().flatten(2).softmax(-1).unflatten(2, (height, width))
-    moments = []
+    means, variances = [], []
     for size, share in ((width, probabilities.sum(2)), (height, probabilities.sum(3))):
         positions = cell_centres(size, share.device)
         mean = (share * positions).sum(-1)  # no matrix product, which autocast would round
-        moments.append((mean, (share * positions.square()).sum(-1) - mean.square()))
-    (x, x_variance), (y, y_variance) = moments
-    confidence = (-(x_variance + y_variance).clamp_min(0.0) / (2 * _SURE_SPREAD**2)).exp()
-    return torch.stack([x, y, confidence], dim=-1)
+        means.append(mean)
+        variances.append((share * positions.square()).sum(-1) - mean.square())
+    return torch.stack(means, dim=-1), torch.stack(variances, dim=-1)
 
 
 def cell_centres(size: int, device: torch.device) -> torch.Tensor:
