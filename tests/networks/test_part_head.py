@@ -16,6 +16,7 @@ from warp_partdr.body.skeletons import skeleton
 from warp_partdr.body.template import JOINT_NAMES, PART_NAMES
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.part_labels import PartLabels
+from warp_partdr.networks.detection import heavy_network
 from warp_partdr.networks.detection.asset import load_heavy_landmarks, packaged_people_networks
 from warp_partdr.networks.detection.crops import Pyramid, TurnedCrops
 from warp_partdr.networks.detection.graph import OperatorGraph
@@ -136,6 +137,16 @@ def test_few_pictures_need_no_library_for_convolutions(device: str, monkeypatch:
         found = network(pictures)
         for values, wanted in zip(found.values(), expected, strict=True):
             torch.testing.assert_close(values, wanted, rtol=1e-3, atol=2e-3 * float(wanted.abs().max()))
+
+
+def test_threads_on_the_cpu_change_none_of_torch_s_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Several threads look at a time: each would put back what it found, and another's setting would stay."""
+
+    def fail() -> None:
+        raise AssertionError("settings were changed")
+
+    monkeypatch.setattr(heavy_network, "exact_convolutions", fail)
+    assert heavy("cpu")(torch.zeros(1, 3, 256, 256))["parts"].shape == (1, 21, 128, 128)
 
 
 class Said(OperatorGraph):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import nullcontext
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -86,7 +87,9 @@ class HeavyNetwork(torch.nn.Module):
         features = join_features(values)
         given = *(features[side] for side in TAPS), values["landmarks"], pictures
         few = len(pictures) <= MOST_WINDOWS  # whose launches take longer than their work
-        with torch.autocast(pictures.device.type, torch.float16, enabled=self._half), exact_convolutions():
+        # On the CPU, several threads look at a time, which must not change torch's settings.
+        exact = exact_convolutions() if pictures.is_cuda else nullcontext()
+        with torch.autocast(pictures.device.type, torch.float16, enabled=self._half), exact:
             parts, joints = call_as_graph(_see, given, self._head) if few else _see(*given, self._head)
         found = {name: values[name] for name in self._plain.outputs}
         return found | {"parts": parts, "joints": joints}
